@@ -1,0 +1,1 @@
+"""One thin module per command in `bin/`: parse flags, call one function, print."""

@@ -1,0 +1,113 @@
+"""What was recorded: frames of one camera at one setting, and the recordings of one camera.
+
+A recording keeps the sensor's own numbers (DN, as stored) and what is needed to read them: the mosaic's
+colour order, black and white level. Everything else may be missing, and missing is `None`, never a guess.
+Values are normalised as (DN - black) / (white - black): 0 is the black level, 1 the white level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float, UInt16
+
+CFA_PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR", "MONO")
+KINDS = ("scene", "flat", "dark", "bias")
+REFERENCES = ("independent", "burst_mean")
+
+Kind = Literal["scene", "flat", "dark", "bias"]
+PerChannel = tuple[float, float, float, float]
+"""One value per site of the 2x2 mosaic cell, in mosaic order (0,0), (0,1), (1,0), (1,1)."""
+
+
+class BadInput(ValueError):
+    """Input that cannot be used: one line that names the file, what is wrong, and what to do about it."""
+
+
+class Frames(Protocol):
+    """Frames in memory or on disk, `uint16[T, H, W]`: a slice of the first axis reads only those frames."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def dtype(self) -> np.dtype: ...
+    def __getitem__(self, index) -> np.ndarray: ...
+    def __len__(self) -> int: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Frames of one camera at one setting, in capture order, with what is known about them.
+
+    frames: `uint16[T, H, W]`, DN as stored; an array, or a lazy view of a file (see `Frames`).
+    black_level, shot, read: mosaic order, see `PerChannel`. shot and read are variance coefficients in
+      normalised units, var = shot * clean + read, so the system gain is K = shot * (white - black) DN/e-.
+    clean: expected noise-free signal, normalised; `float32[H, W]` or `[T, H, W]`.
+    code_step: spacing of the stored codes in DN; None: to be detected; 0: not on a lattice.
+    reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
+    path: the file it was read from, for messages.
+    """
+
+    frames: Frames | UInt16[np.ndarray, "t h w"]
+    cfa: str
+    black_level: PerChannel
+    white_level: float
+    camera: str = "unknown"
+    kind: Kind = "scene"
+    clean: Float[np.ndarray, "*t h w"] | None = None
+    iso: float | None = None
+    exposure_s: float | None = None
+    temperature_c: float | None = None
+    shot: PerChannel | None = None
+    read: PerChannel | None = None
+    code_step: float | None = None
+    reference: str | None = None
+    reference_frames: int | None = None
+    path: str | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of frames T."""
+        return self.frames.shape[0]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the mosaic in pixels."""
+        return self.frames.shape[1], self.frames.shape[2]
+
+    def black_map(self) -> Float[np.ndarray, "h w"]:
+        """The black level of every pixel, DN."""
+        return mosaic_map(self.black_level, self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureSet:
+    """The recordings of one camera: the files of one folder, sorted by name."""
+
+    camera: str
+    recordings: tuple[Recording, ...]
+    path: str | None = None
+
+    def of_kind(self, *kinds: str) -> tuple[Recording, ...]:
+        """The recordings whose kind is among `kinds`, in order."""
+        return tuple(r for r in self.recordings if r.kind in kinds)
+
+
+def mosaic_map(
+    values: PerChannel | Float[np.ndarray, "4"], size: tuple[int, int]
+) -> Float[np.ndarray, "h w"]:
+    """One value per mosaic site spread over a mosaic of `size`: `float32[H, W]`, H and W of any parity."""
+    height, width = size
+    cell = np.asarray(values, np.float32).reshape(2, 2)
+    return np.tile(cell, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
+
+
+def per_channel(value: float | tuple[float, ...] | np.ndarray) -> PerChannel:
+    """One value, or one per mosaic site, as four. Raises ValueError for any other count."""
+    flat = np.asarray(value, np.float64).reshape(-1)
+    if flat.size not in (1, 4):
+        raise ValueError(f"expected 1 or 4 values (mosaic order), got {flat.size}")
+    a, b, c, d = np.broadcast_to(flat, (4,)).tolist()
+    return a, b, c, d

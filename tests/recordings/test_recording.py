@@ -1,0 +1,25 @@
+import numpy as np
+import pytest
+
+from cannoise_jax.recordings.recording import Recording, mosaic_map, per_channel
+
+
+def test_mosaic_map_follows_mosaic_order():
+    field = mosaic_map((1, 2, 3, 4), (3, 5))
+    assert field.shape == (3, 5)
+    for i in range(3):
+        for j in range(5):
+            assert field[i, j] == 1 + 2 * (i % 2) + j % 2
+
+
+def test_per_channel_takes_one_or_four():
+    assert per_channel(7) == (7.0,) * 4
+    assert per_channel((1, 2, 3, 4)) == (1.0, 2.0, 3.0, 4.0)
+    with pytest.raises(ValueError, match="1 or 4"):
+        per_channel((1, 2))
+
+
+def test_black_map_has_the_frames_size():
+    recording = Recording(np.zeros((2, 4, 6), np.uint16), "RGGB", (10, 20, 30, 40), 1023)
+    assert recording.count == 2 and recording.black_map().shape == (4, 6)
+    assert recording.black_map()[3, 3] == 40
