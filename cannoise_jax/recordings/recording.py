@@ -104,6 +104,12 @@ def mosaic_map(
     return np.tile(cell, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
 
 
+def normalise(frames: UInt16[np.ndarray, "... h w"], recording: Recording) -> Float[np.ndarray, "... h w"]:
+    """DN to normalised units, (DN - black) / (white - black) per mosaic site: float32, unclipped."""
+    black = recording.black_map()
+    return (np.asarray(frames, np.float32) - black) / (np.float32(recording.white_level) - black)
+
+
 def per_channel(value: float | tuple[float, ...] | np.ndarray) -> PerChannel:
     """One value, or one per mosaic site, as four. Raises ValueError for any other count."""
     flat = np.asarray(value, np.float64).reshape(-1)

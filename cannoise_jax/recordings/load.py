@@ -1,0 +1,46 @@
+"""Any supported file or folder into a `Recording`, and a folder of them into a `CaptureSet`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.recordings import native
+from cannoise_jax.recordings.metadata import check_overrides
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+
+_READERS = dict.fromkeys((".h5", ".hdf5", ".hdf"), native.read_recording)
+
+
+def load_recording(path: str | Path, **overrides: Any) -> Recording:
+    """A recording from a file of any supported format (or a SIDD instance folder).
+
+    overrides: see `metadata.OVERRIDES`. Raises BadInput for a file that cannot be used.
+    """
+    check_overrides(overrides)
+    path = Path(path)
+    if not path.exists():
+        raise BadInput(f"{path}: no such file")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise BadInput(f"{path}: unknown format {path.suffix!r}: supported are {', '.join(sorted(_READERS))}")
+    return reader(path, **overrides)
+
+
+def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
+    """All recordings of a folder, sorted by name; files of other formats (side-cars, notes) are passed over.
+
+    overrides apply to every recording. Raises BadInput when one of them cannot be used, when there is none,
+    or when they name more than one camera.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder")
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in _READERS and not p.name.startswith("."))
+    if not paths:
+        raise BadInput(f"{folder}: holds no recordings: supported are {', '.join(sorted(_READERS))}")
+    recordings = tuple(load_recording(p, **overrides) for p in paths)
+    cameras = sorted({r.camera for r in recordings})
+    if len(cameras) > 1:
+        raise BadInput(f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): one folder a camera")
+    return CaptureSet(cameras[0], recordings, str(folder))

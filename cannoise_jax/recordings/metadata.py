@@ -1,0 +1,217 @@
+"""From what a file says about itself to a checked `Recording`: one set of rules for every format.
+
+A reader hands over the frames and what it knows, under the field names of `Recording`; the caller's overrides
+win over the file. What is required and missing, or cannot be true, is refused in one line.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.recordings.recording import (
+    CFA_PATTERNS,
+    KINDS,
+    REFERENCES,
+    BadInput,
+    Frames,
+    PerChannel,
+    Recording,
+    per_channel,
+)
+
+OVERRIDES = (
+    "camera",
+    "kind",
+    "cfa",
+    "black_level",
+    "white_level",
+    "iso",
+    "exposure_s",
+    "temperature_c",
+    "shot",
+    "read",
+    "code_step",
+)
+"""What a caller may set in place of the file: the keyword arguments of every reader."""
+
+_FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
+_CHUNK_BYTES = 64 << 20
+_log = logging.getLogger(__name__)
+
+
+def make_recording(
+    path: str | Path, frames: Frames, known: Mapping[str, Any], overrides: Mapping[str, Any]
+) -> Recording:
+    """A checked recording from a file's frames and metadata.
+
+    known: fields of `Recording` that the file states (None: not stated). overrides: fields that the caller
+    states (None: keep the file's), see `OVERRIDES`. The camera is named after the folder unless stated.
+    Values above the white level are saturation: counted, and logged as one warning.
+    Raises BadInput for everything that cannot be used, TypeError for an override that does not exist.
+    """
+    check_overrides(overrides)
+    stated = {**known, **{k: v for k, v in overrides.items() if v is not None}}
+    stated = {k: v for k, v in stated.items() if v is not None}
+    _check_frames(path, frames)
+    cfa = _cfa(path, _required(path, stated, "cfa"))
+    if cfa != "MONO" and (frames.shape[1] % 2 or frames.shape[2] % 2):
+        raise BadInput(
+            f"{path}: {frames.shape[1]} x {frames.shape[2]} pixels is an odd size for a {cfa} mosaic: "
+            "crop one row or column"
+        )
+    black = _channels(path, "black_level", _required(path, stated, "black_level"))
+    white = _number(path, "white_level", _required(path, stated, "white_level"))
+    if max(black) >= white:
+        raise BadInput(
+            f"{path}: black level {max(black):g} is not below white level {white:g}: "
+            "set them with --black-level and --white-level"
+        )
+    recording = Recording(
+        frames=frames,
+        cfa=cfa,
+        black_level=black,
+        white_level=white,
+        camera=_text(stated.get("camera")) or Path(path).absolute().parent.name or "unknown",
+        kind=_one_of(path, stated, "kind", KINDS) or "scene",
+        clean=_checked_clean(path, frames, stated.get("clean")),
+        iso=_optional(path, stated, "iso", least=0),
+        exposure_s=_optional(path, stated, "exposure_s", least=0),
+        temperature_c=_optional(path, stated, "temperature_c"),
+        shot=_optional_channels(path, stated, "shot"),
+        read=_optional_channels(path, stated, "read"),
+        code_step=_optional(path, stated, "code_step", least=0),
+XX        reference_frames=_count(path, stated, "reference_frames"),
+        path=str(path),
+    )
+    warn_saturation(path, count_above(recording.frames, white), recording.frames.shape, white)
+    return recording
+
+
+def check_overrides(overrides: Mapping[str, Any]) -> None:
+    """Raises TypeError for a name that is not among `OVERRIDES`."""
+    unknown = sorted(set(overrides) - set(OVERRIDES))
+    if unknown:
+        raise TypeError(f"unknown override {', '.join(unknown)}: use {', '.join(OVERRIDES)}")
+
+
+def chunks(frames: Frames, most_bytes: int = _CHUNK_BYTES) -> Iterator[np.ndarray]:
+    """The frames in order, as many at a time as fit `most_bytes` (at least one)."""
+    item = max(1, int(np.prod(frames.shape[1:])) * frames.dtype.itemsize)
+    step = max(1, most_bytes // item)
+    for start in range(0, frames.shape[0], step):
+        yield np.asarray(frames[start : start + step])
+
+
+def count_above(frames: Frames, white: float) -> int:
+    """How many stored values exceed the white level; reads nothing where the dtype cannot exceed it."""
+    if white >= np.iinfo(frames.dtype).max:
+        return 0
+    return sum(int(np.count_nonzero(part > white)) for part in chunks(frames))
+
+
+def warn_saturation(path: str | Path, above: int, shape: tuple[int, ...], white: float) -> None:
+    """Logs one warning when values lie above the white level."""
+    if above:
+        share = 100 * above / math.prod(shape)
+        _log.warning("%s: %d values (%.3g %%) above white level %g: saturated", path, above, share, white)
+
+
+def _check_frames(path: str | Path, frames: Frames) -> None:
+    if len(frames.shape) != 3:
+        raise BadInput(f"{path}: frames have shape {tuple(frames.shape)}: expected [frames, rows, columns]")
+    if frames.dtype != np.uint16:
+        raise BadInput(f"{path}: frames are {frames.dtype}: expected the sensor's own values as uint16")
+    if frames.shape[0] == 0:
+        raise BadInput(f"{path}: holds no frames: record at least one")
+    if 0 in frames.shape:
+        raise BadInput(f"{path}: frames of {frames.shape[1]} x {frames.shape[2]} pixels are empty")
+
+
+def _checked_clean(path: str | Path, frames: Frames, clean: Any) -> Any:
+    if clean is None:
+        return None
+    shape = tuple(clean.shape)
+    if shape not in (tuple(frames.shape), tuple(frames.shape[1:])):
+        raise BadInput(
+            f"{path}: clean has shape {shape}: expected one image a frame, or one for all {frames.shape}"
+        )
+    if clean.dtype.kind not in "fiu":
+        raise BadInput(f"{path}: clean is {clean.dtype}: expected float32, (DN - black) / (white - black)")
+    bad = sum(int(np.count_nonzero(~np.isfinite(part))) for part in chunks(clean))
+    if bad:
+        raise BadInput(f"{path}: clean holds {bad} NaN or infinite values: mend or leave out the reference")
+    return clean
+
+
+def _required(path: str | Path, stated: Mapping[str, Any], name: str) -> Any:
+    if name not in stated:
+        raise BadInput(f"{path}: {name} is missing: set it with {_FLAGS[name]}")
+    return stated[name]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or "")
+
+
+def _cfa(path: str | Path, value: Any) -> str:
+    cfa = _text(value).strip().upper()
+    if cfa not in CFA_PATTERNS:
+        raise BadInput(f"{path}: unknown CFA {cfa!r}: use --cfa with one of {', '.join(CFA_PATTERNS)}")
+    return cfa
+
+
+def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:
+    if name not in stated:
+        return None
+    text = _text(stated[name])
+    if text not in allowed:
+        raise BadInput(f"{path}: unknown {name} {text!r}: use one of {', '.join(allowed)}")
+    return text
+
+
+def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
+    try:
+        values = per_channel(value)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{path}: {name} {value!r}: expected 1 or 4 numbers in mosaic order") from error
+    if not all(map(math.isfinite, values)):
+        raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
+    return values
+
+
+def _optional_channels(path: str | Path, stated: Mapping[str, Any], name: str) -> PerChannel | None:
+    return _channels(path, name, stated[name]) if name in stated else None
+
+
+def _number(path: str | Path, name: str, value: Any) -> float:
+    try:
+        number = float(np.asarray(value).reshape(()))
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{path}: {name} {value!r}: expected one number") from error
+    if not math.isfinite(number):
+        raise BadInput(f"{path}: {name} is not finite: {number}")
+    return number
+
+
+def _optional(
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+) -> float | None:
+    if name not in stated:
+        return None
+    number = _number(path, name, stated[name])
+    if number < least:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
+    return number
+
+
+def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
+    number = _optional(path, stated, name, least=1)
+    return None if number is None else round(number)

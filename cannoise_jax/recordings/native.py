@@ -1,0 +1,136 @@
+"""The native format: one HDF5 file per recording, read lazily and written atomically.
+
+Required: dataset `frames` `uint16[T, H, W]`, attributes `cfa`, `black_level`, `white_level`. Optional:
+dataset `clean` `float32[H, W]` or `[T, H, W]`, and the other fields of `Recording` as attributes of the same
+names.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from cannoise_jax.recordings.metadata import check_overrides, chunks, make_recording
+from cannoise_jax.recordings.recording import BadInput, Recording
+
+_DATASETS = ("frames", "clean")
+_ATTRIBUTES = tuple(f.name for f in fields(Recording) if f.name not in (*_DATASETS, "path"))
+
+
+@dataclass(frozen=True)
+class FileArray:
+    """A dataset on disk that looks like an array: every index opens the file, reads that part and closes it.
+
+    Holds no open file, so it is cheap to keep, to send to another process and to hold by the thousand.
+    Raises BadInput when the part cannot be read.
+    """
+
+    path: str
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, index: Any) -> np.ndarray:
+        try:
+            with h5py.File(self.path, "r") as file:
+                return file[self.name][index]
+        except (OSError, KeyError) as error:
+            raise BadInput(f"{self.path}: cannot read {self.name}: {_reason(error)}") from error
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        values = self[...]
+        return values if dtype is None else values.astype(dtype)
+
+
+def read_recording(path: str | Path, **overrides: Any) -> Recording:
+    """A recording from a native file; its frames, and a clean movie, stay on disk until they are indexed.
+
+    overrides: see `metadata.OVERRIDES`. Raises BadInput for a file that cannot be used.
+    """
+    check_overrides(overrides)
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file")
+    try:
+        with h5py.File(path, "r") as file:
+            if not isinstance(file.get("frames"), h5py.Dataset):
+                raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
+            known = {k: _plain(file.attrs[k]) for k in _ATTRIBUTES if k in file.attrs}
+            if isinstance(file.get("clean"), h5py.Dataset):
+                clean = _view(path, file["clean"])
+                known["clean"] = clean if clean.ndim == 3 else np.asarray(file["clean"])
+            frames = _view(path, file["frames"])
+    except OSError as error:
+        raise BadInput(f"{path}: not a readable HDF5 file: {_reason(error)}") from error
+    return make_recording(path, frames, known, overrides)
+
+
+def write_recording(path: str | Path, recording: Recording) -> None:
+    """Writes a native file: a temporary neighbour first, moved into place when complete.
+
+    Reads the frames in chunks. Raises BadInput when it cannot be written, and leaves nothing behind.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            _write(partial, recording)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except BadInput:
+        raise
+    except (OSError, RuntimeError) as error:
+        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
+        reason = "no space left on the disk" if full else _reason(error)
+        raise BadInput(f"{path}: cannot be written: {reason}") from error
+
+
+def _write(path: Path, recording: Recording) -> None:
+    frames = recording.frames
+    with h5py.File(path, "w") as file:
+        _write_dataset(file, "frames", frames, np.dtype(np.uint16))
+        if recording.clean is not None:
+            _write_dataset(file, "clean", recording.clean, np.dtype(np.float32))
+        for name in _ATTRIBUTES:
+            value = getattr(recording, name)
+            if value is not None:
+                file.attrs[name] = value
+
+
+def _write_dataset(file: h5py.File, name: str, values: Any, dtype: np.dtype) -> None:
+    shape = tuple(values.shape)
+    chunk = (1, *shape[1:]) if len(shape) == 3 else shape
+    target = file.create_dataset(
+        name, shape, dtype, chunks=chunk, compression="gzip", compression_opts=1, shuffle=True
+    )
+    at = 0
+    for part in chunks(values):
+        target[at : at + len(part)] = part
+        at += len(part)
+
+
+def _view(path: Path, dataset: h5py.Dataset) -> FileArray:
+    return FileArray(str(path), dataset.name.lstrip("/"), tuple(dataset.shape), dataset.dtype)
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error.args[-1] if error.args else error).split())

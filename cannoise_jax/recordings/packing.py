@@ -1,0 +1,65 @@
+"""Bayer mosaics to four half-size planes and back, in numpy and in JAX alike.
+
+Packed channels are R, Gr, Gb, B, where Gr is the green beside red and Gb the green beside blue. Every Bayer
+pattern becomes [[R, Gr], [Gb, B]] by flipping the rows or columns within each 2x2 cell, so packing is a
+reshape and at most two flips, and is its own kind of inverse. A monochrome sensor packs its four positions
+in mosaic order (0,0), (0,1), (1,0), (1,1).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Shaped
+
+from cannoise_jax.recordings.recording import CFA_PATTERNS, PerChannel
+
+PACKED_CHANNELS = ("R", "Gr", "Gb", "B")
+
+# Step of the rows and of the columns inside a cell that turns it into [[R, Gr], [Gb, B]].
+_CELL_STEPS = {"RGGB": (1, 1), "GRBG": (1, -1), "GBRG": (-1, 1), "BGGR": (-1, -1), "MONO": (1, 1)}
+
+
+def pack(mosaic: Shaped[Any, "... H W"], cfa: str) -> Shaped[Any, "... h w 4"]:
+    """Mosaic `[..., H, W]` to packed `[..., H/2, W/2, 4]`, channels R, Gr, Gb, B (MONO: the four positions).
+
+    Keeps the values, dtype and kind of array (numpy or JAX).
+    Raises ValueError for an unknown CFA or odd sizes.
+    """
+    rows, columns = _cell_steps(cfa)
+    *lead, height, width = mosaic.shape
+    if height % 2 or width % 2:
+        raise ValueError(
+            f"cannot pack {height} x {width} pixels: both sizes must be even; crop one row or column"
+        )
+    cells = mosaic.reshape(*lead, height // 2, 2, width // 2, 2)[..., ::rows, :, ::columns]
+    return cells.swapaxes(-3, -2).reshape(*lead, height // 2, width // 2, 4)
+
+
+def unpack(packed: Shaped[Any, "... h w 4"], cfa: str) -> Shaped[Any, "... H W"]:
+    """The exact inverse of `pack`. Raises ValueError for an unknown CFA or a last axis that is not 4."""
+    rows, columns = _cell_steps(cfa)
+    *lead, height, width, channels = packed.shape
+    if channels != 4:
+        raise ValueError(f"packed images end in 4 channels, got {channels}")
+    cells = packed.reshape(*lead, height, width, 2, 2).swapaxes(-3, -2)[..., ::rows, :, ::columns]
+    return cells.reshape(*lead, 2 * height, 2 * width)
+
+
+def to_packed_order(values: PerChannel | Shaped[Any, "... 4"], cfa: str) -> Shaped[Any, "... 4"]:
+    """Per-channel values from mosaic order to packed order R, Gr, Gb, B (a tuple comes back as an array)."""
+    rows, columns = _cell_steps(cfa)
+    values = np.asarray(values) if isinstance(values, (tuple, list)) else values
+    return values.reshape(*values.shape[:-1], 2, 2)[..., ::rows, ::columns].reshape(values.shape)
+
+
+def to_mosaic_order(values: PerChannel | Shaped[Any, "... 4"], cfa: str) -> Shaped[Any, "... 4"]:
+    """Per-channel values from packed order to mosaic order: the same flips undo themselves."""
+    return to_packed_order(values, cfa)
+
+
+def _cell_steps(cfa: str) -> tuple[int, int]:
+    if cfa not in _CELL_STEPS:
+        raise ValueError(f"unknown CFA {cfa!r}: use one of {', '.join(CFA_PATTERNS)}")
+    return _CELL_STEPS[cfa]
