@@ -86,7 +86,8 @@ def make_recording(
         shot=_optional_channels(path, stated, "shot"),
         read=_optional_channels(path, stated, "read"),
         code_step=_optional(path, stated, "code_step", least=0),
-XX        reference_frames=_count(path, stated, "reference_frames"),
+        reference=_one_of(path, stated, "reference", REFERENCES),
+        reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
     )
     warn_saturation(path, count_above(recording.frames, white), recording.frames.shape, white)
