@@ -1,0 +1,160 @@
+"""From patches to training batches: balanced over cameras, shuffled, augmented, and resumed bit-exactly.
+
+Every element answers the four draws of the paper's Sec. 3.4 from one target patch i:
+  clean, noisy      i itself, `float32[h, w, 4]`, packed, normalised
+  shot, read        the noise level function of i, `float32[4]`, packed order
+  camera            index into `source.cameras`, `int32`
+  anchor            noisy j: the same camera, any setting, never i
+  positive          noisy k: the same camera, any setting, neither i nor (from three patches on) j
+  negative          noisy l: another camera, all others equally likely
+`batches` yields dicts of these with a leading batch axis. Everything drawn for element n depends on
+(seed, n) alone, so an iterator's whole state is its position: `get_state()` and `set_state(state)` take and
+give a small JSON-able dict. Reading is in this process; `threads` may overlap reading from disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import grain
+import numpy as np
+from jaxtyping import Float, Int
+
+from cannoise_jax.recordings.augment import crop_packed
+from cannoise_jax.recordings.recording import BadInput
+
+
+class PatchSource(Protocol):
+    """Random access to stored patches. `source[n]` holds clean, noisy `[H, W, 4]`, shot, read `[4]`."""
+
+    @property
+    def cameras(self) -> tuple[str, ...]: ...
+    @property
+    def camera(self) -> np.ndarray: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int) -> dict[str, np.ndarray]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayPatches:
+    """A patch source in memory.
+
+    clean, noisy: packed, normalised. shot, read: packed order. camera: index into `cameras`.
+    """
+
+    clean: Float[np.ndarray, "n h w 4"]
+    noisy: Float[np.ndarray, "n h w 4"]
+    shot: Float[np.ndarray, "n 4"]
+    read: Float[np.ndarray, "n 4"]
+    camera: Int[np.ndarray, "n"]
+    cameras: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def __getitem__(self, index: int) -> dict[str, np.ndarray]:
+        return {name: getattr(self, name)[index] for name in ("clean", "noisy", "shot", "read")}
+
+
+class BatchIterator(Protocol):
+    """What `batches` returns."""
+
+    def __next__(self) -> dict[str, np.ndarray]: ...
+    def __iter__(self) -> Iterator[dict[str, np.ndarray]]: ...
+    def get_state(self) -> dict[str, Any]: ...
+    def set_state(self, state: dict[str, Any]) -> None: ...
+
+
+def batches(
+    source: PatchSource,
+    batch_size: int,
+    *,
+    seed: int,
+    size: int | None = 64,
+    triplet: bool = True,
+    threads: int = 0,
+) -> BatchIterator:
+    """Endless training batches, see the module's docstring.
+
+    size: packed size of the patches; stored patches may be larger, then a window is drawn at random, and
+      mirrored half of the time where one column is to spare. None: patches as stored, no augmentation.
+    triplet: False leaves out `positive` and `negative`, which one camera alone cannot give.
+    Raises BadInput for one camera with a triplet, a camera with fewer than two patches, patches below `size`.
+    """
+    element = _Element(source, _by_camera(source, triplet), size, triplet)
+    per_epoch = len(element.members) * max(map(len, element.members))
+    data = grain.MapDataset.range(per_epoch).seed(seed).shuffle().repeat().random_map(element)
+    options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=4 * batch_size if threads else 0)
+    return iter(data.batch(batch_size).to_iter_dataset(options))
+
+
+@dataclass(frozen=True, eq=False)
+class _Element(grain.transforms.RandomMap):
+    """Draws one training element from its number: cameras take turns, each through its own patches."""
+
+    source: PatchSource
+    members: tuple[np.ndarray, ...]
+    size: int | None
+    triplet: bool
+
+    def random_map(self, element: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        turn, camera = divmod(int(element), len(self.members))
+        own = self.members[camera]
+        i = turn % len(own)
+        j, k = _others(rng, len(own), i)
+        target = self.source[int(own[i])]
+        clean, noisy = self._window(rng, target["clean"], target["noisy"])
+        drawn: dict[str, Any] = {
+            "clean": clean,
+            "noisy": noisy,
+            "shot": np.asarray(target["shot"], np.float32),
+            "read": np.asarray(target["read"], np.float32),
+            "camera": np.int32(camera),
+            "anchor": self._noisy(rng, own[j]),
+        }
+        if self.triplet:
+            other = self.members[(camera + 1 + rng.integers(len(self.members) - 1)) % len(self.members)]
+            drawn["positive"] = self._noisy(rng, own[k])
+            drawn["negative"] = self._noisy(rng, other[rng.integers(len(other))])
+        return drawn
+
+    def _noisy(self, rng: np.random.Generator, index: int) -> np.ndarray:
+        return self._window(rng, self.source[int(index)]["noisy"])[0]
+
+    def _window(self, rng: np.random.Generator, *images: np.ndarray) -> list[np.ndarray]:
+        """The same random window of every image."""
+        if self.size is None:
+            return [np.asarray(image, np.float32) for image in images]
+        height, width = images[0].shape[:2]
+        mirrored = bool(rng.integers(2)) and width > self.size
+        top = int(rng.integers(height - self.size + 1))
+        left = int(rng.integers(width - self.size - mirrored + 1))
+        size = (self.size, self.size)
+        return [np.asarray(crop_packed(image, top, left, size, mirrored), np.float32) for image in images]
+
+
+def _others(rng: np.random.Generator, count: int, i: int) -> tuple[int, int]:
+    """Two members of range(count) that are not i, and differ from each other where count allows it."""
+    first = (i + 1 + int(rng.integers(count - 1))) % count
+    if count < 3:
+        return first, first
+    low, high = sorted((i, first))
+    second = int(rng.integers(count - 2))
+    second += second >= low
+    second += second >= high
+    return first, second
+
+
+def _by_camera(source: PatchSource, triplet: bool) -> tuple[np.ndarray, ...]:
+    members = tuple(np.flatnonzero(np.asarray(source.camera) == c) for c in range(len(source.cameras)))
+    if triplet and len(members) < 2:
+        raise BadInput(
+            f"{', '.join(source.cameras) or 'no camera'}: the triplet loss needs two cameras or more: "
+            "add recordings of another camera, or train without it: --config.loss.triplet=0"
+        )
+    for name, own in zip(source.cameras, members, strict=True):
+        if len(own) < 2:
+            raise BadInput(f"{name}: {len(own)} patches: every camera needs at least two")
+    return members
