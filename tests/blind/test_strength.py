@@ -1,0 +1,93 @@
+"""The law of strength against simulation: the likelihood ratio that knows the effect, on drawn frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cannoise_jax.blind.chain import Shot, expose
+from cannoise_jax.blind.effects import LISTED, UNLISTED, effect
+from cannoise_jax.blind.seal import strength_of
+from cannoise_jax.blind.sets import Design, draw_camera
+
+SIZE = (48, 64)
+FRAMES = 6
+
+
+def design() -> Design:
+    """A small set with a fine converter, so that the shift can be simulated quickly."""
+    camera = replace(draw_camera(np.random.default_rng(0)), gain=2.0, read_e=3.0, step=1.0, white=60000.0)
+    shots = tuple(
+        Shot(f"s{i}", kind, np.full(SIZE, level), FRAMES, seconds)
+        for i, (kind, level, seconds) in enumerate(
+            [("dark", 0.0, 8.0), ("flat", 0.02, 1.0), ("flat", 0.2, 1.0)]
+        )
+    )
+    return Design(camera, shots, "independent", True, "full")
+
+
+def groups_statistic(plan: Design, frames: list[np.ndarray], group: str) -> float:
+    """Sum over groups of (weighted sum)^2 - its expectation: the score for a variance component, unscaled."""
+    total = 0.0
+    frozen = 0.0
+    for seen, exposed in zip(frames, plan.exposed(), strict=True):
+        variance = exposed.variance(plan.camera)
+        mean = plan.camera.black_map(SIZE) + plan.camera.gain * exposed.electrons
+        load = plan.camera.gain * exposed.electrons if group == "prnu" else np.ones(SIZE)
+        weighted = load * (seen.astype(np.float64) - mean) / variance
+        if group == "row":
+            total += np.sum(weighted.sum(2) ** 2 - np.sum(weighted**2, axis=2))
+        elif group == "frame":
+            total += np.sum(weighted.sum((1, 2)) ** 2 - np.sum(weighted**2, axis=(1, 2)))
+        else:
+            frozen = frozen + weighted.sum(0)
+            total -= np.sum(weighted**2)
+    return float(total + np.sum(np.square(frozen)))
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "group"),
+    [("row_noise", "row"), ("offset_drift", "frame"), ("dsnu", "pixel"), ("prnu", "prnu")],
+)
+def test_the_minimum_detectable_effect_shifts_its_own_score_by_five(mechanism, group):
+    plan = design()
+    amplitude = strength_of(mechanism, plan, plan.exposed()).amplitude_at(1.0)
+
+    def draw(effects, seed):
+        rng = np.random.default_rng([seed, 7])
+        camera = replace(plan.camera, unit=seed)
+        moved = replace(plan, camera=camera)
+        return groups_statistic(moved, [expose(camera, s, effects, rng) for s in plan.shots], group)
+
+    null = np.array([draw((), seed) for seed in range(150)])
+    with_it = np.array([draw((effect(mechanism, amplitude),), seed) for seed in range(150)])
+    shift = (with_it.mean() - null.mean()) / null.std()
+    error = np.hypot(with_it.std(), 5 * null.std() / np.sqrt(2)) / null.std() / np.sqrt(150)
+    assert abs(shift - 5) < 3.5 * error + 0.3, (shift, error)
+
+
+@pytest.mark.parametrize("name", sorted({**LISTED, **UNLISTED}))
+def test_every_effect_changes_frames_and_keeps_them_valid(name):
+    plan = design()
+    amplitude = {"missing_codes": 4, "quantization": 8, "saturation": 0.1, "black_clipping": -1.0}.get(
+        name, 0.2
+    )
+    differs = False
+    for shot in plan.shots:
+        plain = expose(plan.camera, shot, (), np.random.default_rng(1))
+        changed = expose(plan.camera, shot, (effect(name, amplitude),), np.random.default_rng(1))
+        assert changed.dtype == np.uint16 and changed.shape == plain.shape
+        differs |= bool(np.any(changed != plain))
+    assert differs or name == "cosmic_rays"  # a track at this rate is rarer than one in all these frames
+
+
+def test_frozen_patterns_belong_to_the_unit():
+    plan = design()
+    shot = replace(plan.shots[2], frames=40)
+
+    def mean(unit, seed):
+        camera = replace(plan.camera, unit=unit)
+        return expose(camera, shot, (effect("dsnu", 40.0),), np.random.default_rng(seed)).mean(0).ravel()
+
+    assert np.corrcoef(mean(1, 1), mean(1, 2))[0, 1] > 0.5
+    assert abs(np.corrcoef(mean(1, 1), mean(2, 2))[0, 1]) < 0.1
