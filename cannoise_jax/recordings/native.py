@@ -8,6 +8,7 @@ names.
 from __future__ import annotations
 
 import errno
+import io
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -88,31 +89,59 @@ def write_recording(path: str | Path, recording: Recording) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         try:
-            _write(partial, recording)
+            with _Sink(partial, "w+b") as sink:
+                _write(sink, recording)
+                sink.check()
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
-    except BadInput:
-        raise
-    except (OSError, RuntimeError) as error:
-        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
-        reason = "no space left on the disk" if full else _reason(error)
-        raise BadInput(f"{path}: cannot be written: {reason}") from error
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        raise BadInput(
+            f"{path}: cannot be written: {'no space left on the disk' if full else error.strerror}"
+        ) from error
 
 
-def _write(path: Path, recording: Recording) -> None:
-    frames = recording.frames
-    with h5py.File(path, "w") as file:
-        _write_dataset(file, "frames", frames, np.dtype(np.uint16))
+class _Sink(io.FileIO):
+    """A file whose failed writes are remembered, not raised: HDF5 may crash after a write that failed."""
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while self.failure is None and len(rest):
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.failure = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+            return size or 0
+
+    def check(self) -> None:
+        """Raises what went wrong so far."""
+        if self.failure is not None:
+            raise self.failure
+
+
+def _write(sink: _Sink, recording: Recording) -> None:
+    with h5py.File(sink, "w") as file:
+        _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16))
         if recording.clean is not None:
-            _write_dataset(file, "clean", recording.clean, np.dtype(np.float32))
+            _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32))
         for name in _ATTRIBUTES:
             value = getattr(recording, name)
             if value is not None:
                 file.attrs[name] = value
 
 
-def _write_dataset(file: h5py.File, name: str, values: Any, dtype: np.dtype) -> None:
+def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: np.dtype) -> None:
     shape = tuple(values.shape)
     chunk = (1, *shape[1:]) if len(shape) == 3 else shape
     target = file.create_dataset(
@@ -122,6 +151,7 @@ def _write_dataset(file: h5py.File, name: str, values: Any, dtype: np.dtype) -> 
     for part in chunks(values):
         target[at : at + len(part)] = part
         at += len(part)
+        sink.check()
 
 
 def _view(path: Path, dataset: h5py.Dataset) -> FileArray:
