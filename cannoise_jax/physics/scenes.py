@@ -167,9 +167,7 @@ def _crop_or_mirror(
     """A random window of `size`; a picture that is too small is first continued by its mirror image."""
     missing = [max(0, wanted - have) for wanted, have in zip(size, image.shape[:2], strict=True)]
     image = np.pad(image, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="symmetric")
-    top, left = (
-        int(rng.integers(have - want + 1)) for have, want in zip(image.shape[:2], size, strict=True)
-    )
+    top, left = (int(rng.integers(have - want + 1)) for have, want in zip(image.shape[:2], size, strict=True))
     image = image[top : top + size[0], left : left + size[1]]
     return image[:, ::-1] if rng.uniform() < 0.5 else image
 
