@@ -1,0 +1,163 @@
+"""The noise generator G: Table A-1 of Chang et al. 2020, and the version of it that trains.
+
+Why the table is not the default. Its last layer (instance norm, then tanh) pins the mean and spread of the
+residual to two learned numbers per channel, whatever the ISO, and they start at 0.63 where real noise is
+0.01; instance norm in the hidden layers erases the level of the noise, and its statistics differ between a
+training patch and a whole image. The default therefore
+- sees noise in units of the initial noise's standard deviation sigma, and sigma itself beside it;
+- changes the initial noise by factors: n = n_init exp(tanh a) + sigma tanh b + row noise, with a, b and the
+  row gain zero at the start, so that training begins at n = n_init exactly;
+- normalises over channels at each pixel instead of over pixels;
+- ends in a small full-resolution branch, modulated by the latent: at small widths the U-Net's first layer has
+  fewer channels than pixels under its stride, and no pointwise function (a camera's level, tails, offset)
+  could pass it;
+- draws one more number per sensor row. White initial noise has no row structure, and a convolution of finite
+  reach cannot make any.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jaxtyping import Array, Float
+
+from cannoise_jax.networks.layers import Block, Conv, Norm, leaky_relu, scaled
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions and a skip: conv, SN, norm, conv, SN (no activation inside, as released)."""
+
+    spectral: bool = True
+    norm: str = "instance"
+    literal: bool = True
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "b h w c"], *, train: bool) -> Float[Array, "b h w c"]:
+        channels, init = x.shape[-1], "torch" if self.literal else "he"
+        y = Block(
+            channels, 3, 1, 1, spectral=self.spectral, norm=self.norm, init=init,
+            activate=not self.literal, name="first",
+        )(x, train=train)  # fmt: skip
+        return x + Conv(channels, 3, 1, 1, spectral=self.spectral, init=init, name="second")(y, train=train)
+
+
+class UNet(nn.Module):
+    """c1..c5, four residual blocks with the latent joined after the second, t1..t4 and a last deconvolution.
+
+    Height and width must be multiples of 32. The channel counts are the table's, times `width`.
+    """
+
+    width: float
+    outputs: int
+    spectral: bool
+    norm: str
+    literal: bool
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "b h w i"], latent: Float[Array, "b l"], *, train: bool
+    ) -> Float[Array, "b h w o"]:
+        shared: dict[str, Any] = {"spectral": self.spectral, "init": "torch" if self.literal else "he"}
+        skips = []
+        for i, channels in enumerate((64, 128, 256, 512, 512), 1):
+            norm = "none" if i == 1 else self.norm
+            x = Block(scaled(self.width, channels), norm=norm, **shared, name=f"c{i}")(x, train=train)
+            skips.append(x)
+        for i in range(1, 5):
+            if i == 3:
+                spread = jnp.broadcast_to(latent[:, None, None], (*x.shape[:3], latent.shape[-1]))
+                x = jnp.concatenate([x, spread], -1)
+            x = ResidualBlock(self.spectral, self.norm, self.literal, name=f"res{i}")(x, train=train)
+        for i, channels in enumerate((512, 256, 128, 64), 1):
+            x = Block(
+                scaled(self.width, channels), transposed=True, norm=self.norm, **shared, name=f"t{i}"
+            )(x, train=train)  # fmt: skip
+            x = jnp.concatenate([x, skips[4 - i]], -1)
+        x = Conv(self.outputs, 4, transposed=True, **shared, name="out")(x, train=train)
+        return Norm("instance", name="out_norm")(x) if self.literal else x
+
+
+class PixelBranch(nn.Module):
+    """Full-resolution 3x3 and 1x1 layers whose channels the latent scales and shifts; starts at zero."""
+
+    hidden: int
+    outputs: int
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "b h w i"], latent: Float[Array, "b l"], *, train: bool
+    ) -> Float[Array, "b h w o"]:
+        for i, size in enumerate((3, 1)):
+            x = Conv(
+                self.hidden, size, 1, size // 2, spectral=False, use_bias=True, init="he", name=f"p{i}"
+            )(x, train=train)  # fmt: skip
+            film = nn.Dense(2 * self.hidden, kernel_init=nn.initializers.normal(0.3), name=f"film{i}")(latent)
+            gain, shift = jnp.split(film[:, None, None], 2, -1)
+            x = leaky_relu(x * (1 + gain) + shift)
+        return Conv(self.outputs, 1, spectral=False, use_bias=True, init="zeros", name="out")(x, train=train)
+
+
+class Generator(nn.Module):
+    """Noise like a camera's from a clean image, initial noise and the camera's latent.
+
+    width: scales every channel count; 1.0 is the paper's. literal: Table A-1 as printed (68,053,640
+    parameters: no biases, affine instance norms after every "SN-IN" layer and one inside each residual block,
+    spectral norm on every layer as released); all further fields are then unused.
+    spectral, norm ("channel", "instance", "none"): of the U-Net. hidden: channels of the full-resolution
+    branch. level_input: show log sigma to G. Without it G can know the camera from the latent only.
+    row_noise: add noise common to a sensor row; needs the random stream `noise`.
+
+    Returns noise in normalised units, not clipped. Height and width must be multiples of 32.
+    """
+
+    width: float = 1.0
+    literal: bool = False
+    spectral: bool = True
+    norm: str = "channel"
+    hidden: int = 32
+    level_input: bool = True
+    row_noise: bool = True
+
+    @nn.compact
+    def __call__(
+        self,
+        clean: Float[Array, "b h w 4"],
+        n_init: Float[Array, "b h w 4"],
+        latent: Float[Array, "b l"],
+        sigma: Float[Array, "b h w 4"],
+        *,
+        train: bool,
+    ) -> Float[Array, "b h w 4"]:
+        if self.literal:
+            x = jnp.concatenate([clean, n_init], -1)
+            return n_init + jnp.tanh(
+                UNet(self.width, 4, True, "instance", True, name="unet")(x, latent, train=train)
+            )
+        x = in_sigma_units(clean, n_init, sigma, level=self.level_input)
+        features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
+        x = jnp.concatenate([x, features], -1)
+        maps = PixelBranch(self.hidden, 12, name="pixels")(x, latent, train=train)
+        factor, shift, row = (jnp.tanh(m) for m in jnp.split(maps, 3, -1))
+        noise = n_init * jnp.exp(factor) + sigma * shift
+        if self.row_noise:
+            # One draw a sensor row: R and Gr share the row above, Gb and B the one below.
+            draw = jax.random.normal(self.make_rng("noise"), (*noise.shape[:2], 1, 2), noise.dtype)
+            noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * jnp.repeat(draw, 2, -1)
+        return noise
+
+
+def in_sigma_units(
+    clean: Float[Array, "b h w 4"],
+    noise: Float[Array, "b h w 4"],
+    sigma: Float[Array, "b h w 4"],
+    *,
+    level: bool,
+) -> Float[Array, "b h w c"]:
+    """What G and D see: clean, noise / sigma and, if `level`, log sigma brought to about -1.5..1.5."""
+    parts = [clean, noise / sigma]
+    if level:
+        parts.append((jnp.log(sigma) + 4.5) / 1.5)
+    return jnp.concatenate(parts, -1)

@@ -1,0 +1,262 @@
+"""The layers under every network here, and the one place where a layer chooses its formulation.
+
+XLA's CPU convolutions are slow exactly on the small maps with many channels where these networks live, so
+`conv2d` and `conv_transpose2d` also exist as matrix products. All formulations are the same function, equal
+through second derivatives (the gradient penalty differentiates twice); only their cost differs.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jax import lax
+from jaxtyping import Array, Float
+
+_NHWC = ("NHWC", "HWIO", "NHWC")
+LEAK = 0.2
+"""Slope of every leaky rectifier (reference release)."""
+
+
+def leaky_relu(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """max(x, 0.2 x)."""
+    return jnp.maximum(x, LEAK * x)
+
+
+def patches(x: Float[Array, "b h w c"], size: int, stride: int, padding: int) -> Float[Array, "b y x k"]:
+    """The zero-padded size x size neighbourhoods as channels, ordered (row, column, channel)."""
+    batch, height, width, channels = x.shape
+    rows = (height + 2 * padding - size) // stride + 1
+    columns = (width + 2 * padding - size) // stride + 1
+    x = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
+    taps = [
+        lax.slice(
+            x,
+            (0, i, j, 0),
+            (batch, i + (rows - 1) * stride + 1, j + (columns - 1) * stride + 1, channels),
+            (1, stride, stride, 1),
+        )
+        for i in range(size)
+        for j in range(size)
+    ]
+    return jnp.concatenate(taps, axis=-1)
+
+
+def _conv_plain(x, kernel, stride, padding):
+    return lax.conv_general_dilated(
+        x, kernel, (stride, stride), [(padding, padding)] * 2, dimension_numbers=_NHWC
+    )
+
+
+def _conv_patches(x, kernel, stride, padding):
+    size, _, inputs, outputs = kernel.shape
+    return patches(x, size, stride, padding) @ kernel.reshape(size * size * inputs, outputs)
+
+
+def _transpose_plain(x, kernel):
+    return lax.conv_general_dilated(
+        x, kernel[::-1, ::-1], (1, 1), [(2, 2)] * 2, lhs_dilation=(2, 2), dimension_numbers=_NHWC
+    )
+
+
+def _transpose_overlap(x, kernel):
+    """Every input pixel paints its 4x4 stamp (one matrix product); the overlaps are added."""
+    batch, height, width, inputs = x.shape
+    outputs = kernel.shape[-1]
+    # Taps 0, 1 and 2, 3 of a stamp lie in two neighbouring 2-pixel cells of a grid shifted by one pixel.
+    stamps = x @ kernel.reshape(2, 2, 2, 2, inputs, outputs).transpose(4, 0, 2, 1, 3, 5).reshape(inputs, -1)
+    stamps = stamps.reshape(batch, height, width, 4, 4 * outputs)
+    cells = sum(
+        jnp.pad(stamps[:, :, :, 2 * i + j], ((0, 0), (i, 1 - i), (j, 1 - j), (0, 0)))
+        for i in range(2)
+        for j in range(2)
+    )
+    return _cells_to_pixels(cells, outputs)
+
+
+def _transpose_windows(x, kernel):
+    """Every 2x2 window of the padded input makes one 2x2 cell of the output, shifted by one pixel."""
+    inputs, outputs = kernel.shape[2:]
+    taps = kernel.reshape(2, 2, 2, 2, inputs, outputs)[::-1, :, ::-1].transpose(0, 2, 4, 1, 3, 5)
+    return _cells_to_pixels(patches(x, 2, 1, 1) @ taps.reshape(4 * inputs, 4 * outputs), outputs)
+
+
+def _cells_to_pixels(cells, outputs):
+    batch, rows, columns, _ = cells.shape
+    pixels = cells.reshape(batch, rows, columns, 2, 2, outputs).transpose(0, 1, 3, 2, 4, 5)
+    return pixels.reshape(batch, 2 * rows, 2 * columns, outputs)[:, 1:-1, 1:-1]
+
+
+CONV = {"plain": _conv_plain, "patches": _conv_patches}
+CONV_TRANSPOSE = {
+    "plain": _transpose_plain,
+    "overlap": _transpose_overlap,
+    "windows": _transpose_windows,
+}
+
+
+def conv2d(
+    x: Float[Array, "b h w i"],
+    kernel: Float[Array, "k k i o"],
+    stride: int,
+    padding: int,
+    formulation: str | None = None,
+) -> Float[Array, "b y x o"]:
+    """Zero-padded convolution without bias. `formulation`: a name in `CONV`; None chooses by shape."""
+    if formulation is None:
+        formulation = "patches" if jax.default_backend() == "cpu" else "plain"
+    return CONV[formulation](x, kernel, stride, padding)
+
+
+def conv_transpose2d(
+    x: Float[Array, "b h w i"], kernel: Float[Array, "4 4 i o"], formulation: str | None = None
+) -> Float[Array, "b 2*h 2*w o"]:
+    """Transposed convolution, 4x4, stride 2, padding 1: `out[2i - 1 + k] += x[i] kernel[k]` on both axes.
+
+    `formulation`: a name in `CONV_TRANSPOSE`; None chooses by shape.
+    """
+    if formulation is None:
+        formulation = "overlap" if jax.default_backend() == "cpu" else "plain"
+    return CONV_TRANSPOSE[formulation](x, kernel)
+
+
+def spectral_norm(
+    kernel: Float[Array, "k k i o"], u: Float[Array, "o"], v: Float[Array, "k*k*i"], *, iterate: bool
+) -> tuple[Float[Array, ""], Float[Array, "o"], Float[Array, "k*k*i"]]:
+    """Largest singular value of the kernel as a matrix out x rest, by power iteration from (u, v).
+
+    iterate: one iteration first (training); otherwise sigma = u' W v with the vectors as they are. The
+    vectors are constants for differentiation. The same matrix serves transposed kernels (their dim 1 in
+    PyTorch is out). Miyato et al. 2018, as in `torch.nn.utils.spectral_norm`, eps 1e-12.
+    """
+    matrix = kernel.reshape(-1, kernel.shape[-1])
+    if iterate:
+        frozen = lax.stop_gradient(matrix)
+        v = _unit(frozen @ u)
+        u = _unit(v @ frozen)
+    return (v @ matrix) @ u, u, v
+
+
+def _unit(x):
+    return x / jnp.maximum(jnp.linalg.norm(x), 1e-12)
+
+
+def instance_norm(
+    x: Float[Array, "b h w c"], scale: Float[Array, "c"], bias: Float[Array, "c"]
+) -> Float[Array, "b h w c"]:
+    """Per image and channel: zero mean, unit biased variance (eps 1e-5), then scale and bias.
+
+    On 1x1 maps every value is its own mean: the result is `bias`, whatever the input.
+    """
+    if x.shape[1] * x.shape[2] == 1:
+        return jnp.broadcast_to(bias, x.shape)
+    return _normalise(x, (1, 2)) * scale + bias
+
+
+def channel_norm(
+    x: Float[Array, "b h w c"], scale: Float[Array, "c"], bias: Float[Array, "c"]
+) -> Float[Array, "b h w c"]:
+    """Per pixel, over the channels: zero mean, unit variance (eps 1e-5), then scale and bias.
+
+    Nothing crosses pixels, so a network with this norm gives the same answer on a tile as on the whole image.
+    """
+    return _normalise(x, (-1,)) * scale + bias
+
+
+def _normalise(x, axes):
+    centred = x - jnp.mean(x, axes, keepdims=True)
+    return centred * lax.rsqrt(jnp.mean(jnp.square(centred), axes, keepdims=True) + 1e-5)
+
+
+class Norm(nn.Module):
+    """`kind`: "instance", "channel", or "none" (no parameters)."""
+
+    kind: str
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+        if self.kind == "none":
+            return x
+        scale = self.param("scale", nn.initializers.ones, (x.shape[-1],))
+        bias = self.param("bias", nn.initializers.zeros, (x.shape[-1],))
+        return {"instance": instance_norm, "channel": channel_norm}[self.kind](x, scale, bias)
+
+
+# PyTorch's default for convolutions, uniform on +-1/sqrt(fan in), and the one that keeps the signal's
+# variance.
+torch_init = nn.initializers.variance_scaling(1 / 3, "fan_in", "uniform")
+he_init = nn.initializers.variance_scaling(2 / (1 + LEAK**2), "fan_in", "truncated_normal")
+INITS = {"torch": torch_init, "he": he_init, "zeros": nn.initializers.zeros}
+
+
+class Conv(nn.Module):
+    """A convolution, or a transposed one (4x4, stride 2, padding 1), optionally spectrally normalised.
+
+    spectral: divides by the kernel's largest singular value; the vectors live in the collection `spectral`
+    and move only when that is mutable and `train` is true.
+    """
+
+    features: int
+    size: int
+    stride: int = 1
+    padding: int = 0
+    transposed: bool = False
+    spectral: bool = True
+    use_bias: bool = False
+    init: str = "torch"
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
+        shape = (self.size, self.size, x.shape[-1], self.features)
+        kernel = self.param("kernel", INITS[self.init], shape)
+        y = conv_transpose2d(x, kernel) if self.transposed else conv2d(x, kernel, self.stride, self.padding)
+        if self.spectral:
+            # Scaling the output is the same as scaling the kernel, and far less to write.
+            y = y / self._sigma(kernel, train)
+        if self.use_bias:
+            y = y + self.param("bias", nn.initializers.zeros, (self.features,))
+        return y
+
+    def _sigma(self, kernel, train):
+        def start():
+            matrix = kernel.reshape(-1, self.features)
+            u = _unit(jax.random.normal(self.make_rng("params"), (self.features,), kernel.dtype))
+            v = jnp.zeros(matrix.shape[0], kernel.dtype)
+            # PyTorch starts from random vectors; a few iterations make evaluation right from the first step.
+            return lax.fori_loop(0, 15, lambda _, s: spectral_norm(kernel, *s, iterate=True)[1:], (u, v))
+
+        started = start() if self.is_initializing() else (None, None)
+        u = self.variable("spectral", "u", lambda: started[0])
+        v = self.variable("spectral", "v", lambda: started[1])
+        sigma, new_u, new_v = spectral_norm(kernel, u.value, v.value, iterate=train)
+        if train and self.is_mutable_collection("spectral") and not self.is_initializing():
+            u.value, v.value = new_u, new_v
+        return sigma
+
+
+class Block(nn.Module):
+    """Convolution, norm, leaky rectifier: one row of the paper's tables."""
+
+    features: int
+    size: int = 4
+    stride: int = 2
+    padding: int = 1
+    transposed: bool = False
+    spectral: bool = True
+    norm: str = "instance"
+    init: str = "torch"
+    activate: bool = True
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
+        x = Conv(
+            self.features, self.size, self.stride, self.padding, self.transposed, self.spectral,
+            use_bias=self.norm == "none" and self.init != "torch", init=self.init, name="conv",
+        )(x, train=train)  # fmt: skip
+        x = Norm(self.norm, name="norm")(x)
+        return leaky_relu(x) if self.activate else x
+
+
+def scaled(width: float, channels: int) -> int:
+    """The paper's channel count at this width, at least 4."""
+    return max(4, round(width * channels))
