@@ -58,7 +58,7 @@ class Discriminator(nn.Module):
         latent: Float[Array, "b l"] | None = None,
     ) -> tuple[Float[Array, "b y x 1"], Float[Array, "b h/8 w/8 c"]]:
         spectral, norm = (True, "instance") if self.literal else (self.spectral, self.norm)
-        shared: dict[str, Any] = {"spectral": spectral, "init": "torch" if self.literal else "he"}
+        shared: dict[str, Any] = {"spectral": spectral, "initial": "torch" if self.literal else "he"}
         if self.literal:
             x = pixels = jnp.concatenate([clean, noise], -1)
         else:
@@ -80,7 +80,7 @@ class Discriminator(nn.Module):
         parts = [x]
         if self.hidden:
             for i in range(2):
-                pixels = Conv(self.hidden, 1, spectral=False, use_bias=True, init="he", name=f"p{i}")(
+                pixels = Conv(self.hidden, 1, spectral=False, use_bias=True, initial="he", name=f"p{i}")(
                     pixels, train=train
                 )
                 pixels = leaky_relu(pixels)
@@ -93,6 +93,6 @@ class Discriminator(nn.Module):
             return x
         x = jnp.concatenate(parts, -1)
         x = Conv(
-            scaled(self.width, 256), 1, spectral=self.spectral, use_bias=True, init="he", name="mix"
+            scaled(self.width, 256), 1, spectral=self.spectral, use_bias=True, initial="he", name="mix"
         )(x, train=train)  # fmt: skip
         return leaky_relu(x)

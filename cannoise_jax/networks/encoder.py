@@ -52,7 +52,7 @@ class Encoder(nn.Module):
     def _features(self, x, train):
         """e1..e4."""
         spectral, norm = (True, "instance") if self.literal else (self.spectral, self.norm)
-        shared: dict[str, Any] = {"spectral": spectral, "init": "torch" if self.literal else "he"}
+        shared: dict[str, Any] = {"spectral": spectral, "initial": "torch" if self.literal else "he"}
         for i, channels in enumerate((64, 128, 256, 512), 1):
             size, stride, padding = (7, 1, 3) if i == 1 else (4, 2, 1)
             kind = "none" if i == 1 else norm

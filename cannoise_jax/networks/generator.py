@@ -36,12 +36,14 @@ class ResidualBlock(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w c"], *, train: bool) -> Float[Array, "b h w c"]:
-        channels, init = x.shape[-1], "torch" if self.literal else "he"
+        channels, initial = x.shape[-1], "torch" if self.literal else "he"
         y = Block(
-            channels, 3, 1, 1, spectral=self.spectral, norm=self.norm, init=init,
+            channels, 3, 1, 1, spectral=self.spectral, norm=self.norm, initial=initial,
             activate=not self.literal, name="first",
         )(x, train=train)  # fmt: skip
-        return x + Conv(channels, 3, 1, 1, spectral=self.spectral, init=init, name="second")(y, train=train)
+        return x + Conv(channels, 3, 1, 1, spectral=self.spectral, initial=initial, name="second")(
+            y, train=train
+        )
 
 
 class UNet(nn.Module):
@@ -60,7 +62,7 @@ class UNet(nn.Module):
     def __call__(
         self, x: Float[Array, "b h w i"], latent: Float[Array, "b l"], *, train: bool
     ) -> Float[Array, "b h w o"]:
-        shared: dict[str, Any] = {"spectral": self.spectral, "init": "torch" if self.literal else "he"}
+        shared: dict[str, Any] = {"spectral": self.spectral, "initial": "torch" if self.literal else "he"}
         skips = []
         for i, channels in enumerate((64, 128, 256, 512, 512), 1):
             norm = "none" if i == 1 else self.norm
@@ -92,12 +94,14 @@ class PixelBranch(nn.Module):
     ) -> Float[Array, "b h w o"]:
         for i, size in enumerate((3, 1)):
             x = Conv(
-                self.hidden, size, 1, size // 2, spectral=False, use_bias=True, init="he", name=f"p{i}"
+                self.hidden, size, 1, size // 2, spectral=False, use_bias=True, initial="he", name=f"p{i}"
             )(x, train=train)  # fmt: skip
             film = nn.Dense(2 * self.hidden, kernel_init=nn.initializers.normal(0.3), name=f"film{i}")(latent)
             gain, shift = jnp.split(film[:, None, None], 2, -1)
             x = leaky_relu(x * (1 + gain) + shift)
-        return Conv(self.outputs, 1, spectral=False, use_bias=True, init="zeros", name="out")(x, train=train)
+        return Conv(self.outputs, 1, spectral=False, use_bias=True, initial="zeros", name="out")(
+            x, train=train
+        )
 
 
 class Generator(nn.Module):

@@ -7,6 +7,8 @@ through second derivatives (the gradient penalty differentiates twice); only the
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
@@ -203,12 +205,12 @@ class Conv(nn.Module):
     transposed: bool = False
     spectral: bool = True
     use_bias: bool = False
-    init: str = "torch"
+    initial: str = "torch"
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
         shape = (self.size, self.size, x.shape[-1], self.features)
-        kernel = self.param("kernel", INITS[self.init], shape)
+        kernel = self.param("kernel", INITS[self.initial], shape)
         y = conv_transpose2d(x, kernel) if self.transposed else conv2d(x, kernel, self.stride, self.padding)
         if self.spectral:
             # Scaling the output is the same as scaling the kernel, and far less to write.
@@ -226,8 +228,8 @@ class Conv(nn.Module):
             return lax.fori_loop(0, 15, lambda _, s: spectral_norm(kernel, *s, iterate=True)[1:], (u, v))
 
         started = start() if self.is_initializing() else (None, None)
-        u = self.variable("spectral", "u", lambda: started[0])
-        v = self.variable("spectral", "v", lambda: started[1])
+        u: Any = self.variable("spectral", "u", lambda: started[0])
+        v: Any = self.variable("spectral", "v", lambda: started[1])
         sigma, new_u, new_v = spectral_norm(kernel, u.value, v.value, iterate=train)
         if train and self.is_mutable_collection("spectral") and not self.is_initializing():
             u.value, v.value = new_u, new_v
@@ -244,14 +246,14 @@ class Block(nn.Module):
     transposed: bool = False
     spectral: bool = True
     norm: str = "instance"
-    init: str = "torch"
+    initial: str = "torch"
     activate: bool = True
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
         x = Conv(
             self.features, self.size, self.stride, self.padding, self.transposed, self.spectral,
-            use_bias=self.norm == "none" and self.init != "torch", init=self.init, name="conv",
+            use_bias=self.norm == "none" and self.initial != "torch", initial=self.initial, name="conv",
         )(x, train=train)  # fmt: skip
         x = Norm(self.norm, name="norm")(x)
         return leaky_relu(x) if self.activate else x
