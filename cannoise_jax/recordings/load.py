@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings import native
+from cannoise_jax.recordings import camera_raw, native
 from cannoise_jax.recordings.metadata import check_overrides
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
-_READERS = dict.fromkeys((".h5", ".hdf5", ".hdf"), native.read_recording)
+_READERS: dict[str, Callable[..., Recording]] = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), native.read_recording),
+    **dict.fromkeys(camera_raw.SUFFIXES, camera_raw.read_camera_raw),
+}
 
 
 def load_recording(path: str | Path, **overrides: Any) -> Recording:

@@ -1,0 +1,274 @@
+"""Camera raw files (DNG, NEF, CR2, CR3, ARW, ...) through LibRaw, and what only their tags tell.
+
+LibRaw gives the stored values, the visible area and its colour order; fractional black levels and the noise
+profile of a DNG come from its tags (DNG specification 1.7), the camera's name and temperature from Exif.
+The frame is the visible area, less its last row or column where a size is odd. LibRaw moves a visible area
+that starts at an odd row or column to the next even one; colours and black levels here follow the pixels.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import exifread
+import numpy as np
+import rawpy
+import tifffile
+from jaxtyping import UInt16
+
+from cannoise_jax.recordings.metadata import check_overrides, make_recording
+from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
+
+SUFFIXES = (
+    *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".srf", ".raf", ".orf", ".rw2", ".pef"),
+    *(".srw", ".x3f", ".3fr", ".iiq", ".erf", ".mef", ".mos", ".mrw", ".dcr", ".kdc", ".rwl", ".raw"),
+)
+
+_NOISE_PROFILE, _CFA_PLANE_COLOUR, _ACTIVE_AREA, _MASKED_AREAS = 51041, 50710, 50829, 50830
+_BLACK_REPEAT, _BLACK, _BLACK_DELTAS = 50713, 50714, (50715, 50716)
+_CFA_IMAGE = 32803  # PhotometricInterpretation of a mosaic
+_log = logging.getLogger(__name__)
+
+
+class BorderRegion(NamedTuple):
+    """A rectangle of the sensor outside the visible area, in capture order of rows and columns.
+
+    top, left: its corner counted from the corner of the recording's frame, so (top + i) % 2, (left + j) % 2
+    is the mosaic site of pixel (i, j).
+    """
+
+    top: int
+    left: int
+    pixels: UInt16[np.ndarray, "h w"]
+
+
+class _Directory(NamedTuple):
+    tags: dict[int, Any]
+    is_mosaic: bool
+    end: int  # offset behind its last strip
+
+
+class _Decoded(NamedTuple):
+    sensor: np.ndarray  # all pixels that the file holds
+    top: int
+    left: int
+    size: tuple[int, int]  # of the visible area, even for a Bayer mosaic
+    cfa: str
+    black: PerChannel
+    white: float
+    iso: float | None
+    exposure_s: float | None
+
+
+def read_camera_raw(path: str | Path, **overrides: Any) -> Recording:
+    """A recording of one frame from a camera raw file.
+
+    shot, read: the DNG NoiseProfile, variance = S x + O in normalised units, where the file has one.
+    overrides: see `metadata.OVERRIDES`. Raises BadInput, also for mosaics that are not Bayer.
+    """
+    check_overrides(overrides)
+    tags = _directories(path)
+    raw = _decode(path, tags)
+    height, width = raw.size
+    frame = raw.sensor[raw.top : raw.top + height, raw.left : raw.left + width]
+    shot, read = _noise_profile(path, tags, raw.cfa)
+    known = {
+        "cfa": raw.cfa,
+        "black_level": _exact_black(tags, raw) or raw.black,
+        "white_level": raw.white,
+        "iso": raw.iso,
+        "exposure_s": raw.exposure_s,
+        "shot": shot,
+        "read": read,
+        **_exif(path),
+    }
+    return make_recording(path, np.ascontiguousarray(frame)[None], known, overrides)
+
+
+def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
+    """The masked pixels around the visible area: a DNG's MaskedAreas, or else all four borders.
+
+    Empty where the file stores none. The pixels nearest to the visible area may see stray light.
+    Raises BadInput.
+    """
+    tags = _directories(path)
+    raw = _decode(path, tags)
+    rows, columns = raw.sensor.shape
+    bottom, right = raw.top + raw.size[0], raw.left + raw.size[1]
+    masked = _tag(tags, _MASKED_AREAS)
+    if masked is not None:
+        areas = [tuple(area) for area in np.reshape(masked, (-1, 4)).astype(int)]
+    else:
+        areas = [
+            (0, 0, raw.top, columns),
+            (bottom, 0, rows, columns),
+            (raw.top, 0, bottom, raw.left),
+            (raw.top, right, bottom, columns),
+        ]
+    return tuple(
+        BorderRegion(t - raw.top, left - raw.left, np.ascontiguousarray(raw.sensor[t:b, left:r]))
+        for t, left, b, r in areas
+        if b > t and r > left
+    )
+
+
+def optical_black_level(path: str | Path) -> PerChannel:
+    """Median of the masked pixels of each mosaic site, DN, mosaic order. Raises BadInput without any."""
+    sites: list[list[np.ndarray]] = [[], [], [], []]
+    for region in optical_black(path):
+        for site in range(4):
+            first = (site // 2 - region.top) % 2, (site % 2 - region.left) % 2
+            sites[site].append(region.pixels[first[0] :: 2, first[1] :: 2].ravel())
+    pixels = [np.concatenate([np.empty(0, np.uint16), *parts]) for parts in sites]
+    if not all(p.size for p in pixels):
+        raise BadInput(f"{path}: holds no masked pixels of every channel: set the black level by hand")
+    return per_channel(np.array([np.median(p) for p in pixels]))
+
+
+def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
+    _check_directories(path, directories)
+    try:
+        with rawpy.imread(str(path)) as raw:
+            cfa, colours = _mosaic(path, raw)
+            sizes = raw.sizes
+            even = (lambda n: n) if cfa == "MONO" else (lambda n: n - n % 2)
+            return _Decoded(
+                sensor=np.array(raw.raw_image, np.uint16),
+                top=sizes.top_margin,
+                left=sizes.left_margin,
+                size=(even(sizes.height), even(sizes.width)),
+                cfa=cfa,
+                black=per_channel(np.array(raw.black_level_per_channel, np.float64)[colours]),
+                white=float(raw.white_level),
+                iso=raw.other.iso_speed or None,
+                exposure_s=raw.other.shutter_speed or None,
+            )
+    except (rawpy.LibRawError, ValueError) as error:
+        if isinstance(error, BadInput):
+            raise
+        reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        raise BadInput(f"{path}: not a readable camera raw file: {reason}") from error
+
+
+def _check_directories(path: str | Path, directories: list[_Directory]) -> None:
+    """What LibRaw would take without complaint: strips cut short, and colour planes in another order."""
+    size = Path(path).stat().st_size
+    needed = max((d.end for d in directories), default=0)
+    if needed > size:
+        raise BadInput(f"{path}: truncated: {size} bytes of at least {needed}")
+    planes = _tag(directories, _CFA_PLANE_COLOUR)
+    if planes is not None and tuple(planes) != (0, 1, 2):
+        raise BadInput(
+            f"{path}: colour planes {tuple(planes)} are not red, green, blue: LibRaw would misname them"
+        )
+
+
+def _mosaic(path: str | Path, raw: Any) -> tuple[str, np.ndarray]:
+    """The colour order of the visible area, and the colour number of each mosaic site."""
+    pattern = raw.raw_pattern if raw.raw_type == rawpy.RawType.Flat else None
+    if raw.raw_type == rawpy.RawType.Flat and raw.num_colors == 1:
+        return "MONO", np.zeros(4, int)
+    if pattern is None:
+        raise BadInput(f"{path}: all colours in every pixel (Foveon or demosaiced): a Bayer mosaic is needed")
+    letters = "".join(chr(raw.color_desc[c]) for c in pattern.ravel())
+    if pattern.shape != (2, 2) or letters not in ("RGGB", "GRBG", "GBRG", "BGGR"):
+        kind = "X-Trans" if pattern.shape == (6, 6) else letters
+        raise BadInput(f"{path}: {kind} mosaic: only Bayer mosaics (and monochrome sensors) are supported")
+    return letters, pattern.ravel().astype(int)
+
+
+def _directories(path: str | Path) -> list[_Directory]:
+    """The image directories of a TIFF-like file, the mosaic's own first; none for other files."""
+
+    def below(pages: Any) -> Iterator[Any]:
+        for page in pages:
+            yield page
+            yield from below(page.pages or ())
+
+    if not Path(path).is_file():
+        raise BadInput(f"{path}: no such file")
+    log = logging.getLogger("tifffile")
+    level = log.level
+    log.setLevel(logging.CRITICAL)  # camera raws bend the standard; that is no news for our user
+    try:
+        with tifffile.TiffFile(path) as file:
+            found = [
+                _Directory(
+                    {tag.code: tag.value for tag in page.tags},
+                    page.photometric == _CFA_IMAGE,
+                    max(
+                        (a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=False)),
+                        default=0,
+                    ),
+                )
+                for page in below(file.pages)
+                if isinstance(page, tifffile.TiffPage)
+            ]
+    except (tifffile.TiffFileError, OSError, ValueError, KeyError, IndexError, struct.error, TypeError):
+        return []
+    finally:
+        log.setLevel(level)
+    return sorted(found, key=lambda d: not d.is_mosaic)
+
+
+def _tag(tags: list[_Directory], code: int) -> Any:
+    return next((d.tags[code] for d in tags if code in d.tags), None)
+
+
+def _exact_black(tags: list[_Directory], raw: _Decoded) -> PerChannel | None:
+    """BlackLevel with its fraction where a DNG states it for the 2x2 cell or for all; LibRaw rounds it."""
+    page = next((d.tags for d in tags if _BLACK in d.tags), None)
+    if page is None or any(code in page for code in _BLACK_DELTAS):
+        return None
+    values = np.ravel(page[_BLACK]).astype(np.float64)
+    repeat = tuple(np.ravel(page.get(_BLACK_REPEAT, (1, 1))))
+    if isinstance(page[_BLACK], tuple) and len(values) == 2 * repeat[0] * repeat[1]:  # numerator, denominator
+        values = values[::2] / values[1::2]
+    if repeat not in ((1, 1), (2, 2)) or len(values) != repeat[0] * repeat[1]:
+        return None
+    if repeat == (1, 1):
+        return per_channel(values)
+    # The cell starts at the corner of the active area, the frame where LibRaw lets the visible area start.
+    top, left, *_ = page.get(_ACTIVE_AREA, (0, 0))
+    cell = np.roll(values.reshape(2, 2), (-(raw.top - top), -(raw.left - left)), (0, 1))
+    return per_channel(cell)
+
+
+def _noise_profile(
+    path: str | Path, tags: list[_Directory], cfa: str
+) -> tuple[PerChannel | None, PerChannel | None]:
+    """NoiseProfile: one (S, O) for all, or one per colour plane, in mosaic order; None where not given."""
+    profile = _tag(tags, _NOISE_PROFILE)
+    if profile is None:
+        return None, None
+    pairs = np.reshape(profile, (-1, 2)).astype(np.float64)
+    if len(pairs) == 1:
+        return per_channel(pairs[0, 0]), per_channel(pairs[0, 1])
+    if len(pairs) != 3 or cfa == "MONO":
+        _log.warning("%s: NoiseProfile holds %d pairs, not one a colour: left out", path, len(pairs))
+        return None, None
+    order = ["RGB".index(colour) for colour in cfa]
+    return per_channel(pairs[order, 0]), per_channel(pairs[order, 1])
+
+
+def _exif(path: str | Path) -> dict[str, Any]:
+    """Camera name and sensor temperature (°C) where Exif or the maker's notes hold them."""
+    logging.getLogger("exifread").setLevel(logging.CRITICAL)
+    try:
+        with open(path, "rb") as file:
+            tags = exifread.process_file(file, details=True)
+    except Exception:
+        return {}
+    make, model = (str(tags.get(f"Image {name}", "")).strip(" \0") for name in ("Make", "Model"))
+    camera = model if model.lower().startswith(make.lower()) else f"{make} {model}"
+    known: dict[str, Any] = {"camera": camera.strip() or None}
+    for name, value in tags.items():
+        if name.endswith(("CameraTemperature", "SensorTemperature")):
+            number = str(value).split()[0] if str(value) else ""
+            if number.lstrip("-").replace(".", "", 1).isdigit():
+                known["temperature_c"] = float(number)
+    return known
