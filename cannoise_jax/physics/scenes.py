@@ -37,7 +37,7 @@ _SRGB_TO_SENSOR = np.array([[0.58, 0.34, 0.08], [0.16, 0.68, 0.16], [0.04, 0.27,
 
 
 class Scene(NamedTuple):
-    """One clean scene: `image` float32[H, W, 3], linear raw colours R, G, B in [0, 1]; `name` says its source."""
+    """One clean scene: `image` float32[H, W, 3], linear raw colours R, G, B in [0, 1]; `name`: its source."""
 
     name: str
     image: Float[np.ndarray, "h w 3"]
@@ -46,7 +46,7 @@ class Scene(NamedTuple):
 def draw_scenes(
     key: Key[Array, ""], split: Split, count: int, size: tuple[int, int] = (512, 512)
 ) -> tuple[Scene, ...]:
-    """`count` scenes of `size` pixels (H, W) for one split; every fourth is a photograph, the rest dead leaves.
+    """`count` scenes of `size` pixels (H, W) for one split; every fourth a photograph, the rest dead leaves.
 
     Splits share neither photographs nor keys, so train, validation and test scenes are disjoint.
     About one scene in four is defocused and one in ten nearly flat, so that smooth regions exist.

@@ -1,11 +1,11 @@
 """Five virtual cameras: recordings with known truth, from a key, for training and tests without a download.
 
-They carry the names, colour patterns and ISO settings of the five phones of SIDD. What is handed on as the noise
-level function is the published one; the noise itself follows measured numbers that disagree with it, as the
-noise of the real phones does:
+They carry the names, colour patterns and ISO settings of the five phones of SIDD. What is handed on as the
+noise level function is the published one; the noise itself follows measured numbers that disagree with it, as
+the noise of the real phones does:
 
-- shot and read noise: the re-calibrated values for IP, S6 and GP; for N6 and G4 the published function times the
-  measured ratio of standard deviations (see `tables/phones.json`);
+- shot and read noise: the re-calibrated values for IP, S6 and GP; for N6 and G4 the published function times
+  the measured ratio of standard deviations (see `tables/phones.json`);
 - row noise of 0.09 to 0.16 of the read noise, as measured on a Sony A7S2; on N6 it is 1/f from row to row;
 - read noise with Tukey-lambda tails, shapes -0.2 to +0.1 as measured on the cameras of ELD and PMN;
 - black-level errors per colour channel of a fraction of the read noise, as in the tables of ELD;
@@ -48,9 +48,9 @@ class Nlf(NamedTuple):
 class TrueNoise(NamedTuple):
     """What a virtual camera really does. Additive parts are in units of the read noise.
 
-    nlf: its true shot and read noise. row: rms of the row noise. row_exponent: 0 white from row to row, 1 pink.
+    nlf: its true shot and read noise. row: rms of the row noise. row_exponent: 0: white, 1: 1/f.
     tail: shape of the Tukey-lambda read noise (0.14 is near Gaussian, negative is heavy).
-    offset: black-level error of R, Gr, Gb, B. denoising: weight of the mean of the four same-colour neighbours.
+    offset: black-level error of R, Gr, Gb, B. denoising: weight of the four same-colour neighbours.
     """
 
     nlf: Nlf
@@ -84,8 +84,8 @@ class VirtualCamera:
 class VirtualPatches(NamedTuple):
     """Pairs of patches of several cameras, packed R, Gr, Gb, B, normalised units; not clipped at black.
 
-    shot, read: the *published* noise level function. camera: index into `virtual_cameras()`. scene: one number
-    per scene, never shared between splits.
+    shot, read: the *published* noise level function. camera: index into `virtual_cameras()`. scene: one
+    number per scene, never shared between splits.
     """
 
     clean: Float[np.ndarray, "n h w 4"]
@@ -160,8 +160,8 @@ def virtual_patches(
 ) -> VirtualPatches:
     """Patches of `scenes` scenes, each taken once by every camera at an ISO that goes through its list.
 
-    From every frame `per_scene` patches are cut on a grid: `len(cameras) * scenes * per_scene` in all, ordered
-    by camera, then scene. The same key gives the same patches; splits share no scene and no draw.
+    From every frame `per_scene` patches are cut on a grid: `len(cameras) * scenes * per_scene` in all,
+    ordered by camera, then scene. The same key gives the same patches; splits share no scene and no draw.
     Raises ValueError for an unknown split or a `per_scene` that is no square number.
     """
     cameras = cameras or virtual_cameras()
@@ -225,7 +225,7 @@ def coloured_rows(key: Key[Array, ""], shape: tuple[int, int], exponent) -> Floa
 
 
 def same_colour_blend(image: Float[Array, "t h w"], weight) -> Float[Array, "t h w"]:
-    """Each pixel blended with the mean of its four nearest neighbours of the same colour; mirrored borders."""
+    """Each pixel blended with the mean of its four nearest neighbours of its colour; mirrored borders."""
     padded = jnp.pad(image, ((0, 0), (2, 2), (2, 2)), mode="reflect")
     centre = padded[:, 2:-2, 2:-2]
     around = padded[:, :-4, 2:-2] + padded[:, 4:, 2:-2] + padded[:, 2:-2, :-4] + padded[:, 2:-2, 4:]
