@@ -1,0 +1,74 @@
+"""Likelihood with one nested shared term: an offset common to all pixels of a row, a column or a frame.
+
+Given the offset the pixels are independent; the offset is integrated out by Gauss-Hermite quadrature centred at
+the mode of the integrand and scaled by its curvature there. Groups are the leading axis: use `as_groups`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+Shared = Literal["row", "column", "frame"]
+
+
+def as_groups(frames: Float[Array, "t h w"], shared: Shared) -> Float[Array, "groups pixels"]:
+    """The pixels that share an offset on the last axis: T*H rows, T*W columns, or T frames."""
+    t, h, w = frames.shape
+    if shared == "frame":
+        return frames.reshape(t, h * w)
+    return frames.reshape(t * h, w) if shared == "row" else frames.transpose(0, 2, 1).reshape(t * w, h)
+
+
+def shared_log_prob(
+    log_prob: Callable[[Float[Array, "groups 1"]], Float[Array, "groups pixels"]],
+    sigma: float | Float[Array, "..."],
+    groups: int,
+    nodes: int = 15,
+    newton_steps: int = 8,
+) -> Float[Array, "groups"]:
+    """Log-probability of each group with an N(0, sigma^2) offset integrated out, nats per group.
+
+    log_prob: pixel log-probabilities given an offset per group, DN, to be added to the mean; any of this
+      package's pixel likelihoods. sigma: DN, scalar or per group. Differentiable in everything `log_prob`
+      closes over and in sigma; the nodes themselves are held fixed, which leaves only the quadrature error.
+    The error falls with the pixel noise over the code step: a test holds it below 1e-6 nats per pixel for
+    noise of half a step or more; `bin/bench likelihood` prints it down to a quarter of a step, where 63 nodes help.
+    """
+    sigma = jnp.broadcast_to(jnp.asarray(sigma, jnp.float32), (groups,))
+    safe = jnp.maximum(sigma, 1e-6)
+    points, log_weights = (jnp.asarray(x, jnp.float32) for x in _hermite(nodes))
+
+    def joint(unit):  # log of likelihood times standard normal prior, in units of sigma
+        return jnp.sum(log_prob((safe * unit)[:, None]), -1) - unit * unit / 2
+
+    def slope(unit):
+        return jax.grad(lambda u: jnp.sum(joint(u)))(unit)
+
+    def newton(unit, _):
+        first, second = jax.jvp(slope, (unit,), (jnp.ones_like(unit),))
+        return jnp.clip(unit + jnp.clip(first / jnp.maximum(-second, 0.5), -1.0, 1.0), -30.0, 30.0), None
+
+    start = jax.lax.stop_gradient(jnp.zeros(groups, jnp.float32))
+    mode, _ = jax.lax.scan(newton, start, None, length=newton_steps)
+    _, second = jax.jvp(slope, (mode,), (jnp.ones_like(mode),))
+    mode = jax.lax.stop_gradient(mode)
+    scale = jax.lax.stop_gradient(1 / jnp.sqrt(jnp.maximum(-second, 1.0)))
+
+    def at(node):
+        point, log_weight = node
+        return joint(mode + scale * point) + log_weight
+
+    terms = jax.lax.map(at, (points, log_weights))
+    return jax.scipy.special.logsumexp(terms, axis=0) + jnp.log(scale) - 0.9189385332046727
+
+
+def _hermite(nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and log-weights with sum of exp(log_weights) * f(points) = integral of f, for f near a standard normal."""
+    points, weights = np.polynomial.hermite_e.hermegauss(nodes)
+    return points, np.log(weights) + points**2 / 2
