@@ -1,10 +1,10 @@
-"""Log-probability of stored codes: differences of cumulative distributions over the recording's own code step.
+"""Log-probability of stored codes: the mass of the noise distribution over the recording's own code step.
 
-A camera stores integers. The probability of a code is the mass between its two edges, code +- step / 2, and a
-code at a rail holds all the mass beyond it. A density in place of that mass is wrong by log(step), and rewards
-models that put spikes on the codes. All functions run in float32 and have finite gradients in the far tails
-and for noise much smaller than the step: the mass is always written as the normal density at the nearer edge
-times a ratio of order one, and both the logarithm and its derivatives use that ratio.
+A camera stores integers. The probability of a code is the mass between its edges, code +- step / 2, and a
+code at a rail holds all the mass beyond it. A density in place of that mass is wrong by log(step), and
+rewards models that put spikes on the codes. All functions run in float32 and have finite gradients in the
+far tails and for noise much smaller than the step: the mass is always written as the normal density at the
+nearer edge times a ratio of order one, and both the logarithm and its derivatives use that ratio.
 """
 
 from __future__ import annotations
@@ -17,21 +17,27 @@ import numpy as np
 from jaxtyping import Array, Float
 
 Real = Float[Array, "..."]
+Values = Real | Float[np.ndarray, "..."] | float
+"""Arrays or numbers that broadcast to the pixels."""
 
 _LOG_SQRT_2PI = 0.9189385332046727
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 class CodeGrid(NamedTuple):
-    """The codes a converter can give: their spacing and the two rails, all DN; scalars, or broadcast to pixels.
+    """The codes a converter can give: their spacing and the two rails, DN; broadcast to the pixels.
 
     step: spacing of the codes; 0: not on a lattice, log-probabilities are then log-densities per DN.
     low, high: codes at or beyond are censored: black clip (often 0) and the white level.
     """
 
-    step: float | Real = 1.0
-    low: float | Real = -np.inf
-    high: float | Real = np.inf
+    step: Values = 1.0
+    low: Values = -np.inf
+    high: Values = np.inf
+
+
+UNIT_STEP = CodeGrid()
+"""Whole DN, no rails."""
 
 
 def _mills(x: Real) -> Real:
@@ -137,7 +143,7 @@ def _hazard_jvp(primals, tangents):
 
 @jax.custom_jvp
 def log_normal_cdf(x: Real) -> Real:
-    """Log of the standard normal cumulative distribution, with a derivative that is finite for any finite x."""
+    """Log of the standard normal cumulative distribution, its derivative finite for any finite x."""
     return _lower_ratio(x)[0]
 
 
@@ -147,17 +153,17 @@ def _log_normal_cdf_jvp(primals, tangents):
     return log_normal_cdf(x), _hazard(x) * tangents[0]
 
 
-def censored(codes: Real, inner: Real, below: Real, above: Real, grid: CodeGrid) -> Real:
-    """`inner` between the rails; at or beyond a rail the log-mass `below` or `above` of everything past it."""
+def censored(codes: Values, inner: Real, below: Real, above: Real, grid: CodeGrid) -> Real:
+    """`inner` between the rails; at or beyond a rail the log-mass of everything past it."""
     return jnp.where(codes <= grid.low, below, jnp.where(codes >= grid.high, above, inner))
 
 
-def rail_edge(rail: float | Real, offset: Real) -> Real:
+def rail_edge(rail: Values, offset: Real) -> Real:
     """The edge of a rail's bin, kept finite where there is no rail (the value is then not used)."""
     return jnp.where(jnp.isfinite(rail), rail, 0.0) + offset
 
 
-def gaussian_log_prob(codes: Real, mean: Real, variance: Real, grid: CodeGrid = CodeGrid()) -> Real:
+def gaussian_log_prob(codes: Values, mean: Values, variance: Values, grid: CodeGrid = UNIT_STEP) -> Real:
     """Log-probability of each code for normal noise, nats per pixel.
 
     codes, mean: DN. variance: DN^2, without the quantisation variance: the step is integrated exactly. All

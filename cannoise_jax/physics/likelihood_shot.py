@@ -15,8 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.likelihood import (
+    UNIT_STEP,
     CodeGrid,
     Real,
+    Values,
     censored,
     gaussian_log_prob,
     log_normal_cdf,
@@ -32,12 +34,12 @@ EXACT_BELOW_E = 25.0
 
 
 def poisson_log_prob(
-    codes: Real,
-    electrons: Real,
-    gain: Real | float,
-    black: Real | float,
-    read_sigma: Real | float,
-    grid: CodeGrid = CodeGrid(),
+    codes: Values,
+    electrons: Values,
+    gain: Values,
+    black: Values,
+    read_sigma: Values,
+    grid: CodeGrid = UNIT_STEP,
 ) -> Real:
     """Exact log-probability of codes = round(black + gain * Poisson(electrons) + N(0, read_sigma^2)).
 
@@ -68,17 +70,18 @@ def poisson_log_prob(
 
 
 def skewed_log_prob(
-    codes: Real,
-    electrons: Real,
-    gain: Real | float,
-    black: Real | float,
-    read_sigma: Real | float,
-    grid: CodeGrid = CodeGrid(),
+    codes: Values,
+    electrons: Values,
+    gain: Values,
+    black: Values,
+    read_sigma: Values,
+    grid: CodeGrid = UNIT_STEP,
 ) -> Real:
     """Log-probability of codes with the mean, variance and skewness of Poisson plus read noise.
 
-    The code edges are carried to normal scores by the cube-root transformation of Wilson and Hilferty (PNAS 17,
-    684, 1931) for a shifted gamma distribution, and differenced there. More than 9 standard deviations below
+    The code edges are carried to normal scores by the cube-root transformation of Wilson and Hilferty (PNAS
+    17, 684, 1931) for a shifted gamma distribution, and differenced there. More than 9 standard deviations
+    below
     the mean, where that distribution ends, the normal distribution stands in.
     """
     codes = jnp.asarray(codes, jnp.float32)
@@ -109,12 +112,12 @@ def skewed_log_prob(
 
 
 def shot_log_prob(
-    codes: Real,
-    electrons: Real,
-    gain: Real | float,
-    black: Real | float,
-    read_sigma: Real | float,
-    grid: CodeGrid = CodeGrid(),
+    codes: Values,
+    electrons: Values,
+    gain: Values,
+    black: Values,
+    read_sigma: Values,
+    grid: CodeGrid = UNIT_STEP,
     shot: Shot = "skewed",
 ) -> Real:
     """Log-probability of codes for `electrons` mean photo-electrons, nats per pixel; see `choose_shot`.
@@ -136,10 +139,10 @@ def choose_shot(
     read_sigma: float | Float[np.ndarray, "..."],
     tolerance: float = 1e-5,
 ) -> np.ndarray:
-    """The form to use at each mean, as indices 0 gaussian, 1 skewed, 2 poisson: the error stays below `tolerance`.
+    """The form to use at each mean, 0 gaussian, 1 skewed, 2 poisson: its error stays below `tolerance`.
 
-    Leading terms of the error, nats per pixel: normal skewness^2 / 12, skewed (excess kurtosis error)^2 / 48 with
-    half the Poisson kurtosis missing; `shot_error` measures the same by summing over all codes.
+    Leading terms of the error, nats per pixel: normal skewness^2 / 12, skewed (excess kurtosis error)^2 / 48
+    with half the Poisson kurtosis missing; `shot_error` measures the same by summing over all codes.
     """
     mu = np.maximum(np.asarray(electrons, np.float64), 1e-6)
     share = mu / (mu + (np.asarray(read_sigma, np.float64) / gain) ** 2)
