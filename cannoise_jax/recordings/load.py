@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings import camera_raw, native
+from cannoise_jax.recordings import camera_raw, native, sidd
 from cannoise_jax.recordings.metadata import check_overrides
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
@@ -25,6 +25,8 @@ def load_recording(path: str | Path, **overrides: Any) -> Recording:
     path = Path(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file")
+    if path.is_dir():
+        return sidd.read_sidd(path, **overrides)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise BadInput(f"{path}: unknown format {path.suffix!r}: supported are {', '.join(sorted(_READERS))}")
@@ -40,7 +42,7 @@ def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
-    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in _READERS and not p.name.startswith("."))
+    paths = sorted(p for p in folder.iterdir() if _is_recording(p))
     if not paths:
         raise BadInput(f"{folder}: holds no recordings: supported are {', '.join(sorted(_READERS))}")
     recordings = tuple(load_recording(p, **overrides) for p in paths)
@@ -48,3 +50,8 @@ def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
     if len(cameras) > 1:
         raise BadInput(f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): one folder a camera")
     return CaptureSet(cameras[0], recordings, str(folder))
+
+
+def _is_recording(path: Path) -> bool:
+    named = path.suffix.lower() in _READERS and not path.name.startswith(".")
+    return (named and path.is_file()) or sidd.is_instance(path)

@@ -46,13 +46,19 @@ _log = logging.getLogger(__name__)
 
 
 def make_recording(
-    path: str | Path, frames: Frames, known: Mapping[str, Any], overrides: Mapping[str, Any]
+    path: str | Path,
+    frames: Frames,
+    known: Mapping[str, Any],
+    overrides: Mapping[str, Any],
+    *,
+    scan: bool = True,
 ) -> Recording:
     """A checked recording from a file's frames and metadata.
 
     known: fields of `Recording` that the file states (None: not stated). overrides: fields that the caller
     states (None: keep the file's), see `OVERRIDES`. The camera is named after the folder unless stated.
-    Values above the white level are saturation: counted, and logged as one warning.
+    Values above the white level are saturation: counted, and logged as one warning. scan: False leaves out
+    what takes reading every pixel, for views that check what they read.
     Raises BadInput for everything that cannot be used, TypeError for an override that does not exist.
     """
     check_overrides(overrides)
@@ -79,7 +85,7 @@ def make_recording(
         white_level=white,
         camera=_text(stated.get("camera")) or Path(path).absolute().parent.name or "unknown",
         kind=_one_of(path, stated, "kind", KINDS) or "scene",
-        clean=_checked_clean(path, frames, stated.get("clean")),
+        clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
         exposure_s=_optional(path, stated, "exposure_s", least=0),
         temperature_c=_optional(path, stated, "temperature_c"),
@@ -90,7 +96,8 @@ def make_recording(
         reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
     )
-    warn_saturation(path, count_above(recording.frames, white), recording.frames.shape, white)
+    if scan:
+        warn_saturation(path, count_above(recording.frames, white), recording.frames.shape, white)
     return recording
 
 
@@ -134,7 +141,7 @@ def _check_frames(path: str | Path, frames: Frames) -> None:
         raise BadInput(f"{path}: frames of {frames.shape[1]} x {frames.shape[2]} pixels are empty")
 
 
-def _checked_clean(path: str | Path, frames: Frames, clean: Any) -> Any:
+def _checked_clean(path: str | Path, frames: Frames, clean: Any, scan: bool) -> Any:
     if clean is None:
         return None
     shape = tuple(clean.shape)
@@ -144,7 +151,7 @@ def _checked_clean(path: str | Path, frames: Frames, clean: Any) -> Any:
         )
     if clean.dtype.kind not in "fiu":
         raise BadInput(f"{path}: clean is {clean.dtype}: expected float32, (DN - black) / (white - black)")
-    bad = sum(int(np.count_nonzero(~np.isfinite(part))) for part in chunks(clean))
+    bad = sum(int(np.count_nonzero(~np.isfinite(part))) for part in chunks(clean)) if scan else 0
     if bad:
         raise BadInput(f"{path}: clean holds {bad} NaN or infinite values: mend or leave out the reference")
     return clean
