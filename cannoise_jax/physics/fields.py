@@ -1,0 +1,137 @@
+"""Random fields on the sites of a sensor: the draws behind the grammar. All have unit rms unless said."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.physics import tukey_lambda
+from cannoise_jax.physics.poisson_gaussian import centred_uniform, sample_normal
+
+excess_kurtosis = tukey_lambda.excess_kurtosis
+
+
+def site_shape(over: str, size: tuple[int, int], blocks: tuple[int, int]) -> tuple[int, ...]:
+    """Shape of one number per site: rows (H,), raster (H*W,), pixels (H, W), channels (2, 2), blocks."""
+    height, width = size
+    return {
+        "pixel": (height, width),
+        "row": (height,),
+        "column": (width,),
+        "raster": (height * width,),
+        "channel": (2, 2),
+        "block": blocks,
+        "whole": (),
+    }[over]
+
+
+def spread(drawn: Float[Array, "t ..."], over: str, size: tuple[int, int]) -> Float[Array, "t ..."]:
+    """Site numbers [T, sites...] in a shape that broadcasts against [T, H, W]."""
+    height, width = size
+    frames = drawn.shape[0]
+    if over == "row":
+        return drawn.reshape(frames, height, 1)
+    if over == "column":
+        return drawn.reshape(frames, 1, width)
+    if over == "whole":
+        return drawn.reshape(frames, 1, 1)
+    if over in ("channel", "block"):
+        rows, columns = drawn.shape[1:]
+        if over == "channel":
+            i, j = jnp.arange(height) % 2, jnp.arange(width) % 2
+        else:
+            i, j = jnp.arange(height) * rows // height, jnp.arange(width) * columns // width
+        return drawn[:, i[:, None], j[None, :]]
+    return drawn.reshape(frames, height, width)
+
+
+def numbers(key: Key[Array, ""], shape: tuple[int, ...], distribution: str, values) -> Float[Array, "..."]:
+    """Independent numbers of zero mean (a sparse field: positive) and unit rms."""
+    if distribution == "gaussian":
+        return sample_normal(key, shape)
+    if distribution == "tukey_lambda":
+        return tukey_lambda.standard_quantile(centred_uniform(key, shape), values["tukey_lambda"])
+    where, height = jax.random.split(key)
+    heights = -jnp.log1p(-jax.random.uniform(height, shape)) / jnp.sqrt(2.0)  # exponential of unit rms
+    return sparse_sites(where, shape, values["fraction"]) * heights
+
+
+def sparse_sites(key: Key[Array, ""], shape: tuple[int, ...], fraction) -> Float[Array, "..."]:
+    """1/sqrt(fraction) at a random share of the sites, else 0."""
+    return (jax.random.uniform(key, shape) < fraction) / jnp.sqrt(jnp.asarray(fraction, jnp.float32))
+
+
+def telegraph(
+    key: Key[Array, ""], frames: int, sites: tuple[int, ...], rate, size: tuple[int, int]
+) -> Float[Array, "t ..."]:
+    """Two-level telegraph signal of +1 and -1: starts at random, jumps with chance `rate` from frame to
+    frame."""
+    first, jumps = jax.random.split(key)
+    start = jax.random.bernoulli(first, 0.5, (1, *sites))
+    jumped = jax.random.uniform(jumps, (frames, *sites)) < rate
+    flips = jnp.cumsum(jumped.at[0].set(False), axis=0) % 2
+    return jnp.where(start ^ (flips == 1), 1.0, -1.0)
+
+
+def remember(raw: Float[Array, "t ..."], memory_frames) -> Float[Array, "t ..."]:
+    """Stationary first-order autoregression over the frames of white `raw`: correlation exp(-n / memory)."""
+    rho = jnp.exp(-1.0 / jnp.asarray(memory_frames, jnp.float32))
+
+    def step(previous, new):
+        now = rho * previous + jnp.sqrt(1 - rho**2) * new
+        return now, now
+
+    _, rest = jax.lax.scan(step, raw[0], raw[1:])
+    return jnp.concatenate([raw[:1], rest])
+
+
+def _shaping(length: int, exponent) -> Float[Array, "f"]:
+    """Amplitude over frequency of a 1/f^exponent process on a circle of `length`, unit variance. The zero
+    frequency gets the power of the lowest one, so that exponent 0 is exactly white."""
+    frequency = jnp.maximum(jnp.fft.rfftfreq(length), 1.0 / length)
+    power = (frequency * length) ** (-jnp.asarray(exponent, jnp.float32))
+    twice = jnp.full(power.shape, 2.0).at[0].set(1.0)
+    if length % 2 == 0:
+        twice = twice.at[-1].set(1.0)
+    return jnp.sqrt(power * length / jnp.sum(twice * power))
+
+
+def colour(white: Float[Array, "... m"], exponent) -> Float[Array, "... n"]:
+    """White noise of twice the length wanted, filtered along its last axis to a 1/f^exponent spectrum.
+    Half of the circle is thrown away, so that the two ends of the result are not neighbours."""
+    length = white.shape[-1]
+    shaped = jnp.fft.irfft(jnp.fft.rfft(white) * _shaping(length, exponent), length)
+    return shaped[..., : length // 2]
+
+
+def correlations(exponent, over: str, size: tuple[int, int]) -> dict[int, Array]:
+    """Correlation of a power-law field at small steps along its axis."""
+    length = 2 * {"row": size[0], "column": size[1], "raster": size[0] * size[1]}[over]
+    correlation = jnp.fft.irfft(_shaping(length, exponent) ** 2, length)
+    return {k: correlation[k] for k in lag_steps(over, size)}
+
+
+def lag_steps(over: str, size: tuple[int, int]) -> tuple[int, ...]:
+    """Steps along the axis whose lags are reported: 1, 2 and, along the raster, one and two rows."""
+    return (1, 2, size[1], 2 * size[1]) if over == "raster" else (1, 2)
+
+
+def lag(over: str, step: int, width: int) -> tuple[int, int]:
+    """A step along the axis as a pixel lag (dy, dx)."""
+    if over == "raster":
+        return divmod(step, width)
+    return (step, 0) if over == "row" else (0, step)
+
+
+def sinusoid(key: Key[Array, ""], frames: int, sites: tuple[int, ...], frequency, *, redrawn: bool):
+    """cos(2 pi f n + phase) along the sites, unit peak, with a random phase per frame (frozen: one phase)."""
+    phase = jax.random.uniform(key, (frames, 1)) * (2 * jnp.pi)
+    steps = 1
+    for s in sites:
+        steps *= s
+    # Frequency times index loses float32 digits on long scans: reduce it in two exact parts.
+    index = jnp.arange(steps)
+    high, low = index // 4096, index % 4096
+    cycles = (frequency * 4096 % 1.0) * high % 1.0 + frequency * low % 1.0
+    return jnp.cos(2 * jnp.pi * cycles + phase).reshape(frames, *sites)

@@ -1,0 +1,267 @@
+"""The grammar of mechanisms: where it enters x what it varies over x how it behaves in time x how it scales x
+its distribution or spectrum. Every point is a field of one random number per site, added to or multiplied
+into the chain, and `mechanism_from_grammar` turns a point into a full mechanism: it can be sampled, its
+effect is known in closed form, and it can be stored, whether the field has a name for it or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from cannoise_jax.physics import fields
+from cannoise_jax.physics.mechanism import (
+    ActsOn,
+    Context,
+    Effect,
+    Mechanism,
+    Parameter,
+    Scaling,
+    Stage,
+    Values,
+)
+
+Site = Literal["pixel", "row", "column", "block", "channel", "raster", "whole"]
+Time = Literal["frozen", "redrawn", "telegraph", "drifting"]
+Spectrum = Literal["white", "power_law", "sinusoid"]
+Distribution = Literal["gaussian", "tukey_lambda", "sparse"]
+SITES: tuple[Site, ...] = ("pixel", "row", "column", "block", "channel", "raster", "whole")
+TIMES: tuple[Time, ...] = ("frozen", "redrawn", "telegraph", "drifting")
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the grammar.
+
+    over: the sites that carry one number each. "raster" orders the pixels as they are read; "whole" is one
+      number per frame; "block" cuts the frame into `blocks` = (down, across) amplifier regions.
+    time: "frozen" belongs to the camera unit; "redrawn" in every frame; "telegraph" jumps between two
+    levels at
+      fixed sites; "drifting" is redrawn with a memory of the frames before.
+    combine: "add" or "multiply" into what the stage carries. signal: exponent p of a further factor
+      (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
+    spectrum: along the sites. distribution: of one number; "sparse": a few sites, exponential heights.
+    """
+
+    stage: Stage
+    acts_on: ActsOn
+    over: Site
+    time: Time
+    combine: Literal["add", "multiply"] = "add"
+    signal: float = 0.0
+    spectrum: Spectrum = "white"
+    distribution: Distribution = "gaussian"
+    blocks: tuple[int, int] = (1, 2)
+
+
+def amplitude_name(point: Point) -> str:
+    """Name of the parameter that sets the strength: sigma_dn, sigma_e or sigma, amplitude for a sinusoid."""
+    kind = "amplitude" if point.spectrum == "sinusoid" else "sigma"
+    if point.combine == "multiply":
+        return kind
+    return f"{kind}_e" if point.acts_on == "mean" else f"{kind}_dn"
+
+
+def point_parameters(point: Point, default: float, low: float = 0.0, high: float | None = None):
+    """The parameters that a point of the grammar needs, strength first."""
+    unit = {"_e": "e-", "dn": "DN"}.get(amplitude_name(point)[-2:], "1")
+    top = (1e4 if point.combine == "add" else 1.0) if high is None else high
+    what = "peak" if point.spectrum == "sinusoid" else "rms"
+    strength = "of the field" if point.combine == "add" else "as a fraction of the signal"
+    found = [Parameter(amplitude_name(point), unit, default, low, top, "log", f"{what} {strength}")]
+    if point.spectrum == "power_law":
+        found.append(Parameter("exponent", "1", 1.0, 0.0, 2.0, "identity", "power falls as 1/f^exponent"))
+    if point.spectrum == "sinusoid":
+        step = {"raster": "pixel of the scan", "row": "row"}.get(point.over, point.over)
+        found.append(
+            Parameter("frequency", f"cycles/{point.over}", 0.1, 0.0, 0.5, "identity", f"cycles per {step}")
+        )
+    if point.distribution == "tukey_lambda":
+        shape = "shape of the tails: 0.135 is Gaussian"
+        found.append(Parameter("tukey_lambda", "1", -0.05, -0.24, 0.3, "identity", shape))
+    if point.distribution == "sparse" or point.time == "telegraph":
+        found.append(Parameter("fraction", "1", 0.01, 1e-6, 1.0, "logit", "share of the sites affected"))
+    if point.time == "telegraph":
+        found.append(Parameter("rate", "1/frame", 0.2, 0.0, 1.0, "logit", "chance of a jump per frame"))
+    if point.time == "drifting":
+        found.append(Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "log", "correlation time"))
+    return tuple(found)
+
+
+def _fields(key, frames: int, point: Point, values: Values, context: Context) -> Array:
+    """Unit-rms (unit-peak for a sinusoid) field [frames, ...] that broadcasts against x[T, H, W]."""
+    size = context.size
+    sites = fields.site_shape(point.over, size, point.blocks)
+    if point.spectrum == "sinusoid":
+        drawn = fields.sinusoid(key, frames, sites, values["frequency"], redrawn=point.time != "frozen")
+    elif point.time == "telegraph":
+        raise ValueError("a telegraph field needs its map of sites")
+    else:
+        coloured = point.spectrum == "power_law"
+        if coloured:
+            sites = (*sites[:-1], 2 * sites[-1])
+        raw = fields.numbers(key, (frames, *sites), point.distribution, values)
+        if coloured:
+            raw = fields.colour(raw, values["exponent"])
+        drawn = fields.remember(raw, values["memory_frames"]) if point.time == "drifting" else raw
+    return fields.spread(drawn, point.over, size)
+
+
+def _draw_maps(point: Point):
+    def draw(unit_key, values: Values, context: Context) -> dict[str, Array]:
+        if point.time == "telegraph":
+            sites = fields.site_shape(point.over, context.size, point.blocks)
+            where = fields.sparse_sites(unit_key, (1, *sites), values["fraction"])
+            return {"field": fields.spread(where, point.over, context.size)}
+        return {"field": _fields(unit_key, 1, point, values, context)}
+
+    return draw if point.time in ("frozen", "telegraph") else None
+
+
+def _strength(point: Point, values: Values, context: Context) -> Any:
+    """Strength in the unit of what the stage carries, before any dependence on the signal."""
+    strength = values[amplitude_name(point)]
+    in_dn = point.combine == "add" and point.acts_on == "charge"
+    return strength / context.gain_dn_per_e if in_dn else strength
+
+
+def _signal_factor(point: Point, context: Context) -> Any:
+    if not point.signal:
+        return 1.0
+    return (jnp.maximum(context.mean_dn, 0.0) / context.span_dn) ** point.signal
+
+
+def _sample(point: Point):
+    def sample(key, x, values, maps, context):
+        if point.time == "frozen":
+            unit = maps["field"]
+        elif point.time == "telegraph":
+            unit = maps["field"] * fields.telegraph(
+                key, x.shape[0], maps["field"].shape[1:], values["rate"], context.size
+            )
+        else:
+            unit = _fields(key, x.shape[0], point, values, context)
+        change = _strength(point, values, context) * unit * _signal_factor(point, context)
+        if point.combine == "add":
+            return x + change
+        level = context.black_level if point.acts_on in ("signal", "code") else 0.0
+        return x + (x - level) * change
+
+    return sample
+
+
+def _effect(point: Point):
+    """Closed form of a grammar point, in DN."""
+
+    def effect(values, maps, context):
+        gain, base = context.gain_dn_per_e, context.mean_dn
+        strength = values[amplitude_name(point)] * _signal_factor(point, context)
+        # `reach`: DN by which one unit of the field moves the pixel.
+        if point.combine == "multiply":
+            reach = strength * base
+        else:
+            reach = strength * gain if point.acts_on == "mean" else strength
+        if point.time == "frozen":
+            mean = reach * maps["field"][0]
+            changes = {"mean": mean}
+            if point.acts_on == "mean":
+                changes["variance"] = gain * mean  # the added charge brings its shot noise
+            elif point.combine == "multiply":
+                own = gain * base + (gain * context.read_noise_e) ** 2 * (point.acts_on == "signal")
+                factor = strength * maps["field"][0]
+                changes["variance"] = own * (2 * factor + factor**2)
+            return Effect(**changes)
+        square = 0.5 if point.spectrum == "sinusoid" else 1.0
+        if point.time == "telegraph":
+            square = maps["field"][0] ** 2
+        power = reach**2 * square
+        changes = {"variance": power}
+        shared = {"row": "row", "column": "column", "whole": "frame"}.get(point.over)
+        if shared:
+            changes[shared] = power
+        if point.spectrum == "power_law" and point.over in ("row", "column", "raster"):
+            width = context.size[1]
+            steps = fields.correlations(values["exponent"], point.over, context.size)
+            changes["lags"] = {fields.lag(point.over, k, width): power * r for k, r in steps.items()}
+        if point.spectrum == "sinusoid":
+            changes["lags"] = {
+                fields.lag(point.over, k, context.size[1]): power
+                * jnp.cos(2 * jnp.pi * values["frequency"] * k)
+                for k in fields.lag_steps(point.over, context.size)
+            }
+        if point.time == "telegraph":
+            memory = 1 - 2 * values["rate"]
+            changes["temporal"] = {n: power * memory**n for n in (1, 2)}
+            changes["fourth"] = -2 * power**2
+        elif point.time == "drifting":
+            changes["temporal"] = {n: power * jnp.exp(-n / values["memory_frames"]) for n in (1, 2)}
+        elif point.distribution == "tukey_lambda":
+            changes["fourth"] = power**2 * fields.excess_kurtosis(values["tukey_lambda"])
+        return Effect(**changes)
+
+    # A random factor on the mean also modulates the shot noise, and a sparse field is not Gaussian per site:
+    # to first order in the strength nothing else changes.
+    return effect
+
+
+def _amplitude(point: Point):
+    def amplitude(values, context):
+        return values[amplitude_name(point)]
+
+    return amplitude
+
+
+def mechanism_from_grammar(
+    point: Point,
+    *,
+    id: str = "unnamed",
+    default: float | None = None,
+    sentence: str = "A structure without a name: see its place in the grammar.",
+    equation: str | None = None,
+    reference: str = "",
+    needs: tuple[str, ...] = (),
+    confused_with: tuple[str, ...] = (),
+    likelihood: Literal["exact", "approximate", "none"] | None = None,
+    scaling: Scaling | None = None,
+    parameters: tuple[Parameter, ...] | None = None,
+    amplitude=None,
+) -> Mechanism:
+    """The mechanism at a point of the grammar. What is not given follows from the point.
+
+    scaling: default: a field in DN follows the gain, for it arises before the amplifier.
+    likelihood: default: frozen maps shift the mean, so "exact"; white Gaussian fields of rows, columns or
+      frames are integrated, "approximate"; anything else "none".
+    """
+    if parameters is None:
+        parameters = point_parameters(point, default if default is not None else 0.01)
+    name = amplitude_name(point)
+    if likelihood is None:
+        integrable = point.over in ("row", "column", "whole", "pixel") and point.time == "redrawn"
+        likelihood = "exact" if point.time == "frozen" else "approximate" if integrable else "none"
+    if scaling is None:
+        scaling = Scaling(gain=1.0 if name.endswith("_dn") else 0.0)
+    if equation is None:
+        symbol = {"add": "x + {s}\\,f", "multiply": "x\\,(1 + {s}\\,f)"}[point.combine]
+        equation = "x \\to " + symbol.format(s="A" if point.spectrum == "sinusoid" else "\\sigma")
+    return Mechanism(
+        id=id,
+        stage=point.stage,
+        acts_on=point.acts_on,
+        point=point,
+        parameters=parameters,
+        equation=equation,
+        sentence=sentence,
+        reference=reference,
+        needs=needs,
+        confused_with=confused_with,
+        likelihood=likelihood,
+        amplitude=amplitude or _amplitude(point),
+        sample=_sample(point),
+        draw_maps=_draw_maps(point),
+        effect=_effect(point),
+        scaling=scaling,
+        scales=name,
+    )
