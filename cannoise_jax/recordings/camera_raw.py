@@ -11,6 +11,8 @@ from __future__ import annotations
 import logging
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +22,7 @@ import rawpy
 import tifffile
 from jaxtyping import UInt16
 
+from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 
@@ -65,7 +68,7 @@ class _Decoded(NamedTuple):
 
 
 def read_camera_raw(path: str | Path, **overrides: Any) -> Recording:
-    """A recording of one frame from a camera raw file.
+    """A recording of one frame from a camera raw file, decoded again whenever it is indexed.
 
     shot, read: the DNG NoiseProfile, variance = S x + O in normalised units, where the file has one.
     overrides: see `metadata.OVERRIDES`. Raises BadInput, also for mosaics that are not Bayer.
@@ -73,8 +76,7 @@ def read_camera_raw(path: str | Path, **overrides: Any) -> Recording:
     check_overrides(overrides)
     tags = _directories(path)
     raw = _decode(path, tags)
-    height, width = raw.size
-    frame = raw.sensor[raw.top : raw.top + height, raw.left : raw.left + width]
+    frame = _visible(raw)
     shot, read = _noise_profile(path, tags, raw.cfa)
     known = {
         "cfa": raw.cfa,
@@ -86,7 +88,9 @@ def read_camera_raw(path: str | Path, **overrides: Any) -> Recording:
         "read": read,
         **_exif(path),
     }
-    return make_recording(path, np.ascontiguousarray(frame)[None], known, overrides)
+    recording = make_recording(path, np.ascontiguousarray(frame)[None], known, overrides)
+    read_again = partial(read_stack, partial(_read_frame, path=str(path)), recording.frames.shape)
+    return replace(recording, frames=LazyArray(read_again, recording.frames.shape, frame.dtype))
 
 
 def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
@@ -127,6 +131,15 @@ def optical_black_level(path: str | Path) -> PerChannel:
     if not all(p.size for p in pixels):
         raise BadInput(f"{path}: holds no masked pixels of every channel: set the black level by hand")
     return per_channel(np.array([np.median(p) for p in pixels]))
+
+
+def _visible(raw: _Decoded) -> np.ndarray:
+    height, width = raw.size
+    return raw.sensor[raw.top : raw.top + height, raw.left : raw.left + width]
+
+
+def _read_frame(number: int, *, path: str) -> np.ndarray:
+    return np.ascontiguousarray(_visible(_decode(path, _directories(path))))
 
 
 def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:

@@ -10,51 +10,20 @@ from __future__ import annotations
 import errno
 import io
 import os
-from dataclasses import dataclass, fields
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import check_overrides, chunks, make_recording
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 _DATASETS = ("frames", "clean")
 _ATTRIBUTES = tuple(f.name for f in fields(Recording) if f.name not in (*_DATASETS, "path"))
-
-
-@dataclass(frozen=True)
-class FileArray:
-    """A dataset on disk that looks like an array: every index opens the file, reads that part and closes it.
-
-    Holds no open file, so it is cheap to keep, to send to another process and to hold by the thousand.
-    Raises BadInput when the part cannot be read.
-    """
-
-    path: str
-    name: str
-    shape: tuple[int, ...]
-    dtype: np.dtype
-
-    @property
-    def ndim(self) -> int:
-        """Number of axes."""
-        return len(self.shape)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, index: Any) -> np.ndarray:
-        try:
-            with h5py.File(self.path, "r") as file:
-                return file[self.name][index]
-        except (OSError, KeyError) as error:
-            raise BadInput(f"{self.path}: cannot read {self.name}: {_reason(error)}") from error
-
-    def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        values = self[...]
-        return values if dtype is None else values.astype(dtype)
 
 
 def read_recording(path: str | Path, **overrides: Any) -> Recording:
@@ -154,8 +123,17 @@ def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: 
         sink.check()
 
 
-def _view(path: Path, dataset: h5py.Dataset) -> FileArray:
-    return FileArray(str(path), dataset.name.lstrip("/"), tuple(dataset.shape), dataset.dtype)
+def _view(path: Path, dataset: h5py.Dataset) -> LazyArray:
+    read = partial(_read_dataset, str(path), dataset.name)
+    return LazyArray(read, tuple(dataset.shape), dataset.dtype)
+
+
+def _read_dataset(path: str, name: str, index: Any) -> np.ndarray:
+    try:
+        with h5py.File(path, "r") as file:
+            return file[name][index]
+    except (OSError, KeyError) as error:
+        raise BadInput(f"{path}: cannot read {name.lstrip('/')}: {_reason(error)}") from error
 
 
 def _plain(value: Any) -> Any:

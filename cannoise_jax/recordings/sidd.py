@@ -12,14 +12,15 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 import scipy.io
 
+from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording
 from cannoise_jax.recordings.recording import (
     BadInput,
@@ -40,8 +41,16 @@ _CFA = {"GP": "BGGR", "IP": "RGGB", "S6": "GRBG", "N6": "BGGR", "G4": "BGGR"}
 _INSTANCE = re.compile(r"(\d{4})_(\d{3})_([A-Z0-9]{2})_(\d{5})_(\d{5})_\d{4}_[LNH]")
 _NOISE_PROFILE, _CFA_PATTERN = 51041, 33422
 _BURST_FRAMES = 150
-_STORED_WHITE = 65535.0
 _log = logging.getLogger(__name__)
+
+
+class _Scale(NamedTuple):
+    black: PerChannel
+    white: float
+    whole: bool  # whether values must come out as whole numbers
+
+
+_STORED = _Scale((0.0, 0.0, 0.0, 0.0), 65535.0, False)
 
 
 def is_instance(folder: Path) -> bool:
@@ -97,7 +106,7 @@ def read_sidd(folder: str | Path, **overrides: Any) -> Recording:
         "exposure_s": _first(about, "ExposureTime") or 1 / max(1, int(match[5])),
         "shot": shot,
         "read": read,
-        "clean": _Images(truth, frames.shape) if truth else None,
+        "clean": _images(truth, frames.shape[1:], None) if truth else None,
         "reference": "burst_mean" if truth else None,
         "reference_frames": _BURST_FRAMES if truth else None,
         **levels,
@@ -105,57 +114,32 @@ def read_sidd(folder: str | Path, **overrides: Any) -> Recording:
     return make_recording(folder, frames, known, overrides, scan=False)
 
 
-@dataclass(frozen=True)
-class _Images:
+def _images(paths: tuple[str, ...], size: tuple[int, ...], scale: _Scale | None) -> LazyArray:
     """MAT images stacked on a first axis in MATLAB's orientation, `[T, H, W]`; read whole when indexed.
 
-    Normalised float32; or uint16 codes when `levels` names the black level of each site and white.
+    Normalised float32 as stored, or uint16 by `scale`.
     """
-
-    paths: tuple[str, ...]
-    shape: tuple[int, int, int]
-    levels: tuple[PerChannel, float] | None = None
-    stored: bool = False  # uint16 as x * 65535, where no levels fit
-
-    @property
-    def dtype(self) -> np.dtype:
-        return np.dtype(np.uint16 if self.levels or self.stored else np.float32)
-
-    @property
-    def ndim(self) -> int:
-        return 3
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        return np.asarray(self[:], dtype)
-
-    def __getitem__(self, index: Any) -> np.ndarray:
-        first, *rest = index if isinstance(index, tuple) else (index,)
-        chosen = np.arange(len(self))[first]
-        if chosen.ndim == 0:
-            return self._read(self.paths[chosen])[tuple(rest)]
-        images = [self._read(self.paths[t])[tuple(rest)] for t in chosen]
-        return np.stack(images) if images else np.empty((0, *self.shape[1:]), self.dtype)
-
-    def _read(self, path: str) -> np.ndarray:
-        values = _read_image(path)
-        if values.shape != self.shape[1:]:
-            raise BadInput(
-                f"{path}: {values.shape[0]} x {values.shape[1]} pixels, the others {self.shape[1:]}"
-            )
-        if self.stored:
-            return np.rint(values.astype(np.float64) * _STORED_WHITE).astype(np.uint16)
-        if self.levels is None:
-            return values
-        codes = _codes(values, *self.levels)
-        if codes is None:
-            raise BadInput(f"{path}: values are not the codes of the metadata's black and white level")
-        return codes
+    shape = (len(paths), *size)
+    read = partial(_read_image, paths=paths, size=size, scale=scale)
+    return LazyArray(partial(read_stack, read, shape), shape, np.dtype(np.uint16 if scale else np.float32))
 
 
-def _read_image(path: str) -> np.ndarray:
+def _read_image(
+    number: int, *, paths: tuple[str, ...], size: tuple[int, ...], scale: _Scale | None
+) -> np.ndarray:
+    values = _read_mat(paths[number])
+    if values.shape != size:
+        found, others = ("{} x {}".format(*shape) for shape in (values.shape, size))
+        raise BadInput(f"{paths[number]}: {found} pixels, the other images {others}")
+    if scale is None:
+        return values
+    codes = _codes(values, scale)
+    if codes is None:
+        raise BadInput(f"{paths[number]}: values are not the codes of the metadata's black and white level")
+    return codes
+
+
+def _read_mat(path: str) -> np.ndarray:
     try:
         with h5py.File(path, "r") as file:
             name = "x" if "x" in file else next(iter(file))
@@ -171,18 +155,18 @@ def _read_image(path: str) -> np.ndarray:
     return np.ascontiguousarray(values.T)  # MATLAB stores columns first
 
 
-def _codes(values: np.ndarray, black: PerChannel, white: float) -> np.ndarray | None:
-    """The codes that normalise to `values`, or None where they are not whole numbers.
+def _codes(values: np.ndarray, scale: _Scale) -> np.ndarray | None:
+    """The codes that normalise to `values`, or None where they are not whole numbers but should be.
 
     Tolerance: eight float32 roundings of the largest value, at least 0.01; a value between codes would be
     off by up to a half.
     """
-    levels = mosaic_map(black, values.shape[-2:]).astype(np.float64)
-    exact = values * (white - levels) + levels
+    levels = mosaic_map(scale.black, values.shape[-2:]).astype(np.float64)
+    exact = values * (scale.white - levels) + levels
     codes = np.rint(exact)
     inside = (values > 0) & (values < 1)  # 0 and 1 were clipped and may stand for a fractional level
     off = np.abs(exact - codes)[inside]
-    if off.size and off.max() > max(0.01, 8 * white * np.finfo(np.float32).eps):
+    if scale.whole and off.size and off.max() > max(0.01, 8 * scale.white * np.finfo(np.float32).eps):
         return None
     return codes.astype(np.uint16)
 
@@ -192,19 +176,20 @@ def _files(folder: Path, kind: str) -> tuple[str, ...]:
     return tuple(str(p) for p in sorted(folder.iterdir()) if pattern.fullmatch(p.name))
 
 
-def _frames(noisy: tuple[str, ...], about: Any) -> tuple[_Images, dict[str, Any]]:
+def _frames(noisy: tuple[str, ...], about: Any) -> tuple[LazyArray, dict[str, Any]]:
     """The frames on the camera's codes where the first one fits them, and the levels that go with them."""
-    first = _read_image(noisy[0])
-    shape = (len(noisy), *first.shape)
+    first = _read_mat(noisy[0])
     black, white = _numbers(about, "BlackLevel"), _numbers(about, "WhiteLevel")
     if black is not None and white is not None:
-        cell = per_channel(black if black.size == 4 else black[:1])
-        if max(cell) < white.max() <= _STORED_WHITE and _codes(first, cell, white.max()) is not None:
-            levels = {"black_level": cell, "white_level": float(white.max())}
-            return _Images(noisy, shape, (cell, float(white.max()))), levels
-    return _Images(noisy, shape, stored=True), {
-        "black_level": 0.0,
-        "white_level": _STORED_WHITE,
+        scale = _Scale(per_channel(black if black.size == 4 else black[:1]), float(white.max()), True)
+        if max(scale.black) < scale.white <= _STORED.white and _codes(first, scale) is not None:
+            return _images(noisy, first.shape, scale), {
+                "black_level": scale.black,
+                "white_level": scale.white,
+            }
+    return _images(noisy, first.shape, _STORED), {
+        "black_level": _STORED.black,
+        "white_level": _STORED.white,
         "code_step": 0.0,
     }
 

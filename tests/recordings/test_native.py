@@ -7,8 +7,9 @@ import h5py
 import numpy as np
 import pytest
 
+from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.load import load_capture_set, load_recording
-from cannoise_jax.recordings.native import FileArray, read_recording, write_recording
+from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput, Recording, normalise
 
 RNG = np.random.default_rng(0)
@@ -75,7 +76,7 @@ def test_everything_survives_writing_and_reading(path):
 
 def test_frames_stay_on_disk_until_they_are_indexed(path):
     recording = read_recording(write(path, clean=np.zeros((3, 8, 12), np.float32)))
-    assert isinstance(recording.frames, FileArray) and isinstance(recording.clean, FileArray)
+    assert isinstance(recording.frames, LazyArray) and isinstance(recording.clean, LazyArray)
     assert recording.count == 3 and recording.size == (8, 12) and len(recording.frames) == 3
     np.testing.assert_array_equal(recording.frames[1:], FRAMES[1:])
     np.testing.assert_array_equal(recording.frames[-1], FRAMES[-1])
