@@ -13,14 +13,14 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int64
 
-# As one float64 expression, so that counts equal the reference's: the edge "at zero" is +8.3e-17, and an exact
-# zero, which clipping makes common, falls into the bin below it.
+# As one float64 expression, so that counts equal the reference's: the edge "at zero" is +8.3e-17, and an
+# exact zero, which clipping makes common, falls into the bin below it.
 EDGES = np.concatenate([[-1000.0], np.arange(-0.1, 0.1 + 1e-9, 0.2 / 64), [1000.0]])
 BINS = EDGES.size - 1
 
 
 def histogram(noise: Float[np.ndarray, "..."]) -> Int64[np.ndarray, "66"]:
-    """Counts of noise values (normalised units) in the 66 bins; half-open on the right, the last bin closed."""
+    """Counts of noise values (normalised units) in the 66 bins; half-open on the right, the last closed."""
     return np.histogram(np.asarray(noise), EDGES)[0]
 
 
@@ -32,8 +32,11 @@ def clipped_noise(
 
 
 def kl_divergence(real: Float[np.ndarray, "..."], fake: Float[np.ndarray, "..."]) -> float:
-    """KL(real || fake) of two sets of noise values, nats, by the reference metric: 66 bins, natural logarithm,
-    bins that are empty in either set dropped, no renormalisation. May be negative. Zero if no bin is shared."""
+    """KL(real || fake) of two sets of noise values by the reference metric, nats.
+
+    66 bins, natural logarithm, bins that are empty in either set dropped, no renormalisation: may be
+    negative, and is zero where no bin is shared.
+    """
     return kl_of_counts(histogram(real), histogram(fake))
 
 
@@ -68,10 +71,10 @@ def kl_floor_of_counts(
 ) -> float:
     """Mean KL of two independent histograms drawn from the real one, with its sizes: the finite-sample floor.
 
-    Both sets are finite and both contribute: for n real and m model values in k well occupied bins the mean is
-    about (k - 1) / 2 * (1/n + 1/m). That formula ignores thinly occupied and dropped bins, so the mean is
-    taken over `trials` multinomial redraws instead, from a fixed `seed`. Values of one image are not fully
-    independent (shared rows), so a real floor can lie slightly above this one.
+    Both sets are finite and both contribute: for n real and m model values in k well occupied bins the mean
+    is about (k - 1) / 2 * (1/n + 1/m). That formula ignores thinly occupied and dropped bins, so the mean
+    is taken over `trials` multinomial redraws instead, from a fixed `seed`. Values of one image are not
+    fully independent (shared rows), so a real floor can lie slightly above this one.
     fake_count: number of model values; default as many as real ones.
     """
     count = int(real.sum())

@@ -5,7 +5,7 @@ noise level function is the published one; the noise itself follows measured num
 the noise of the real phones does:
 
 - shot and read noise: the re-calibrated values for IP, S6 and GP; for N6 and G4 the published function times
-  the measured ratio of standard deviations (see `tables/phones.json`);
+  the ratio of standard deviations measured on two learned models (see `tables/phones.json`);
 - row noise of 0.09 to 0.16 of the read noise, as measured on a Sony A7S2; on N6 it is 1/f from row to row;
 - read noise with Tukey-lambda tails, shapes -0.2 to +0.1 as measured on the cameras of ELD and PMN;
 - black-level errors per colour channel of a fraction of the read noise, as in the tables of ELD;
@@ -250,7 +250,8 @@ def _true_nlf(tables: dict, name: str, iso: int, published: Nlf, kept: float) ->
         return Nlf(*tables["recalibrated"][name][str(iso)])
     known = tables["sigma_ratio"][name]
     at = np.log([float(i) for i in known])
-    ratio = float(np.interp(math.log(iso), at, list(known.values())))
+    # Two learned models were measured: their geometric mean, linear in log ISO in between.
+    ratio = float(np.exp(np.interp(math.log(iso), at, np.log(list(known.values())).mean(axis=1))))
     return Nlf(published.shot * ratio**2 / kept, published.read * ratio**2 / kept)
 
 

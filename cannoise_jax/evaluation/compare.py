@@ -1,0 +1,175 @@
+"""Noise models side by side on held-out patches: one row per camera, one column per model.
+
+A model gets, for every patch, the noisy reference of *another* patch of the same camera (the paper's image j,
+any setting), never the target itself. The column `model_wrong_reference` gets one of another camera instead,
+at the same noise level function: what it loses there is what the model knows about the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from cannoise_jax.evaluation.baselines import Sampler, gaussian, poisson_gaussian
+from cannoise_jax.evaluation.evaluators import EVALUATORS, Evaluator, Samples, evaluate
+from cannoise_jax.evaluation.kl import clipped_noise
+
+MODELS = (
+    "gaussian",
+    "poisson_gaussian",
+    "poisson_gaussian_recalibrated",
+    "model",
+    "model_wrong_reference",
+)
+Results = dict[str, Any]
+
+
+class Patches(Protocol):
+    """Recorded pairs, as `physics.virtual.VirtualPatches` holds them; packed `[n, h, w, 4]`."""
+
+    clean: Any
+    noisy: Any
+    shot: Any
+    read: Any
+    camera: Any
+    iso: Any
+    scene: Any
+
+
+class Column(NamedTuple):
+    """One noise model: its sampler, the patches that its references come from, its noise levels."""
+
+    sampler: Sampler
+    reference: Int[np.ndarray, "n"]
+    shot: Float[np.ndarray, "n 4"]
+    read: Float[np.ndarray, "n 4"]
+
+
+def evaluate_model(
+    sampler: Sampler | None,
+    patches: Patches,
+    camera_names: Sequence[str],
+    key: Key[Array, ""],
+    *,
+    recalibrated: Mapping[tuple[int, int], tuple[float, float]] | None = None,
+    batch: int = 64,
+    evaluators: tuple[Evaluator, ...] = EVALUATORS,
+    columns: Sequence[str] = MODELS,
+) -> Results:
+    """Every model of `columns` on every patch: `{"cameras": {name: {model: numbers}}, "pooled": {...}}`.
+
+    sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise`, called on batches of
+      `batch` patches (jit it); None leaves its two columns out.
+    camera_names: by camera index. recalibrated: from `baselines.calibrate_by_setting` on training recordings;
+      a setting that it lacks uses the published function; None leaves the column out.
+    Numbers per model are those of `evaluators`; see there. The same key gives the same result.
+    """
+    draw_key, pair_key = jax.random.split(key)
+    noise = {
+        name: draw_noise(column, patches, jax.random.fold_in(draw_key, MODELS.index(name)), batch)
+        for name, column in model_columns(sampler, patches, pair_key, recalibrated).items()
+        if name in columns
+    }
+    camera = np.asarray(patches.camera)
+    present = [c for c in range(len(camera_names)) if (camera == c).any()]
+    return {
+        "cameras": {
+            camera_names[c]: {
+                name: _numbers(patches, fake, camera == c, evaluators) for name, fake in noise.items()
+            }
+            for c in present
+        },
+        "pooled": {
+            name: _numbers(patches, fake, np.full(camera.shape, True), evaluators)
+            for name, fake in noise.items()
+        },
+    }
+
+
+def model_columns(
+    sampler: Sampler | None,
+    patches: Patches,
+    key: Key[Array, ""],
+    recalibrated: Mapping[tuple[int, int], tuple[float, float]] | None = None,
+) -> dict[str, Column]:
+    """The columns of the comparison by name, each with its references and noise levels."""
+    right, wrong = choose_references(patches.camera, patches.scene, key)
+    shot, read = np.asarray(patches.shot), np.asarray(patches.read)
+    made = {
+        "gaussian": Column(gaussian, right, shot, read),
+        "poisson_gaussian": Column(poisson_gaussian, right, shot, read),
+    }
+    if recalibrated is not None:
+        settings = zip(np.asarray(patches.camera), np.asarray(patches.iso), shot, read, strict=True)
+        levels = [recalibrated.get((int(c), int(i)), (s, r)) for c, i, s, r in settings]
+        fitted = [np.stack([np.broadcast_to(level[k], 4) for level in levels]) for k in (0, 1)]
+        made["poisson_gaussian_recalibrated"] = Column(poisson_gaussian, right, *fitted)
+    if sampler is not None:
+        made["model"] = Column(sampler, right, shot, read)
+        if (wrong >= 0).all():
+            made["model_wrong_reference"] = Column(sampler, wrong, shot, read)
+    return made
+
+
+def choose_references(
+    camera: Int[np.ndarray, "n"], scene: Int[np.ndarray, "n"], key: Key[Array, ""]
+) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """For every patch the index of a reference of the same camera and of one of another camera.
+
+    The first is from another scene where the camera has more than one, else another patch where there is
+    one; the second is -1 where there is no other camera.
+    """
+    camera, scene = np.asarray(camera), np.asarray(scene)
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).tolist())
+    right, wrong = np.arange(camera.size), np.full(camera.size, -1)
+    for i in range(camera.size):
+        same = camera == camera[i]
+        for allowed in (same & (scene != scene[i]), same & (np.arange(camera.size) != i)):
+            if allowed.any():
+                right[i] = rng.choice(np.flatnonzero(allowed))
+                break
+        if not same.all():
+            wrong[i] = rng.choice(np.flatnonzero(~same))
+    return right, wrong
+
+
+def draw_noise(
+    column: Column, patches: Patches, key: Key[Array, ""], batch: int = 64
+) -> Float[np.ndarray, "n h w 4"]:
+    """Noise of one model for every patch, clipped as a recording clips it; float32.
+
+    Patches go through in batches of one size (the last is filled up), so a jitted sampler compiles once.
+    """
+    clean, noisy = np.asarray(patches.clean), np.asarray(patches.noisy)
+    count = clean.shape[0]
+    made = []
+    for number, start in enumerate(range(0, count, batch)):
+        index = np.minimum(np.arange(start, start + batch), count - 1)
+        noise = column.sampler(
+            jax.random.fold_in(key, number),
+            clean[index],
+            noisy[column.reference[index]],
+            np.asarray(column.shot[index], np.float32),
+            np.asarray(column.read[index], np.float32),
+        )
+        made.append(clipped_noise(np.asarray(noise, np.float32), clean[index])[: count - start])
+    return np.concatenate(made)
+
+
+def _numbers(
+    patches: Patches, fake: np.ndarray, here: np.ndarray, evaluators: tuple[Evaluator, ...]
+) -> dict[str, float]:
+    clean = np.asarray(patches.clean)[here]
+    real = clipped_noise(np.asarray(patches.noisy)[here] - clean, clean)
+    shot, read = (np.asarray(v)[here][:, None, None, :] for v in (patches.shot, patches.read))
+    sigma = np.sqrt(shot * np.maximum(clean, 0) + read)
+    return evaluate(Samples(real, fake[here], clean, sigma), evaluators)
+
+
+def excess(numbers: Mapping[str, float]) -> float:
+    """KL above its finite-sample floor, nats."""
+    return numbers["kl"] - numbers["kl_floor"]

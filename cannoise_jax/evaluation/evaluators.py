@@ -1,0 +1,137 @@
+"""Evaluators: numbers that compare generated noise with real noise, all with one contract.
+
+An evaluator has a name and a pure function from `Samples` to named numbers. KL sees only the histogram, so
+others stand beside it: rows that share an offset, neighbours that are correlated, the scale at each
+intensity, and the tails. They see noise divided by the noise level function's sigma, z = n / sigma(clean),
+so that an image's light and dark parts weigh alike; each number comes for the real and the generated noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.evaluation import kl
+
+DARK, BRIGHT = 0.05, 0.2
+"""Clean intensities that part dark from middle from bright."""
+
+
+class Samples(NamedTuple):
+    """Real and generated noise on the same clean patches, packed `[n, h, w, 4]`, normalised units.
+
+    real, fake: noisy minus clean, both clipped as `kl.clipped_noise` does. sigma: of the noise level function
+    that the model was given, same shape.
+    """
+
+    real: Float[np.ndarray, "n h w 4"]
+    fake: Float[np.ndarray, "n h w 4"]
+    clean: Float[np.ndarray, "n h w 4"]
+    sigma: Float[np.ndarray, "n h w 4"]
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """`run(samples)` gives numbers by name, for one column of one row of the table."""
+
+    name: str
+    run: Callable[[Samples], dict[str, float]]
+
+
+def kl_by_patch(samples: Samples) -> dict[str, float]:
+    """The reference protocol: the KL of each patch, its floor and its smoothed version, mean over patches.
+
+    `kl_se` is the standard error of `kl` over the patches.
+    """
+    real = [kl.histogram(patch) for patch in samples.real]
+    fake = [kl.histogram(patch) for patch in samples.fake]
+    values = [kl.kl_of_counts(a, b) for a, b in zip(real, fake, strict=True)]
+    smoothed = [kl.kl_smoothed_of_counts(a, b) for a, b in zip(real, fake, strict=True)]
+    floors = [kl.kl_floor_of_counts(a, int(b.sum()), trials=8) for a, b in zip(real, fake, strict=True)]
+    return {
+        "kl": float(np.mean(values)),
+        "kl_floor": float(np.mean(floors)),
+        "kl_smoothed": float(np.mean(smoothed)),
+        "kl_se": float(np.std(values) / np.sqrt(len(values))),
+        "patches": len(values),
+    }
+
+
+def kl_of_pool(samples: Samples) -> dict[str, float]:
+    """The KL of one histogram over all patches together; a far lower floor, so far finer."""
+    real, fake = kl.histogram(samples.real), kl.histogram(samples.fake)
+    return {
+        "kl_pool": kl.kl_of_counts(real, fake),
+        "kl_pool_floor": kl.kl_floor_of_counts(real, int(fake.sum())),
+    }
+
+
+def row_spectrum(noise: Float[np.ndarray, "n h w 4"]) -> float:
+    """Power of the row means at low frequencies, divided by what white noise would leave there: 1 if white.
+
+    Rows are mosaic rows (R with Gr, Gb with B), their means taken after each channel's own; low means the
+    lowest quarter of the frequencies, the constant excluded.
+    """
+    centred = noise - noise.mean(axis=(1, 2), keepdims=True)
+    count, height, width, _ = centred.shape
+    rows = centred.reshape(count, height, width, 2, 2).mean(axis=(2, 4)).reshape(count, 2 * height)
+    power = np.abs(np.fft.rfft(rows, axis=1)[:, 1 : height // 2 + 1]) ** 2 / rows.shape[1]
+    return float(power.mean() * 2 * width / np.square(centred).mean())
+
+
+def lag_correlation(noise: Float[np.ndarray, "n h w 4"], axis: int) -> float:
+    """Correlation of neighbours of one packed channel, along the rows (axis 2) or across them (axis 1)."""
+    centred = noise - noise.mean(axis=(1, 2), keepdims=True)
+    size = centred.shape[axis]
+    first, second = (np.take(centred, range(i, size - 1 + i), axis=axis) for i in (0, 1))
+    return float((first * second).mean() / np.square(centred).mean())
+
+
+def excess_kurtosis(noise: Float[np.ndarray, "..."]) -> float:
+    """Fourth standardised moment minus three."""
+    square = np.square(noise - noise.mean())
+    return float(np.square(square).mean() / square.mean() ** 2 - 3)
+
+
+def structure(samples: Samples) -> dict[str, float]:
+    """Row spectrum, lag-1 correlations and excess kurtosis of the standardised noise, generated and real."""
+    numbers = {}
+    for suffix, noise in (("", samples.fake), ("_real", samples.real)):
+        z = noise / np.maximum(samples.sigma, 1e-6)
+        numbers["row_spectrum" + suffix] = row_spectrum(z)
+        numbers["lag1_horizontal" + suffix] = lag_correlation(z, 2)
+        numbers["lag1_vertical" + suffix] = lag_correlation(z, 1)
+        numbers["excess_kurtosis" + suffix] = excess_kurtosis(z)
+    return numbers
+
+
+def scale(samples: Samples) -> dict[str, float]:
+    """Generated over real standard deviation: everywhere, and in the dark, middle and bright parts."""
+    parts = {
+        "": np.isfinite(samples.clean),
+        "_dark": samples.clean < DARK,
+        "_middle": (samples.clean >= DARK) & (samples.clean < BRIGHT),
+        "_bright": samples.clean >= BRIGHT,
+    }
+    return {
+        "std_ratio" + suffix: float(samples.fake[part].std() / samples.real[part].std())
+        for suffix, part in parts.items()
+        if part.sum() > 1000 and samples.real[part].std() > 0
+    }
+
+
+EVALUATORS: tuple[Evaluator, ...] = (
+    Evaluator("kl by patch", kl_by_patch),
+    Evaluator("kl of pool", kl_of_pool),
+    Evaluator("structure", structure),
+    Evaluator("scale", scale),
+)
+
+
+def evaluate(samples: Samples, evaluators: tuple[Evaluator, ...] = EVALUATORS) -> dict[str, float]:
+    """The numbers of all evaluators on one set of samples, in one dictionary."""
+    return {name: value for e in evaluators for name, value in e.run(samples).items()}
