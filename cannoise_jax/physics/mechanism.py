@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -50,7 +49,7 @@ class Parameter(NamedTuple):
     definition: str = ""
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=[])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Scaling:
     """How an amplitude moves with the settings: times (K/K0)^gain (t/t0)^exposure 2^((T - T0) / doubling_c).
@@ -69,7 +68,7 @@ class Scaling:
     reference_temperature_c: float | None = None
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["cfa", "size"])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Context:
     """Where and how a frame was taken, as a mechanism sees it. Fields broadcast against `x[T, H, W]`.
@@ -88,8 +87,8 @@ class Context:
     iso: Array
     exposure_s: Array
     temperature_c: Array | None
-    cfa: str
-    size: tuple[int, int]
+    cfa: str = field(metadata={"static": True})
+    size: tuple[int, int] = field(metadata={"static": True})
 
     @property
     def span_dn(self) -> Array:

@@ -1,0 +1,105 @@
+"""The signal chain: from expected charge through the noise steps to stored codes. See `mechanism` for its
+stages."""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.physics import tukey_lambda
+from cannoise_jax.physics.mechanism import Context, Noise
+from cannoise_jax.physics.poisson_gaussian import centred_uniform, sample_normal, sample_poisson
+from cannoise_jax.recordings.recording import BadInput
+
+_SHOT, _READ = 1, 2
+"""Streams of the two noise steps; those of the mechanisms are named by their ids."""
+
+
+def mechanism_key(key: Key[Array, ""], model: SensorModel, index: int) -> Key[Array, ""]:
+    """A key of its own for one mechanism, the same whatever other mechanisms the model has."""
+    id = model.mechanisms[index].mechanism
+    occurrence = sum(f.mechanism == id for f in model.mechanisms[:index])
+    return jax.random.fold_in(key, (zlib.crc32(id.encode()) + occurrence) % 2**31)
+
+
+def maps_of(model: SensorModel, index: int, values, context: Context) -> dict[str, Array]:
+    """The frozen maps of one mechanism: measured, or drawn from the unit's key. Raises BadInput where a
+    measured map has another size than the frame."""
+    fitted = model.mechanisms[index]
+    if fitted.maps:
+        for name, values_map in fitted.maps.items():
+            for have, want in zip(values_map.shape[-2:], context.size, strict=True):
+                if have not in (1, want):
+                    raise BadInput(
+                        f"{model.camera}: map {name} of {fitted.mechanism} is {values_map.shape[-2:]}, the "
+                        f"frame "
+                        f"{context.size}: use frames of the calibrated size, or drop the maps with with_unit"
+                    )
+        return {
+            name: jnp.asarray(m).reshape((1,) * (3 - m.ndim) + m.shape) for name, m in fitted.maps.items()
+        }
+    draw = fitted.record.draw_maps
+    return draw(mechanism_key(model.unit_key, model, index), values, context) if draw else {}
+
+
+def altered_noise(model, context: Context, values) -> Noise:
+    """The noise steps and the rounding as the mechanisms leave them."""
+    noise = Noise(context.gain_dn_per_e, context.read_noise_e, context.code_step)
+    for i, fitted in enumerate(model.mechanisms):
+        if fitted.record.baseline is not None:
+            noise = fitted.record.baseline(noise, values[i], maps_of(model, i, values[i], context), context)
+    return noise
+
+
+def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:
+    for i, fitted in enumerate(model.mechanisms):
+        record = fitted.record
+        if record.acts_on == acts_on and record.sample is not None:
+            maps = maps_of(model, i, values[i], context)
+            x = record.sample(mechanism_key(key, model, i), x, values[i], maps, context)
+    return x
+
+
+def shot_noise(key: Key[Array, ""], mean: Float[Array, "t h w"], share) -> Float[Array, "t h w"]:
+    """Charge of a given mean, e-: Poisson (share None), Gaussian (0), or a sum of both with variance
+    `mean`."""
+    mean = jnp.maximum(mean, 0.0)
+    if share is None:
+        return sample_poisson(key, mean)
+    poisson, gaussian = jax.random.split(key)
+    counts = sample_poisson(poisson, mean) - mean
+    return mean + share * counts + jnp.sqrt((1 - share**2) * mean) * sample_normal(gaussian, mean.shape)
+
+
+def run_chain(
+    model, key: Key[Array, ""], context: Context, values, frames: int
+) -> tuple[Float[Array, "t h w"], Array]:
+    """Analogue values in DN just before rounding, and the code step: [T, H, W]."""
+    noise = altered_noise(model, context, values)
+    gain = noise.gain_dn_per_e
+    shape = (frames, *context.size)
+    mean = jnp.broadcast_to(context.mean_dn / gain, shape)
+    mean = _stage(model, key, mean, "mean", context, values)
+    charge = shot_noise(jax.random.fold_in(key, _SHOT), mean, noise.poisson_share)
+    charge = _stage(model, key, charge, "charge", context, values)
+    read_key = jax.random.fold_in(key, _READ)
+    if noise.tukey_lambda is None:
+        read = sample_normal(read_key, shape)
+    else:
+        read = tukey_lambda.standard_quantile(centred_uniform(read_key, shape), noise.tukey_lambda)
+    y = context.black_level + gain * (charge + noise.read_noise_e * read)
+    return _stage(model, key, y, "signal", context, values), noise.code_step
+
+
+def to_codes(model, key: Key[Array, ""], y: Float[Array, "t h w"], step, context: Context, values):
+    """Stored codes in DN as float32: rounded to the step, clipped at 0 and the white level, then the digital
+    mechanisms, rounded and clipped again."""
+    step = jnp.where(step > 0, step, 1.0)
+    highest = jnp.floor(context.white_level / step) * step
+    codes = jnp.clip(jnp.round(y / step) * step, 0.0, highest)
+    codes = _stage(model, key, codes, "code", dataclasses.replace(context, code_step=step), values)
+    return jnp.clip(jnp.round(codes / step) * step, 0.0, highest)

@@ -1,0 +1,54 @@
+"""All mechanisms by id, in the order of the signal chain."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from cannoise_jax.physics import capture, converter, digital, noise_steps, photons, pixel, readout
+from cannoise_jax.physics.mechanism import Mechanism
+from cannoise_jax.vocabulary import VOCABULARY
+
+_CHAIN: tuple[Mechanism, ...] = (
+    *capture.MECHANISMS,
+    *photons.MECHANISMS,
+    *noise_steps.MECHANISMS,
+    *pixel.MECHANISMS,
+    *readout.MECHANISMS,
+    *converter.MECHANISMS,
+    *digital.MECHANISMS,
+)
+
+MECHANISMS: dict[str, Mechanism] = {m.id: m for m in _CHAIN}
+
+_ACTS_ON = ("mean", "charge", "signal", "code")
+
+
+def mechanism(id: str) -> Mechanism:
+    """The functions of a mechanism. Raises ValueError for an id that has none."""
+    found = MECHANISMS.get(id)
+    if found is None:
+        near = "the vocabulary lists it, but it has no sampler" if id in VOCABULARY else "it is no mechanism"
+        raise ValueError(f"{id}: {near}; known: {', '.join(MECHANISMS)}")
+    return found
+
+
+def chain_position(id: str, record: Mechanism) -> tuple[int, int]:
+    """Sort key along the chain: what it acts on, then the order above; mechanisms without a name come
+    last."""
+    ids = list(MECHANISMS)
+    return _ACTS_ON.index(record.acts_on), ids.index(id) if id in MECHANISMS else len(ids)
+
+
+@functools.cache
+def _estimators() -> dict[str, Callable[..., Any]]:
+    from cannoise_jax.physics import estimators
+
+    return dict(estimators.ESTIMATORS)
+
+
+def estimator(id: str) -> Callable[..., Any] | None:
+    """The function that estimates a mechanism's parameters from suitable recordings, with standard errors, as
+    `estimators.ESTIMATORS` lists it; None where it has none of its own."""
+    return _estimators().get(id)
