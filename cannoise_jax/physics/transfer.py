@@ -1,0 +1,191 @@
+"""Photon transfer: the Poisson-Gaussian baseline of a camera, from its recordings alone.
+
+Quantities and symbols follow EMVA 1288 release 4.0 (linear camera model): system gain K, temporal dark noise
+sigma_d, DSNU1288, PRNU1288, dark current mu_I, saturation; in DN as stored and in electrons. Temporal noise
+comes from changes between frames (see `transfer_frames`), the slope from `transfer_fit` with its rule for
+outliers, fixed patterns from `transfer_spatial`. What the recordings cannot give is `NotMeasurable` and says
+what to record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.transfer_fit import Level, Line, fit_line
+from cannoise_jax.physics.transfer_frames import FrameStatistics, frame_statistics, pixel_variance, site
+from cannoise_jax.physics.transfer_quantities import (
+    DARK_KINDS,
+    RECORD_DARKS,
+    RECORD_FLATS,
+    Quantity,
+    dark_current_quantities,
+    line_noise_quantity,
+    noise_quantities,
+    pattern_quantities,
+    saturation_quantities,
+)
+from cannoise_jax.recordings.packing import PACKED_CHANNELS, to_mosaic_order
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording, per_channel
+
+_LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Poisson-Gaussian noise per channel, mosaic order: var = K (signal above black) + (read noise)^2, DN.
+
+    gain: DN/e-. read_noise: DN, rows not included. black_level: DN.
+    """
+
+    gain: PerChannel
+    read_noise: PerChannel
+    black_level: PerChannel
+    white_level: float
+    code_step: float
+
+    @property
+    def read_noise_e(self) -> PerChannel:
+        """Read noise in electrons."""
+        return per_channel(np.array(self.read_noise) / np.array(self.gain))
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """All that photon transfer finds at one ISO setting."""
+
+    camera: str
+    iso: float | None
+    cfa: str
+    baseline: Baseline | NotMeasurable
+    quantities: tuple[Quantity, ...]
+    statistics: tuple[FrameStatistics, ...]
+
+    def outcomes(self, name: str, unit: str | None = None) -> list[Outcome]:
+        """The outcomes of a quantity (in one of its units), in the order of the channels."""
+        return [q.outcome for q in self.quantities if q.name == name and unit in (None, q.unit)]
+
+
+def photon_transfer(captures: CaptureSet) -> tuple[PhotonTransfer, ...]:
+    """Photon transfer of a capture set, one result per ISO setting (recordings without ISO are one setting).
+
+    Raises BadInput when recordings of one setting differ in size, colour order or white level.
+    """
+    settings = sorted({r.iso for r in captures.recordings}, key=lambda iso: (iso is not None, iso))
+    return tuple(
+        transfer_at([frame_statistics(r) for r in captures.recordings if r.iso == iso]) for iso in settings
+    )
+
+
+def channel_names(cfa: str) -> tuple[str, str, str, str]:
+    """Names of the mosaic sites in mosaic order: R, Gr, Gb, B; positions for a monochrome sensor."""
+    if cfa == "MONO":
+        return "00", "01", "10", "11"
+    a, b, c, d = to_mosaic_order(np.array(PACKED_CHANNELS), cfa)
+    return str(a), str(b), str(c), str(d)
+
+
+def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
+    """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
+    first = statistics[0].recording
+    _check_alike([s.recording for s in statistics])
+    steps = [s.code_step for s in statistics if s.code_step > 0]
+    step = min(steps, default=0.0)
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    dark = _reference_dark([s for s in statistics if s.recording.kind in DARK_KINDS], flats)
+    lit = flats or [s for s in statistics if s.recording.kind == "scene"]
+    names = channel_names(first.cfa)
+    black = per_channel(dark.frame_means.mean(0)) if dark is not None else first.black_level
+    lines = [_line(lit, dark, black, step, c) for c in range(4)]
+    quantities: list[Quantity] = []
+    for c, name in enumerate(names):
+        quantities += noise_quantities(name, c, lines[c], lit, dark, step)
+        quantities += pattern_quantities(name, c, lines[c], flats, dark, black)
+        quantities += dark_current_quantities(name, c, lines[c], statistics)
+        quantities += saturation_quantities(name, c, lines[c], statistics, black)
+    quantities.append(line_noise_quantity("row noise", dark, 0))
+    quantities.append(line_noise_quantity("column noise", dark, 1))
+    unknown = "needs a known photon flux: record flats under a calibrated light"
+    quantities.append(Quantity("quantum efficiency", "e-/photon", "all", NotMeasurable(unknown)))
+    return PhotonTransfer(
+        first.camera, first.iso, first.cfa, _baseline(lines, dark, black, first, step, quantities),
+        tuple(sorted(quantities, key=_table_order(quantities))), tuple(statistics),
+    )  # fmt: skip
+
+
+def _check_alike(recordings: Sequence[Recording]) -> None:
+    first = recordings[0]
+    for other in recordings[1:]:
+        for field, what in (("size", "size"), ("cfa", "colour order"), ("white_level", "white level")):
+            if getattr(other, field) != getattr(first, field):
+                raise BadInput(
+                    f"{other.path}: {what} {getattr(other, field)} differs from {getattr(first, field)} of "
+                    f"{first.path}: calibrate recordings of one sensor mode together"
+                )
+
+
+def _table_order(quantities: list[Quantity]):
+    order = {(q.name, q.unit): at for at, q in reversed(list(enumerate(quantities)))}
+    return lambda q: order[q.name, q.unit]
+
+
+def _reference_dark(darks: list[FrameStatistics], flats: list[FrameStatistics]) -> FrameStatistics | None:
+    """The dark that goes with the flats: nearest exposure, then most frames; without flats the shortest."""
+    repeated = [s for s in darks if s.recording.count > 1]
+    aim = next((s.recording.exposure_s for s in flats if s.recording.exposure_s), None)
+
+    def distance(s: FrameStatistics) -> tuple[float, int]:
+        exposure = s.recording.exposure_s
+        if exposure is None or exposure <= 0:
+            return 0.0 if s.recording.kind == "bias" else 1.0, -s.recording.count
+        # Below a tenth of a second dark charge hardly matters, and the number of frames counts more.
+        away = np.log10(max(exposure, 0.1)) - np.log10(max(aim or 0.1, 0.1))
+        return abs(float(away)), -s.recording.count
+
+    return min(repeated, key=distance, default=None)
+
+
+def _levels(
+    lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, c: int
+) -> list[Level]:
+    levels = []
+    within = [
+        s for s in lit
+        if s.variance is not None and s.level[c] < _LINEAR * (s.recording.white_level - black[c])
+    ]  # fmt: skip
+    for s in within or [s for s in lit if s.variance is not None]:
+        signal, variance = site(s.mean, c) - black[c], pixel_variance(s, c)
+        levels.append(Level(signal, variance, ~site(s.clipped, c), s.recording.count, s.dof, False))
+    if dark is not None and dark.variance is not None:
+        zero = np.zeros(site(dark.mean, c).shape)
+        usable = ~site(dark.clipped, c)
+        levels.append(Level(zero, pixel_variance(dark, c), usable, dark.recording.count, dark.dof, True))
+    return levels
+
+
+def _line(
+    lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, step: float, c: int
+) -> Line | NotMeasurable:
+    if not any(s.variance is not None for s in lit):
+        return NotMeasurable(RECORD_FLATS)
+    line = fit_line(_levels(lit, dark, black, c), step**2 / 12)
+    if line is None or line.slope.stderr > 0.3 * abs(line.slope.value):
+        reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}; {RECORD_FLATS}"
+        return NotMeasurable(reason)
+    return line
+
+
+def _baseline(
+    lines: list[Line | NotMeasurable], dark: FrameStatistics | None, black: PerChannel, first: Recording,
+    step: float, quantities: list[Quantity],
+) -> Baseline | NotMeasurable:  # fmt: skip
+    reads = [q.outcome for q in quantities if q.name == "temporal dark noise" and q.unit == "DN"]
+    for outcome in (*lines, *reads):
+        if isinstance(outcome, NotMeasurable):
+            return outcome
+    gain = per_channel(np.array([line.slope.value for line in lines if isinstance(line, Line)]))
+    read = per_channel(np.array([r.value for r in reads if isinstance(r, Estimate)]))
+    return Baseline(gain, read, black, first.white_level, step)

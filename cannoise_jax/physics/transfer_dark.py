@@ -1,0 +1,77 @@
+"""Dark current of one channel, from the mean and from the variance of darks of several exposures.
+
+The mean is what EMVA 1288 asks for, but many cameras subtract the dark signal of shielded pixels on the chip,
+which leaves the mean flat or falling. The shot noise of the charge cannot be subtracted, so the growth of the
+temporal variance gives the dark current all the same: slope / K^2. Where the two disagree the mean is not to
+be used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
+from cannoise_jax.physics.transfer_fit import robust_mean_square
+from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
+
+RECORD = (
+    "record darks at three or more exposure times, the longest some tens of seconds, 2 frames each or more"
+)
+_HOT = 6.0  # robust standard deviations above the median of the longest dark
+_NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
+
+
+def dark_currents(
+    darks: Sequence[FrameStatistics], channel: int, gain: Outcome
+) -> tuple[Outcome, Outcome, str]:
+    """Dark current by mean and by variance, e-/s per pixel, and a note on whether they agree.
+
+    Pixels that clip, or that are hot in the longest dark, are left out of both (the rule: above the median by
+    six robust standard deviations).
+    """
+    series = sorted(
+        (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
+        key=lambda s: s.recording.exposure_s or 0.0,
+    )
+    if len({s.recording.exposure_s for s in series}) < 3:
+        return NotMeasurable(RECORD), NotMeasurable(RECORD), ""
+    if isinstance(gain, NotMeasurable):
+        return gain, gain, ""
+    longest = site(series[-1].mean, channel)
+    middle = np.median(longest)
+    keep = longest < middle + _HOT * 1.4826 * np.median(np.abs(longest - middle))
+    for s in series:
+        keep &= ~site(s.clipped, channel)
+    exposure, mean, square, error = [], [], [], []
+    for s in series:
+        exposure.append(s.recording.exposure_s)
+        mean.append(float(site(s.mean, channel)[keep].mean()))
+        value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)
+        square.append(value)
+        error.append(value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR))
+    times = np.array(exposure, np.float64)
+    by_mean = _slope(times, np.array(mean), np.ones(len(times))).scaled(1 / gain.value)
+    by_variance = _slope(times, np.array(square), 1 / np.array(error)).scaled(1 / gain.value**2)
+    apart = by_mean.value - by_variance.value
+    agree = abs(apart) < max(3 * np.hypot(by_mean.stderr, by_variance.stderr), 0.25 * abs(by_variance.value))
+    if agree:
+        return by_mean, by_variance, "agrees with the variance"
+    note = "disagrees with the variance: black is clamped on the chip, so the mean cannot be used"
+    if apart > 0:
+        note = "exceeds what the variance allows: light leak, or black level rising with exposure"
+    return by_mean, by_variance, note
+
+
+def _slope(times: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Estimate:
+    """Weighted straight line; the error of its slope comes from the scatter about the line."""
+    design = np.stack([np.ones_like(times), times], -1) * weight[:, None]
+    solution, *_ = np.linalg.lstsq(design, values * weight, rcond=None)
+    rest = values * weight - design @ solution
+    dof = len(times) - 2
+    covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
+    return normal_estimate(
+        float(solution[1]), float(np.sqrt(covariance[1, 1])), min(dof, stats.t.ppf(0.9999, 1))
+    )

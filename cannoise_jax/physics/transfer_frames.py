@@ -1,0 +1,195 @@
+"""What photon transfer needs to know of one recording, gathered in two passes over its frames.
+
+Temporal noise is taken from how each pixel changes between frames, so that fixed patterns cancel. What a
+whole row does together is taken out first, per frame, row and colour, and kept beside it as row means:
+- in flats (and wherever the light dominates) by scaling every row of every frame to the same mean above
+  black: lamp drift and mains flicker under a rolling shutter cancel, and shading stays out of the variance.
+  The common mean is the harmonic mean over the frames, for which the shot noise of scaled rows keeps the
+  slope K exactly;
+- otherwise by an offset: row noise and black-clamp drift cancel.
+Scenes may move, so their variance is taken from successive frames only (von Neumann's mean square successive
+difference); all others use the sample variance over frames. Memory does not grow with the number of frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.recordings.codes import code_histograms, code_lattice
+from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
+
+_CHUNK_BYTES = 1 << 23
+_LIT = 10.0  # a row counts as lit when its mean above black exceeds this many times the noise of that mean
+
+
+@dataclass(frozen=True, eq=False)
+class FrameStatistics:
+    """Statistics of one recording, all in DN. Channels are mosaic sites in mosaic order (see `PerChannel`);
+    `[..., H, 2]` and `[..., 2, W]` hold row and column means for even and odd columns, even and odd rows.
+
+    mean: average frame. level: its mean per channel above the recording's black level.
+    variance: temporal variance of each pixel without what rows do together; None for a single frame.
+    total: temporal variance of each pixel, rows included, only frame means taken out; None likewise.
+    dof: degrees of freedom of `variance` at one pixel. relative: rows were scaled, not shifted.
+    low, high: code at which each channel piles up at the bottom and top; nan where it does not.
+    clipped: pixels that touched such a code, or the white level, in any frame.
+    """
+
+    recording: Recording
+    mean: Float[np.ndarray, "H W"]
+    variance: Float[np.ndarray, "H W"] | None
+    total: Float[np.ndarray, "H W"] | None
+    dof: float
+    relative: bool
+    frame_means: Float[np.ndarray, "T 4"]
+    row_means: Float[np.ndarray, "T H 2"]
+    column_means: Float[np.ndarray, "T 2 W"]
+    level: PerChannel
+    code_step: float
+    low: PerChannel
+    high: PerChannel
+    clipped: Bool[np.ndarray, "H W"]
+
+
+def site(values: np.ndarray, channel: int) -> np.ndarray:
+    """One mosaic site of a mosaic `[..., H, W]`: a view `[..., H/2, W/2]`."""
+    return values[..., channel // 2 :: 2, channel % 2 :: 2]
+
+
+def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
+    """Temporal variance of the pixels of one channel. Raises ValueError for a single frame."""
+    if s.variance is None:
+        raise ValueError("one frame has no temporal variance: at least two are needed")
+    return site(s.variance, channel)
+
+
+def frame_statistics(recording: Recording) -> FrameStatistics:
+    """All statistics of one recording. Reads its frames twice, a few at a time.
+
+    Raises ValueError for mosaics smaller than 4 x 4.
+    """
+    if min(recording.size) < 4:
+        raise ValueError(f"frames of {recording.size} pixels are too small for statistics")
+    rows, columns, histograms = _first_pass(recording)
+    step = recording.code_step
+    if step is None:
+        step = code_lattice(histograms.sum(0)).step
+    low, high = zip(*(rails(h, max(step, 1.0), recording.white_level) for h in histograms), strict=True)
+    black = np.asarray(recording.black_level).reshape(2, 2)
+    signal = rows - np.stack([black[np.arange(rows.shape[1]) % 2, p] for p in (0, 1)], -1)
+    relative = _is_lit(recording, signal)
+    mean, variance, total, clipped = _second_pass(recording, rows, signal, relative, low, high)
+    frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
+    count, half = recording.count, recording.size[1] // 2
+    dof = 2 * (count - 1) ** 2 / (3 * count - 4) if recording.kind == "scene" and count > 1 else count - 1.0
+    level = per_channel(frame_means.mean(0) - np.asarray(recording.black_level))
+    return FrameStatistics(
+        recording, mean, variance, total, dof * (1 - 1 / half), relative, frame_means, rows, columns,
+        level, float(step), per_channel(np.array(low)), per_channel(np.array(high)), clipped,
+    )  # fmt: skip
+
+
+def rails(histogram: np.ndarray, step: float, white_level: float) -> tuple[float, float]:
+    """Codes at which values pile up at the bottom and top of one channel's histogram, nan where none do.
+
+    A pile-up: the end code holds at least 20 values and four times as many as any of the three codes next to
+    it on the lattice of `step`. The white level counts as the top whenever a value reaches it.
+    """
+    codes = np.flatnonzero(histogram)
+    if not len(codes):
+        return np.nan, np.nan
+
+    def piled(end: int, direction: int) -> bool:
+        near = end + direction * step * np.arange(1, 4)
+        near = near[(near >= 0) & (near < len(histogram))].astype(int)
+        return histogram[end] >= 20 and histogram[end] > 4 * histogram[near].max(initial=0)
+
+    low = float(codes[0]) if piled(codes[0], 1) else np.nan
+    high = float(codes[-1]) if piled(codes[-1], -1) else np.nan
+    if codes[-1] >= white_level:
+        high = min(float(white_level), high) if np.isfinite(high) else float(white_level)
+    return low, high
+
+
+def _first_pass(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rows, columns, histograms = [], [], np.zeros((4, 1 << 16), np.int64)
+    for part in chunks(recording.frames, _CHUNK_BYTES):
+        histograms += code_histograms(part)
+        values = part.astype(np.float64)
+        rows.append(np.stack([values[..., p::2].mean(-1) for p in (0, 1)], -1))
+        columns.append(np.stack([values[:, p::2].mean(1) for p in (0, 1)], 1))
+    return np.concatenate(rows), np.concatenate(columns), histograms
+
+
+def _is_lit(recording: Recording, signal: Float[np.ndarray, "T H 2"]) -> bool:
+    """Whether rows may be scaled to a common mean: a flat whose every row is well above black."""
+    if recording.kind != "flat" or recording.count < 2:
+        return False
+    first, second = (np.asarray(recording.frames[t], np.float64) for t in (0, 1))
+    noise = 1.4826 * np.median(np.abs(first - second - np.median(first - second))) / np.sqrt(2)
+    return bool(signal.min() > _LIT * max(noise, 1e-6) / np.sqrt(recording.size[1] / 2))
+
+
+def _second_pass(
+    recording: Recording, rows: np.ndarray, signal: np.ndarray, relative: bool, low: Any, high: Any
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray]:
+    height, width = recording.size
+    black = recording.black_map().astype(np.float64)
+    low_map, high_map = (np.zeros((height, width)) for _ in range(2))
+    for channel in range(4):
+        site(low_map, channel)[...] = low[channel] if np.isfinite(low[channel]) else -1.0
+        site(high_map, channel)[...] = high[channel] if np.isfinite(high[channel]) else np.inf
+    parity = np.arange(width) % 2
+    harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if relative else None
+    middle = rows.mean(0)
+    frames_signal = np.stack([signal[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)  # [T, 4]
+    middle_frame = 1 / np.mean(1 / frames_signal, axis=0) if relative else frames_signal.mean(0)
+
+    shape = (height, width)
+    first: np.ndarray | None = None
+    previous: np.ndarray | None = None
+    plain, total, total_square, kept, kept_square, steps = (np.zeros(shape) for _ in range(6))
+    clipped = np.zeros(shape, bool)
+    whole_first: np.ndarray | None = None
+    at = 0
+    for part in chunks(recording.frames, _CHUNK_BYTES):
+        for frame in part:
+            values = frame.astype(np.float64)
+            clipped |= (values <= low_map) | (values >= high_map)
+            plain += values
+            if relative:
+                assert harmonic is not None
+                pixel = (values - black) * (harmonic / signal[at])[:, parity]
+                whole = values - black
+                for c in range(4):
+                    site(whole, c)[...] *= middle_frame[c] / frames_signal[at, c]
+            else:
+                pixel = values - (rows[at] - middle)[:, parity]
+                whole = values.copy()
+                for c in range(4):
+                    site(whole, c)[...] -= frames_signal[at, c] - middle_frame[c]
+            # Shifted by the first frame, so that sums of squares do not cancel.
+            first = pixel if first is None else first
+            whole_first = whole if whole_first is None else whole_first
+            kept += pixel - first
+            kept_square += (pixel - first) ** 2
+            total += whole - whole_first
+            total_square += (whole - whole_first) ** 2
+            if previous is not None:
+                steps += (pixel - previous) ** 2
+            previous = pixel
+            at += 1
+    mean = plain / at
+    if at < 2:
+        return mean, None, None, clipped
+    loss = 1 - 1 / (width // 2)  # a row mean is fitted to every row of half the width
+    if recording.kind == "scene":
+        variance = steps / (2 * (at - 1)) / loss
+    else:
+        variance = (kept_square - kept**2 / at) / (at - 1) / loss
+    return mean, variance, (total_square - total**2 / at) / (at - 1), clipped

@@ -1,0 +1,266 @@
+"""Photon transfer against known truth, against real recordings and against the EMVA 1288 reference code."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, variance_difference
+from cannoise_jax.physics.transfer import photon_transfer
+from cannoise_jax.physics.transfer_frames import frame_statistics, rails, site
+from cannoise_jax.physics.transfer_spatial import correlation_loss, shading
+from cannoise_jax.physics.transfer_table import format_transfer
+from cannoise_jax.recordings import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.load import load_capture_set
+
+BLACK, WHITE, GAIN, READ = 200.0, 16383.0, 2.5, 3.0
+
+
+def recording(rng, electrons, frames=8, size=(96, 128), kind="dark", **more):
+    """Frames of a camera with gain 2.5 DN/e- and read noise 3 e-; `electrons`: a number or [T, H, W]."""
+    extra = more.pop("add", 0.0)
+    white = more.pop("white_level", WHITE)
+    mean = np.broadcast_to(electrons, (frames, *size))
+    charge = rng.poisson(np.maximum(mean, 0)) + rng.normal(0, READ, (frames, *size))
+    values = np.clip(np.rint(BLACK + GAIN * charge + extra), 0, white)
+    black = (BLACK,) * 4
+    return Recording(values.astype(np.uint16), "RGGB", black, white, camera="made", kind=kind, **more)
+
+
+def transfer(*recordings):
+    (result,) = photon_transfer(CaptureSet("made", recordings))
+    return result
+
+
+def holds(outcome, truth, slack=2.0):
+    """Whether the truth lies within `slack` half-widths of a 90 % interval (2: missed once in 1000)."""
+    assert isinstance(outcome, Estimate), outcome
+    low, high = outcome.ci90
+    return (
+        outcome.value - slack * (outcome.value - low)
+        <= truth
+        <= outcome.value + slack * (high - outcome.value)
+    )
+
+
+def test_recovers_gain_and_read_noise_of_every_channel():
+    rng = np.random.default_rng(1)
+    levels = [recording(rng, mu, kind="flat", exposure_s=0.01) for mu in (200.0, 1000.0, 4000.0)]
+    result = transfer(recording(rng, 0.0, 16, exposure_s=0.01), *levels)
+    for gain in result.outcomes("system gain"):
+        assert holds(gain, GAIN) and gain.stderr < 0.03
+    for o in result.outcomes("temporal dark noise", "DN"):
+        assert holds(o, READ * GAIN)
+    assert all(holds(o, READ) for o in result.outcomes("temporal dark noise", "e-"))
+    assert not isinstance(result.baseline, NotMeasurable)
+    assert np.allclose(result.baseline.read_noise_e, READ, rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    "trouble", ["lamp drift", "mains flicker", "fixed patterns", "hot pixels", "saturation"]
+)
+def test_gain_is_not_biased_by(trouble):
+    rng = np.random.default_rng(2)
+    shape, size = (12, 96, 128), (96, 128)
+    mean, add = np.full(shape, 2000.0), np.zeros(size)
+    bias = recording(rng, 0.0, 16, exposure_s=0.01)
+    if trouble == "lamp drift":
+        mean *= 1 - 0.03 * np.exp(-np.arange(12))[:, None, None]
+    elif trouble == "mains flicker":
+        phase = rng.uniform(0, 6.28, (12, 1, 1))
+        mean *= 1 + 0.15 * np.cos(np.arange(96)[None, :, None] / 9.0 + phase)
+    elif trouble == "fixed patterns":
+        mean *= (1 + 0.02 * rng.normal(size=size)) * np.linspace(0.8, 1.2, 128)
+        add = 40.0 * rng.normal(size=size)
+    elif trouble == "hot pixels":
+        mean *= np.where(rng.random(size) < 0.003, 6.0, 1.0)
+        add = np.where(rng.random(shape) < 0.5, 800.0, 0.0) * (rng.random(size) < 0.002)  # telegraph pixels
+    else:
+        mean = mean * np.where(np.arange(128) < 16, 10.0, 1.0)
+    result = transfer(bias, recording(rng, mean, 12, kind="flat", add=add, exposure_s=0.01))
+    for gain in result.outcomes("system gain"):
+        assert abs(gain.value / GAIN - 1) < 0.02
+
+
+def test_coarse_codes_are_taken_out_of_the_noise():
+    rng = np.random.default_rng(3)
+
+    def shifted(r):
+        return replace(r, frames=np.clip(np.rint(r.frames / 8.0) * 8, 0, WHITE).astype(np.uint16))
+
+    result = transfer(shifted(recording(rng, 0.0, 16)), shifted(recording(rng, 3000.0, kind="flat")))
+    assert result.baseline.code_step == 8
+    assert all(abs(o.value / (READ * GAIN) - 1) < 0.03 for o in result.outcomes("temporal dark noise", "DN"))
+
+
+def test_patterns_split_into_rows_columns_and_pixels():
+    rng = np.random.default_rng(4)
+    size = (128, 128)
+    columns, pixels = 1.2 * rng.normal(size=(1, 128)), 2.0 * rng.normal(size=size)
+    temporal_rows = 3.0 * rng.normal(size=(16, 128, 1))
+    dark = recording(rng, 0.0, 16, size, add=columns + pixels + temporal_rows)
+    response = 1 + 0.01 * rng.normal(size=size)
+    flat = recording(rng, 4000.0 * response, 16, size, kind="flat")
+    result = transfer(dark, flat)
+    truth = {"DSNU1288, columns": 1.2, "DSNU1288, pixels": 2.0, "PRNU1288, pixels": 1.0}
+    for name, value in truth.items():
+        assert np.isclose(np.mean([o.value for o in result.outcomes(name)]), value, rtol=0.12), name
+    # Temporal row noise leaves 3 / sqrt(16) DN in the average of the frames; none of it is a fixed pattern.
+    assert all(o.ci90[0] < 0.4 for o in result.outcomes("DSNU1288, rows"))
+    assert np.mean([o.value for o in result.outcomes("DSNU1288, rows")]) < 0.5
+    (rows,) = result.outcomes("row noise")
+    assert holds(rows, temporal_rows.std())
+
+
+def test_dark_current_and_the_clamp_that_hides_it():
+    rng = np.random.default_rng(5)
+    times = (0.1, 10.0, 30.0, 60.0)
+    flat = recording(rng, 3000.0, kind="flat", exposure_s=0.1)
+    free = [recording(rng, 2.0 * t, exposure_s=t) for t in times]
+    clamped = [
+        replace(r, frames=r.frames - np.uint16(round(GAIN * 2.0 * t)))
+        for r, t in zip(free, times, strict=True)
+    ]
+    plain = transfer(flat, *free)
+    assert all(abs(o.value / 2.0 - 1) < 0.05 for o in plain.outcomes("dark current, by mean"))
+    assert all(abs(o.value / 2.0 - 1) < 0.1 for o in plain.outcomes("dark current, by variance"))
+    hidden = transfer(flat, *clamped)
+    assert all(abs(o.value / 2.0 - 1) < 0.1 for o in hidden.outcomes("dark current, by variance"))
+    notes = [q.note for q in hidden.quantities if q.name == "dark current, by mean"]
+    assert all("clamped" in n for n in notes)
+
+
+def test_scenes_with_repeated_frames_give_the_baseline():
+    rng = np.random.default_rng(6)
+    scene = 300.0 * np.exp(np.add.outer(np.sin(np.arange(192) / 20), np.cos(np.arange(256) / 15)))
+    result = transfer(recording(rng, scene, 10, (192, 256), kind="scene"))
+    for gain, read in zip(
+        result.outcomes("system gain"), result.outcomes("temporal dark noise", "DN"), strict=False
+    ):
+        assert abs(gain.value / GAIN - 1) < 0.04
+        assert abs(read.value / (READ * GAIN) - 1) < 0.25
+
+
+def test_low_light_scene_is_not_flattened_by_the_noise_of_the_mean():
+    rng = np.random.default_rng(7)
+    scene = rng.uniform(2.0, 12.0, (256, 256))
+    result = transfer(recording(rng, scene, 4, (256, 256), kind="scene", white_level=1023.0))
+    gains = [o.value for o in result.outcomes("system gain")]
+    assert abs(np.mean(gains) / GAIN - 1) < 0.1  # without the correction about 35 % low
+
+
+def test_what_is_missing_is_named():
+    rng = np.random.default_rng(8)
+    only_darks = transfer(recording(rng, 0.0))
+    assert isinstance(only_darks.baseline, NotMeasurable) and "light" in only_darks.baseline.record
+    assert all(isinstance(o, NotMeasurable) for o in only_darks.outcomes("PRNU1288"))
+    assert isinstance(only_darks.outcomes("temporal dark noise", "DN")[0], Estimate)
+    single = transfer(recording(rng, 1000.0, 1, kind="flat"))
+    assert isinstance(single.outcomes("system gain")[0], NotMeasurable)
+    text = format_transfer(only_darks)
+    assert "Not measurable" in text and "saturates" in text
+
+
+def test_sizes_that_differ_are_refused_in_one_line():
+    rng = np.random.default_rng(9)
+    with pytest.raises(BadInput, match="size") as error:
+        transfer(recording(rng, 0.0), recording(rng, 0.0, size=(64, 64)))
+    assert "\n" not in str(error.value)
+
+
+def test_statistics_match_plain_numpy_and_do_not_depend_on_chunks(monkeypatch):
+    rng = np.random.default_rng(10)
+    r = recording(rng, 5.0, 7, (32, 40))
+    whole = frame_statistics(r)
+    monkeypatch.setattr("cannoise_jax.physics.transfer_frames._CHUNK_BYTES", 1)
+    parts = frame_statistics(r)
+    assert np.array_equal(whole.variance, parts.variance) and np.array_equal(whole.row_means, parts.row_means)
+    y = r.frames.astype(float)[:, ::2, 1::2]
+    y = y - y.mean(2, keepdims=True)
+    assert np.allclose(site(whole.variance, 1), y.var(0, ddof=1) / (1 - 1 / 20))
+
+
+def test_rails_are_pile_ups_only():
+    rng = np.random.default_rng(11)
+    free = np.bincount(np.rint(rng.normal(100, 9, 20000)).astype(int), minlength=1 << 16)
+    cut = np.bincount(np.clip(np.rint(rng.normal(100, 9, 20000)), 97, 103).astype(int), minlength=1 << 16)
+    assert np.isnan(rails(free, 1.0, 1023.0)).all()
+    assert rails(cut, 1.0, 1023.0) == (97.0, 103.0)
+
+
+def test_shading_keeps_pixels_and_takes_the_slope():
+    y, x = np.mgrid[-1:1:64j, -1:1:96j]
+    surface = 1 + 0.3 * x - 0.2 * y * x + 0.1 * y**2
+    assert np.abs(shading(surface) - surface).max() < 1e-3
+    noise = np.random.default_rng(12).normal(size=(64, 96))
+    assert shading(noise).std() < 0.1
+
+
+def test_correlation_thins_out_degrees_of_freedom():
+    white = np.random.default_rng(13).normal(size=(20, 200))
+    assert correlation_loss(white) < 1.05
+    paired = white[:, 1:] + white[:, :-1]
+    assert 1.4 < correlation_loss(paired) < 1.6  # 1 + 2 * 0.5^2
+
+
+def test_interval_of_a_variance_difference_covers_near_zero():
+    rng = np.random.default_rng(14)
+    for truth in (0.0, 0.1, 1.0):
+        hits = 0
+        for _ in range(400):
+            first = (truth + 1) * rng.chisquare(30) / 30
+            low, high = variance_difference(first, 30, rng.chisquare(200) / 200, 200).ci90
+            hits += low <= truth <= high
+        assert 340 <= hits <= 380
+
+
+def test_agrees_with_the_emva_1288_reference_code(monkeypatch):
+    pytest.importorskip("emva1288", reason="optional: pip install emva1288")
+    if not hasattr(np, "asfarray"):  # the reference code was written for numpy 1
+        monkeypatch.setattr(np, "asfarray", lambda a: np.asarray(a, float), raising=False)
+    from emva1288.process.data import Data1288
+    from emva1288.process.results import Results1288
+    from emva1288.process.routines import get_int_imgs
+
+    rng = np.random.default_rng(15)
+    size, means = (128, 160), (500.0, 1500.0, 2500.0, 3500.0)
+    response, offset = 1 + 0.008 * rng.normal(size=size), 4.0 * rng.normal(size=size)
+    dark = recording(rng, 0.0, 16, size, exposure_s=0.01, add=offset, white_level=65535.0)
+    flats = [
+        recording(rng, mu * response, 16, size, kind="flat", exposure_s=0.01, add=offset, white_level=65535.0)
+        for mu in means
+    ]
+
+    def temporal(r):
+        pair = get_int_imgs(list(r.frames[:2].astype(np.int64)))
+        return {"sum": pair["sum"].sum(), "pvar": pair["pvar"].sum(), "dmean": pair["dmean"]}
+
+    photons = {0.0: dark, **dict(zip(means, flats, strict=True))}
+    spatial = {0.0: get_int_imgs(list(dark.frames)), means[1]: get_int_imgs(list(flats[1].frames))}
+    data = {
+        "height": size[0], "width": size[1],
+        "temporal": {10.0: {p: temporal(r) for p, r in photons.items()}}, "spatial": {10.0: spatial},
+    }  # fmt: skip
+    reference = Results1288(Data1288(data).data, loglevel=50)
+    ours = transfer(dark, *flats)
+    gain = np.mean([o.value for o in ours.outcomes("system gain")])
+    noise = np.mean([o.value for o in ours.outcomes("temporal dark noise", "e-")])
+    dsnu = np.mean([o.value for o in ours.outcomes("DSNU1288", "e-")])
+    prnu = np.mean([o.value for o in ours.outcomes("PRNU1288")])
+    assert gain == pytest.approx(reference.K, rel=0.02)
+    assert noise == pytest.approx(reference.sigma_d, rel=0.03)
+    assert dsnu == pytest.approx(reference.DSNU1288, rel=0.04)
+    assert prnu == pytest.approx(reference.PRNU1288, rel=0.04)
+    assert gain == pytest.approx(GAIN, rel=0.01) and noise == pytest.approx(READ, rel=0.02)
+
+
+def test_real_camera_matches_what_was_measured_by_hand(real_data):
+    (result,) = photon_transfer(load_capture_set(real_data / "asi178"))
+    for gain in result.outcomes("system gain"):
+        assert 4.21 / 1.02 < gain.value < 4.24 * 1.02
+    (rows,) = result.outcomes("row noise")
+    assert abs(rows.value - 1.53) < max(0.02 * 1.53, rows.ci90[1] - rows.value)
+    assert {round(o.value, 1) for o in result.outcomes("PRNU1288, pixels")} == {0.4, 0.5}
+    assert all(isinstance(o, NotMeasurable) for o in result.outcomes("saturation"))
