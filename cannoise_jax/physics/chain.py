@@ -19,14 +19,14 @@ _SHOT, _READ = 1, 2
 """Streams of the two noise steps; those of the mechanisms are named by their ids."""
 
 
-def mechanism_key(key: Key[Array, ""], model: SensorModel, index: int) -> Key[Array, ""]:
+def mechanism_key(key: Key[Array, ""], model, index: int) -> Key[Array, ""]:
     """A key of its own for one mechanism, the same whatever other mechanisms the model has."""
     id = model.mechanisms[index].mechanism
     occurrence = sum(f.mechanism == id for f in model.mechanisms[:index])
     return jax.random.fold_in(key, (zlib.crc32(id.encode()) + occurrence) % 2**31)
 
 
-def maps_of(model: SensorModel, index: int, values, context: Context) -> dict[str, Array]:
+def maps_of(model, index: int, values, context: Context) -> dict[str, Array]:
     """The frozen maps of one mechanism: measured, or drawn from the unit's key. Raises BadInput where a
     measured map has another size than the frame."""
     fitted = model.mechanisms[index]
@@ -35,9 +35,8 @@ def maps_of(model: SensorModel, index: int, values, context: Context) -> dict[st
             for have, want in zip(values_map.shape[-2:], context.size, strict=True):
                 if have not in (1, want):
                     raise BadInput(
-                        f"{model.camera}: map {name} of {fitted.mechanism} is {values_map.shape[-2:]}, the "
-                        f"frame "
-                        f"{context.size}: use frames of the calibrated size, or drop the maps with with_unit"
+                        f"{model.camera}: map {name} of {fitted.mechanism} is {values_map.shape[-2:]}, "
+                        f"the frame {context.size}: use frames of that size, or drop the maps by with_unit"
                     )
         return {
             name: jnp.asarray(m).reshape((1,) * (3 - m.ndim) + m.shape) for name, m in fitted.maps.items()

@@ -138,9 +138,11 @@ PIXEL_READ_NOISE_MAP = Mechanism(
         ),
     ),
     equation=r"s_{ij} = s\,e^{wz_{ij}-w^2},\quad w^2 = \ln(1+\mathrm{spread}^2)",
-    sentence="Every pixel has its own source follower, and some are noisier than others, always the same
-    ones.", reference="S. B. Alam et al., sCMOS noise maps: EMVA 1288 release 4.0, section 8 (nonuniformity
-    of noise)", needs=("dark", "burst"),
+    sentence="Every pixel has its own source follower, and some are noisier than others, always the same "
+    "ones.",
+    reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 3 "
+    "(pixel source follower)",
+    needs=("dark", "burst"),
     confused_with=("heavy_tails", "rts"),
     likelihood="exact",
     amplitude=lambda values, context: values["spread"],
