@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float
 from scipy.optimize import nnls
 
 from cannoise_jax.physics.poisson_gaussian import nlf_sigma, sample_normal

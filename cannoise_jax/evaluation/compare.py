@@ -138,17 +138,21 @@ def choose_references(
 
 
 def draw_noise(
-    column: Column, patches: Patches, key: Key[Array, ""], batch: int = 64
-) -> Float[np.ndarray, "n h w 4"]:
-    """Noise of one model for every patch, clipped as a recording clips it; float32.
+    column: Column,
+    patches: Patches,
+    key: Key[Array, ""],
+    batch: int = 64,
+    chosen: Int[np.ndarray, "m"] | None = None,
+) -> Float[np.ndarray, "m h w 4"]:
+    """Noise of one model for the `chosen` patches (default: all), clipped as a recording clips it; float32.
 
     Patches go through in batches of one size (the last is filled up), so a jitted sampler compiles once.
     """
     clean, noisy = np.asarray(patches.clean), np.asarray(patches.noisy)
-    count = clean.shape[0]
+    chosen = np.arange(clean.shape[0]) if chosen is None else np.asarray(chosen)
     made = []
-    for number, start in enumerate(range(0, count, batch)):
-        index = np.minimum(np.arange(start, start + batch), count - 1)
+    for number, start in enumerate(range(0, chosen.size, batch)):
+        index = chosen[np.minimum(np.arange(start, start + batch), chosen.size - 1)]
         noise = column.sampler(
             jax.random.fold_in(key, number),
             clean[index],
@@ -156,7 +160,7 @@ def draw_noise(
             np.asarray(column.shot[index], np.float32),
             np.asarray(column.read[index], np.float32),
         )
-        made.append(clipped_noise(np.asarray(noise, np.float32), clean[index])[: count - start])
+        made.append(clipped_noise(np.asarray(noise, np.float32), clean[index])[: chosen.size - start])
     return np.concatenate(made)
 
 

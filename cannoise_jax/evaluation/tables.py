@@ -1,0 +1,85 @@
+"""Results as a table to read and as `results.json` to parse."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+SCHEMA = "cannoise/results/1"
+HEADINGS = {
+    "gaussian": "Gaussian",
+    "poisson_gaussian": "PG published",
+    "poisson_gaussian_recalibrated": "PG re-calib.",
+    "model": "model",
+    "model_wrong_reference": "wrong ref.",
+}
+_WIDTH = 17
+
+Row = Mapping[str, Mapping[str, float]]
+
+
+def results_table(results: Mapping[str, Any]) -> str:
+    """Rows of cameras and pooled, columns of models: KL with its floor, then what KL cannot see.
+
+    results: as `compare.evaluate_model` gives them. Structure is shown as generated (real).
+    """
+    blocks = [
+        _block(results, "KL(real || model), nats, mean over patches (finite-sample floor)", _kl_cell),
+        _block(results, "KL with one count added to every bin", lambda n: f"{n['kl_smoothed']:.4f}"),
+        _block(results, "standard deviation, model / real", lambda n: f"{n['std_ratio']:.3f}"),
+        _block(results, "row spectrum at low frequencies, white about 1 (real)", _pair("row_spectrum", 2)),
+        _block(results, "lag-1 correlation along rows (real)", _pair("lag1_horizontal", 3)),
+        _block(results, "lag-1 correlation across rows (real)", _pair("lag1_vertical", 3)),
+        _block(results, "excess kurtosis of the standardised noise (real)", _pair("excess_kurtosis", 2)),
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extra: Any) -> None:
+    """Write `results.json` atomically: schema, cameras, pooled, seconds, and any `extra` keys.
+
+    Raises ValueError for numbers that are not finite, which JSON cannot hold; then nothing is written.
+    """
+    record = {
+        "schema": SCHEMA,
+        "cameras": results["cameras"],
+        "pooled": results["pooled"],
+        "seconds": seconds,
+        **extra,
+    }
+    text = json.dumps(record, indent=1, allow_nan=False)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(text + "\n")
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _block(results: Mapping[str, Any], title: str, cell) -> str:
+    """One table; empty where the numbers were not computed."""
+    rows: dict[str, Row] = {**results["cameras"], "pooled": results["pooled"]}
+    models = [name for name in HEADINGS if any(name in row for row in rows.values())]
+    try:
+        body = [
+            f"{camera:<8}" + "".join(f"{cell(row[m]) if m in row else '-':>{_WIDTH}}" for m in models)
+            for camera, row in rows.items()
+        ]
+    except KeyError:
+        return ""
+    head = f"{'camera':<8}" + "".join(f"{HEADINGS[m]:>{_WIDTH}}" for m in models)
+    return "\n".join([title, head, *body])
+
+
+def _kl_cell(numbers: Mapping[str, float]) -> str:
+    return f"{numbers['kl']:.4f} ({numbers['kl_floor']:.4f})"
+
+
+def _pair(name: str, digits: int):
+    return lambda numbers: f"{numbers[name]:.{digits}f} ({numbers[name + '_real']:.{digits}f})"
