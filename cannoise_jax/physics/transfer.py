@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.transfer_baseline import Baseline
 from cannoise_jax.physics.transfer_fit import Level, Line, fit_line
 from cannoise_jax.physics.transfer_frames import FrameStatistics, frame_statistics, pixel_variance, site
 from cannoise_jax.physics.transfer_quantities import (
@@ -32,25 +33,6 @@ from cannoise_jax.recordings.packing import PACKED_CHANNELS, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording, per_channel
 
 _LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
-
-
-@dataclass(frozen=True)
-class Baseline:
-    """Poisson-Gaussian noise per channel, mosaic order: var = K (signal above black) + (read noise)^2, DN.
-
-    gain: DN/e-. read_noise: DN, rows not included. black_level: DN.
-    """
-
-    gain: PerChannel
-    read_noise: PerChannel
-    black_level: PerChannel
-    white_level: float
-    code_step: float
-
-    @property
-    def read_noise_e(self) -> PerChannel:
-        """Read noise in electrons."""
-        return per_channel(np.array(self.read_noise) / np.array(self.gain))
 
 
 @dataclass(frozen=True)

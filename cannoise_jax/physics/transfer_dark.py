@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
+from cannoise_jax.physics.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer_fit import robust_mean_square
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from cannoise_jax.physics.estimators.estimate import Estimate, jackknife_estimate
+from cannoise_jax.physics.estimate import Estimate, jackknife_estimate
 
 _RARE = 1e-4
 _LEAST_CUT = 4.0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cannoise_jax.physics.estimators.estimate import (
+from cannoise_jax.physics.estimate import (
     Estimate,
     NotMeasurable,
     Outcome,

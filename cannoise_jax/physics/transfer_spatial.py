@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.estimators.estimate import Estimate, heavy_dof, variance_difference
+from cannoise_jax.physics.estimate import Estimate, heavy_dof, variance_difference
 
 _SHADING_DEGREE = 4
 _GRID = 16

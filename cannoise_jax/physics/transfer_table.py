@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer import PhotonTransfer, Quantity, channel_names
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.estimators.estimate import Estimate, NotMeasurable, variance_difference
+from cannoise_jax.physics.estimate import Estimate, NotMeasurable, variance_difference
 from cannoise_jax.physics.transfer import photon_transfer
 from cannoise_jax.physics.transfer_frames import frame_statistics, rails, site
 from cannoise_jax.physics.transfer_spatial import correlation_loss, shading
