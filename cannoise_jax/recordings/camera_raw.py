@@ -23,7 +23,7 @@ import tifffile
 from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import check_overrides, make_recording
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 
 SUFFIXES = (
@@ -204,27 +204,19 @@ def _directories(path: str | Path) -> list[_Directory]:
 
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    log = logging.getLogger("tifffile")
-    level = log.level
-    log.setLevel(logging.CRITICAL)  # camera raws bend the standard; that is no news for our user
     try:
-        with tifffile.TiffFile(path) as file:
+        with quiet("tifffile"), tifffile.TiffFile(path) as file:
             found = [
                 _Directory(
                     {tag.code: tag.value for tag in page.tags},
                     page.photometric == _CFA_IMAGE,
-                    max(
-                        (a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=False)),
-                        default=0,
-                    ),
+                    max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=False)), default=0),
                 )
                 for page in below(file.pages)
                 if isinstance(page, tifffile.TiffPage)
             ]
     except (tifffile.TiffFileError, OSError, ValueError, KeyError, IndexError, struct.error, TypeError):
         return []
-    finally:
-        log.setLevel(level)
     return sorted(found, key=lambda d: not d.is_mosaic)
 
 
@@ -270,9 +262,8 @@ def _noise_profile(
 
 def _exif(path: str | Path) -> dict[str, Any]:
     """Camera name and sensor temperature (°C) where Exif or the maker's notes hold them."""
-    logging.getLogger("exifread").setLevel(logging.CRITICAL)
     try:
-        with open(path, "rb") as file:
+        with quiet("exifread"), open(path, "rb") as file:
             tags = exifread.process_file(file, details=True)
     except Exception:
         return {}

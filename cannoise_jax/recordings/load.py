@@ -6,12 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings import camera_raw, native, sidd
+from cannoise_jax.recordings import camera_raw, fits, native, sidd, stacks
 from cannoise_jax.recordings.metadata import check_overrides
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 _READERS: dict[str, Callable[..., Recording]] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), native.read_recording),
+    **dict.fromkeys(fits.SUFFIXES, fits.read_fits),
+    **dict.fromkeys(stacks.TIFF_SUFFIXES, stacks.read_tiff),
+    **dict.fromkeys(stacks.NUMPY_SUFFIXES, stacks.read_numpy),
     **dict.fromkeys(camera_raw.SUFFIXES, camera_raw.read_camera_raw),
 }
 

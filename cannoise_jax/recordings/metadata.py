@@ -6,6 +6,8 @@ win over the file. What is required and missing, or cannot be true, is refused i
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import logging
 import math
 from collections.abc import Iterator, Mapping
@@ -39,6 +41,9 @@ OVERRIDES = (
     "code_step",
 )
 """What a caller may set in place of the file: the keyword arguments of every reader."""
+
+FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("frames", "clean", "path"))
+"""What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
 _CHUNK_BYTES = 64 << 20
@@ -128,6 +133,18 @@ def warn_saturation(path: str | Path, above: int, shape: tuple[int, ...], white:
     if above:
         share = 100 * above / math.prod(shape)
         _log.warning("%s: %d values (%.3g %%) above white level %g: saturated", path, above, share, white)
+
+
+@contextlib.contextmanager
+def quiet(library: str) -> Iterator[None]:
+    """Silences a library that logs what its caller reports in its own words."""
+    log = logging.getLogger(library)
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _check_frames(path: str | Path, frames: Frames) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,8 @@ import h5py
 import numpy as np
 
 from cannoise_jax.recordings.lazy import LazyArray
-from cannoise_jax.recordings.metadata import check_overrides, chunks, make_recording
+from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording
 from cannoise_jax.recordings.recording import BadInput, Recording
-
-_DATASETS = ("frames", "clean")
-_ATTRIBUTES = tuple(f.name for f in fields(Recording) if f.name not in (*_DATASETS, "path"))
 
 
 def read_recording(path: str | Path, **overrides: Any) -> Recording:
@@ -39,7 +35,7 @@ def read_recording(path: str | Path, **overrides: Any) -> Recording:
         with h5py.File(path, "r") as file:
             if not isinstance(file.get("frames"), h5py.Dataset):
                 raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
-            known = {k: _plain(file.attrs[k]) for k in _ATTRIBUTES if k in file.attrs}
+            known = {k: _plain(file.attrs[k]) for k in FIELDS if k in file.attrs}
             if isinstance(file.get("clean"), h5py.Dataset):
                 clean = _view(path, file["clean"])
                 known["clean"] = clean if clean.ndim == 3 else np.asarray(file["clean"])
@@ -104,7 +100,7 @@ def _write(sink: _Sink, recording: Recording) -> None:
         _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16))
         if recording.clean is not None:
             _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32))
-        for name in _ATTRIBUTES:
+        for name in FIELDS:
             value = getattr(recording, name)
             if value is not None:
                 file.attrs[name] = value

@@ -59,6 +59,13 @@ def to_mosaic_order(values: PerChannel | Shaped[Any, "... 4"], cfa: str) -> Shap
     return to_packed_order(values, cfa)
 
 
+def to_shifted_cfa(cfa: str, rows: int, columns: int) -> str:
+    """The colour order that starts `rows` and `columns` further into a mosaic; MONO and unknown ones stay."""
+    if len(cfa) != 4 or cfa == "MONO":
+        return cfa
+    return "".join(cfa[2 * ((i + rows) % 2) + (j + columns) % 2] for i in (0, 1) for j in (0, 1))
+
+
 def _cell_steps(cfa: str) -> tuple[int, int]:
     if cfa not in _CELL_STEPS:
         raise ValueError(f"unknown CFA {cfa!r}: use one of {', '.join(CFA_PATTERNS)}")

@@ -1,0 +1,154 @@
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+from cannoise_jax.recordings.load import load_capture_set, load_recording
+from cannoise_jax.recordings.recording import BadInput
+
+FRAMES = np.random.default_rng(0).integers(60, 1000, (3, 6, 8)).astype(np.uint16)
+SIDE_CAR = {
+    "cfa": "RGGB",
+    "black_level": [60, 61, 62, 63],
+    "white_level": 1023,
+    "iso": 100,
+    "exposure_s": None,
+}
+GREY = "minisblack"
+WRITERS = {
+    ".npy": lambda path, frames: np.save(path, frames),
+    ".npz": lambda path, frames: np.savez_compressed(path, frames=frames),
+    ".tif": lambda path, frames: tifffile.imwrite(path, frames, photometric="minisblack"),
+    ".tiff": lambda path, frames: tifffile.imwrite(
+        path, frames, photometric="minisblack", compression="zlib"
+    ),
+}
+
+
+def write(path, frames=FRAMES, side_car=SIDE_CAR):
+    WRITERS[path.suffix](path, frames)
+    if side_car is not None:
+        text = side_car if isinstance(side_car, str) else json.dumps(side_car)
+        path.with_suffix(".json").write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("frames", [FRAMES, FRAMES[0]], ids=["stack", "single"])
+def test_stacks_with_a_side_car(tmp_path, suffix, frames):
+    path = write(
+        tmp_path / f"a{suffix}", frames, SIDE_CAR | {"kind": "flat", "camera": "X", "note": "ignored"}
+    )
+    recording = load_recording(path)
+    expected = frames.reshape(-1, 6, 8)
+    np.testing.assert_array_equal(np.asarray(recording.frames), expected)
+    np.testing.assert_array_equal(recording.frames[:1, 2:4], expected[:1, 2:4])
+    assert recording.frames.dtype == np.uint16 and recording.black_level == (60, 61, 62, 63)
+    assert (recording.iso, recording.exposure_s, recording.kind, recording.camera) == (100, None, "flat", "X")
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_without_a_side_car_the_caller_states_what_is_needed(tmp_path, suffix):
+    path = write(tmp_path / f"a{suffix}", side_car=None)
+    with pytest.raises(BadInput, match="cfa is missing: set it with --cfa"):
+        load_recording(path)
+    recording = load_recording(path, cfa="MONO", black_level=64, white_level=1023)
+    assert recording.cfa == "MONO" and recording.camera == tmp_path.name
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_only_whole_numbers_of_up_to_16_bits(tmp_path, suffix):
+    eight = load_recording(write(tmp_path / f"a{suffix}", FRAMES.astype(np.uint8), SIDE_CAR))
+    np.testing.assert_array_equal(eight.frames[:], FRAMES.astype(np.uint8))
+    assert eight.frames.dtype == np.uint16
+    for kind in (np.float32, np.int16, np.uint32):
+        path = write(tmp_path / f"b{suffix}", FRAMES.astype(kind), SIDE_CAR)
+        with pytest.raises(BadInput, match=f"frames are {np.dtype(kind)}"):
+            load_recording(path)
+
+
+def test_other_byte_orders(tmp_path):
+    np.save(tmp_path / "a.npy", FRAMES.astype(">u2"))
+    tifffile.imwrite(tmp_path / "b.tif", FRAMES, byteorder=">", photometric="minisblack")
+    for name in ("a.npy", "b.tif"):
+        recording = load_recording(tmp_path / name, cfa="MONO", black_level=0, white_level=1023)
+        np.testing.assert_array_equal(recording.frames[:], FRAMES)
+
+
+def test_npz_may_hold_the_reference_and_one_array_of_any_name(tmp_path):
+    clean = np.random.default_rng(1).random((6, 8), np.float32)
+    np.savez(tmp_path / "a.npz", frames=FRAMES, clean=clean)
+    np.savez(tmp_path / "b.npz", anything=FRAMES)
+    levels = {"cfa": "RGGB", "black_level": 64, "white_level": 1023}
+    np.testing.assert_array_equal(load_recording(tmp_path / "a.npz", **levels).clean, clean)
+    np.testing.assert_array_equal(load_recording(tmp_path / "b.npz", **levels).frames[:], FRAMES)
+    np.savez(tmp_path / "c.npz", a=FRAMES, b=FRAMES)
+    with pytest.raises(BadInput, match="c.npz: holds a, b: expected an array 'frames'"):
+        load_recording(tmp_path / "c.npz", **levels)
+
+
+def test_nothing_is_unpickled(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (pytest.fail, ("unpickled",))
+
+    np.save(tmp_path / "a.npy", np.array([Bomb()], object), allow_pickle=True)
+    np.savez(tmp_path / "b.npz", frames=np.array([Bomb()], object))
+    for name in ("a.npy", "b.npz"):
+        with pytest.raises(BadInput, match="Python objects|allow_pickle"):
+            load_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_broken_files(tmp_path, suffix):
+    path = write(tmp_path / f"a{suffix}", np.tile(FRAMES, (4, 40, 40)))
+    whole = path.read_bytes()
+    for content in (b"", b"nonsense", whole[:60], whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(BadInput, match="not a readable|cannot read|does not fit") as caught:
+            np.asarray(load_recording(path).frames)
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_broken_side_cars(tmp_path):
+    for text, message in (("{", "not a readable JSON"), ("[1]", "expected an object")):
+        path = write(tmp_path / "a.npy", side_car=text)
+        with pytest.raises(BadInput, match=f"a.json: {message}"):
+            load_recording(path)
+    path = write(tmp_path / "a.npy", side_car=SIDE_CAR | {"white_level": "bright"})
+    with pytest.raises(BadInput, match="white_level 'bright'"):
+        load_recording(path)
+
+
+def test_colour_images_and_mixed_pages_are_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((6, 8, 3), np.uint16), photometric="rgb")
+    with tifffile.TiffWriter(tmp_path / "b.tif") as file:
+        file.write(FRAMES[0], photometric="minisblack")
+        file.write(FRAMES[0, :4], photometric="minisblack")
+    for name in ("a.tif", "b.tif"):
+        with pytest.raises(BadInput, match=f"{name}: pages of shape .*: expected mosaics"):
+            load_recording(tmp_path / name, cfa="RGGB", black_level=0, white_level=1)
+    np.save(tmp_path / "c.npy", np.zeros((1, 2, 6, 8), np.uint16))
+    with pytest.raises(BadInput, match=r"shape \(1, 2, 6, 8\)"):
+        load_recording(tmp_path / "c.npy", cfa="RGGB", black_level=0, white_level=1)
+
+
+def test_unknown_formats(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"\xff\xd8")
+    with pytest.raises(BadInput, match="unknown format '.jpg': supported are .*.dng.*.fits.*.h5"):
+        load_recording(tmp_path / "a.jpg")
+
+
+def test_real_single_frames(real_data):
+    folder = real_data / "single_frames"
+    nikon = load_recording(folder / "nikon_daylight.npy")
+    assert nikon.cfa == "RGGB" and nikon.white_level == 16383 and nikon.frames.shape == (1, 512, 768)
+    with pytest.raises(BadInput, match="canon100d_night.npy: cfa is missing: set it with --cfa"):
+        load_recording(folder / "canon100d_night.npy")
+    captures = load_capture_set(folder, cfa="RGGB", camera="single frames")
+    assert [r.count for r in captures.recordings] == [1, 1]
+    canon = captures.recordings[0]
+    assert (canon.iso, canon.exposure_s, canon.temperature_c) == (100, 120.4, 11)
+    with pytest.raises(BadInput, match="holds 2 cameras"):
+        load_capture_set(folder, cfa="RGGB")
