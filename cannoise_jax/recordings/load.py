@@ -19,6 +19,11 @@ _READERS: dict[str, Callable[..., Recording]] = {
 }
 
 
+def supported() -> str:
+    """The suffixes of all formats that can be read."""
+    return ", ".join(sorted(_READERS))
+
+
 def load_recording(path: str | Path, **overrides: Any) -> Recording:
     """A recording from a file of any supported format (or a SIDD instance folder).
 
@@ -32,7 +37,7 @@ def load_recording(path: str | Path, **overrides: Any) -> Recording:
         return sidd.read_sidd(path, **overrides)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise BadInput(f"{path}: unknown format {path.suffix!r}: supported are {', '.join(sorted(_READERS))}")
+        raise BadInput(f"{path}: unknown format {path.suffix!r}: supported are {supported()}")
     return reader(path, **overrides)
 
 
@@ -47,7 +52,7 @@ def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
         raise BadInput(f"{folder}: no such folder")
     paths = sorted(p for p in folder.iterdir() if _is_recording(p))
     if not paths:
-        raise BadInput(f"{folder}: holds no recordings: supported are {', '.join(sorted(_READERS))}")
+        raise BadInput(f"{folder}: holds no recordings: supported are {supported()}")
     recordings = tuple(load_recording(p, **overrides) for p in paths)
     cameras = sorted({r.camera for r in recordings})
     if len(cameras) > 1:

@@ -1,0 +1,159 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cannoise_jax.commands.convert import main
+from cannoise_jax.recordings.native import read_recording
+from tests.recordings.dng import write_dng
+from tests.recordings.test_fits import write as write_fits
+from tests.recordings.test_native import write as write_native
+from tests.recordings.test_sidd import write_instance
+from tests.recordings.test_stacks import write as write_stack
+
+FRAMES = np.random.default_rng(0).integers(100, 1000, (3, 32, 48)).astype(np.uint16)
+
+
+def run(*arguments):
+    return main([str(a) for a in arguments])
+
+
+def test_every_format_becomes_native(tmp_path):
+    sidd, codes = write_instance(tmp_path)
+    cases = {
+        "dng": ([write_dng(tmp_path / "a.dng", FRAMES[0])], FRAMES[:1], []),
+        "fits": ([write_fits(tmp_path / "a.fits", FRAMES, BAYERPAT="GRBG")], FRAMES, ["--black-level", 9]),
+        "tiff": ([write_stack(tmp_path / "b.tif", FRAMES)], FRAMES, []),
+        "npy": ([write_stack(tmp_path / "c.npy", FRAMES)], FRAMES, []),
+        "native": ([write_native(tmp_path / "d.h5", FRAMES)], FRAMES, []),
+        "sidd": ([sidd], codes, []),
+    }
+    for name, (inputs, frames, flags) in cases.items():
+        out = tmp_path / f"out_{name}.h5"
+        assert run(*inputs, out, *flags, "--white-level", 1023) == 0
+        recording = read_recording(out)
+        np.testing.assert_array_equal(recording.frames[:], frames)
+        with h5py.File(out) as file:
+            assert {"cfa", "black_level", "white_level"} <= set(file.attrs)
+    sidd_out = read_recording(tmp_path / "out_sidd.h5")
+    assert (
+        sidd_out.clean.shape == (2, 12, 20) and sidd_out.reference == "burst_mean" and sidd_out.camera == "S6"
+    )
+
+
+def test_flags_state_what_a_file_lacks(tmp_path):
+    np.save(tmp_path / "a.npy", FRAMES)
+    flags = [
+        "--cfa",
+        "GBRG",
+        "--white-level",
+        "1000",
+        "--kind",
+        "flat",
+        "--camera",
+        "X1",
+        "--iso",
+        "200",
+        "--exposure",
+        "0.5",
+    ]
+    levels = ("--black-level", 60, 61, 62, 63)
+    for arguments in (
+        (tmp_path / "a.npy", tmp_path / "b.h5", *flags, *levels),
+        (*levels, tmp_path / "a.npy", tmp_path / "b.h5", *flags, "--overwrite"),
+        (*flags, "--black-level", "60,61,62,63", tmp_path / "a.npy", tmp_path / "b.h5", "--overwrite"),
+    ):
+        assert run(*arguments) == 0
+        assert read_recording(tmp_path / "b.h5").black_level == (60, 61, 62, 63)
+    recording = read_recording(tmp_path / "b.h5")
+    assert recording.cfa == "GBRG" and recording.white_level == 1000
+    assert (recording.kind, recording.camera, recording.iso, recording.exposure_s) == ("flat", "X1", 200, 0.5)
+
+
+def test_several_inputs_are_stacked_in_the_order_given(tmp_path, capsys):
+    paths = [write_dng(tmp_path / f"{n}.dng", FRAMES[n]) for n in range(3)]
+    assert run(paths[2], paths[0], paths[1], tmp_path / "out.h5") == 0
+    np.testing.assert_array_equal(read_recording(tmp_path / "out.h5").frames[:], FRAMES[[2, 0, 1]])
+    assert "3 frames of 32 x 48, RGGB, Acme Phone 3" in capsys.readouterr().out
+    cleans = np.zeros((32, 48), np.float32), np.ones((2, 32, 48), np.float32)
+    more = write_native(tmp_path / "more.h5", FRAMES[:2], clean=cleans[0], temperature_c=20.0)
+    again = write_native(tmp_path / "again.h5", FRAMES[1:], clean=cleans[1], temperature_c=22.0)
+    assert run(more, again, tmp_path / "two.h5") == 0
+    both = read_recording(tmp_path / "two.h5")
+    np.testing.assert_array_equal(both.frames[:], FRAMES[[0, 1, 1, 2]])
+    np.testing.assert_array_equal(both.clean[:, 3, 4], [0, 0, 1, 1])
+    assert both.temperature_c == 21
+
+
+def refused(capsys, message, *arguments):
+    before = {p: p.stat().st_mtime_ns for p in Path(arguments[0]).parent.rglob("*")}
+    assert run(*arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and printed.err.startswith("bin/convert: ") and message in printed.err
+    assert printed.out == ""
+    assert {p: p.stat().st_mtime_ns for p in Path(arguments[0]).parent.rglob("*")} == before
+
+
+def test_what_does_not_belong_together_is_not_mixed(tmp_path, capsys):
+    first = write_native(tmp_path / "a.h5", FRAMES, iso=100.0)
+    others = {
+        "iso is 200.0": {"iso": 200.0},
+        "cfa is BGGR": {"cfa": "BGGR", "iso": 100.0},
+        "black_level is": {"black_level": 63.0, "iso": 100.0},
+        "camera is Y": {"camera": "Y", "iso": 100.0},
+        "kind is dark": {"kind": "dark", "iso": 100.0},
+        "exposure_s is 1.0": {"exposure_s": 1.0, "iso": 100.0},
+        "30 x 48 pixels": {"frames": FRAMES[:, :30], "iso": 100.0},
+        "holds no reference": {"clean": np.zeros((32, 48), np.float32), "iso": 100.0},
+    }
+    for n, (message, content) in enumerate(others.items()):
+        other = write_native(tmp_path / f"b{n}.h5", **({"frames": FRAMES} | content))
+        refused(capsys, message, first, other, tmp_path / "out.h5")
+
+
+def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
+    good = write_native(tmp_path / "good.h5", FRAMES)
+    (tmp_path / "bad.h5").write_bytes(b"nothing")
+    np.save(tmp_path / "bare.npy", FRAMES)
+    out = tmp_path / "out.h5"
+    refused(capsys, "bad.h5: not a readable HDF5 file", good, tmp_path / "bad.h5", out)
+    refused(capsys, "set it with --cfa", tmp_path / "bare.npy", out)
+    refused(capsys, "none.h5: no such file", good, tmp_path / "none.h5", out)
+    refused(capsys, "good.h5: exists", good, good)
+    refused(capsys, "no such folder", good, tmp_path / "none" / "out.h5")
+    refused(capsys, "ends in .h5", good, tmp_path / "out.tif")
+    refused(capsys, "1 or 4 numbers", good, out, "--black-level", "1", "2")
+    refused(capsys, "is not below white level", good, out, "--black-level", "2000")
+    refused(capsys, "not a SIDD folder", tmp_path, out)
+
+
+def test_overwriting_is_asked_for_and_may_replace_an_input(tmp_path, capsys):
+    path = write_native(tmp_path / "a.h5", FRAMES)
+    assert run(path, path, "--overwrite", "--kind", "dark") == 0
+    recording = read_recording(path)
+    assert recording.kind == "dark" and (recording.frames[:] == FRAMES).all()
+
+
+def test_a_full_disk(tmp_path):
+    """A limit on file size stands in for a full disk; the command runs as users run it."""
+    noise = np.random.default_rng(0).integers(0, 65535, (4, 128, 128)).astype(np.uint16)
+    path = write_native(tmp_path / "a.h5", noise, white_level=65535.0)
+    script = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000));"
+        "from cannoise_jax.commands.convert import main; sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", script, str(path), str(tmp_path / "out.h5")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1 and "out.h5: cannot be written: File too large" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["only.h5"]])
+def test_usage(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == (0 if arguments == ["--help"] else 2)
