@@ -58,6 +58,30 @@ class ArrayPatches:
         return {name: getattr(self, name)[index] for name in ("clean", "noisy", "shot", "read")}
 
 
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """Some patches of a source, by number."""
+
+    source: PatchSource
+    indices: Int[np.ndarray, "n"]
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras of the whole source, so that indices mean the same in every subset."""
+        return self.source.cameras
+
+    @property
+    def camera(self) -> np.ndarray:
+        """Index into `cameras`, one a patch."""
+        return self.source.camera[self.indices]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, index: int) -> dict[str, np.ndarray]:
+        return self.source[int(self.indices[index])]
+
+
 class BatchIterator(Protocol):
     """What `batches` returns."""
 

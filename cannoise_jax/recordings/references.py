@@ -6,7 +6,7 @@ sigma^2 * T / (T - 1): divide by `leave_one_out_excess(T)` where the noise's own
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -54,3 +54,22 @@ def leave_one_out(
             ((others - black) / span).astype(np.float32),
         )
         at += len(part)
+
+
+def referenced_frames(
+    recording: Recording, wanted: Collection[int]
+) -> Iterator[tuple[int, np.ndarray, Float[np.ndarray, "h w"]]]:
+    """Yields (number, frame in DN as stored, its noise-free reference, normalised) for the frames wanted.
+
+    The reference is the recording's `clean` where it has one, else the mean of the other frames.
+    Raises BadInput for a single frame without `clean`.
+    """
+    chosen = set(map(int, wanted))
+    if recording.clean is not None:
+        for number in sorted(chosen):
+            clean = recording.clean if recording.clean.ndim == 2 else recording.clean[number]
+            yield number, np.asarray(recording.frames[number]), np.asarray(clean, np.float32)
+        return
+    for part, _, references in leave_one_out(recording):
+        for number in sorted(chosen & set(range(part.start, part.stop))):
+            yield number, np.asarray(recording.frames[number]), references[number - part.start]
