@@ -58,7 +58,11 @@ class Discriminator(nn.Module):
         latent: Float[Array, "b l"] | None = None,
     ) -> tuple[Float[Array, "b y x 1"], Float[Array, "b h/8 w/8 c"]]:
         spectral, norm = (True, "instance") if self.literal else (self.spectral, self.norm)
-        shared: dict[str, Any] = {"spectral": spectral, "initial": "torch" if self.literal else "he"}
+        shared: dict[str, Any] = {
+            "spectral": spectral,
+            "initial": "torch" if self.literal else "he",
+            "twice": True,
+        }
         if self.literal:
             x = pixels = jnp.concatenate([clean, noise], -1)
         else:

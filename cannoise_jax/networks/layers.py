@@ -1,9 +1,4 @@
-"""The layers under every network here, and the one place where a layer chooses its formulation.
-
-XLA's CPU convolutions are slow exactly on the small maps with many channels where these networks live, so
-`conv2d` and `conv_transpose2d` also exist as matrix products. All formulations are the same function, equal
-through second derivatives (the gradient penalty differentiates twice); only their cost differs.
-"""
+"""The layers under every network here: normalised convolutions, norms, the paper's block of them."""
 
 from __future__ import annotations
 
@@ -15,7 +10,8 @@ from flax import linen as nn
 from jax import lax
 from jaxtyping import Array, Float
 
-_NHWC = ("NHWC", "HWIO", "NHWC")
+from cannoise_jax.networks.convolutions import conv2d, conv_transpose2d
+
 LEAK = 0.2
 """Slope of every leaky rectifier (reference release)."""
 
@@ -23,103 +19,6 @@ LEAK = 0.2
 def leaky_relu(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """max(x, 0.2 x)."""
     return jnp.maximum(x, LEAK * x)
-
-
-def patches(x: Float[Array, "b h w c"], size: int, stride: int, padding: int) -> Float[Array, "b y x k"]:
-    """The zero-padded size x size neighbourhoods as channels, ordered (row, column, channel)."""
-    batch, height, width, channels = x.shape
-    rows = (height + 2 * padding - size) // stride + 1
-    columns = (width + 2 * padding - size) // stride + 1
-    x = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
-    taps = [
-        lax.slice(
-            x,
-            (0, i, j, 0),
-            (batch, i + (rows - 1) * stride + 1, j + (columns - 1) * stride + 1, channels),
-            (1, stride, stride, 1),
-        )
-        for i in range(size)
-        for j in range(size)
-    ]
-    return jnp.concatenate(taps, axis=-1)
-
-
-def _conv_plain(x, kernel, stride, padding):
-    return lax.conv_general_dilated(
-        x, kernel, (stride, stride), [(padding, padding)] * 2, dimension_numbers=_NHWC
-    )
-
-
-def _conv_patches(x, kernel, stride, padding):
-    size, _, inputs, outputs = kernel.shape
-    return patches(x, size, stride, padding) @ kernel.reshape(size * size * inputs, outputs)
-
-
-def _transpose_plain(x, kernel):
-    return lax.conv_general_dilated(
-        x, kernel[::-1, ::-1], (1, 1), [(2, 2)] * 2, lhs_dilation=(2, 2), dimension_numbers=_NHWC
-    )
-
-
-def _transpose_overlap(x, kernel):
-    """Every input pixel paints its 4x4 stamp (one matrix product); the overlaps are added."""
-    batch, height, width, inputs = x.shape
-    outputs = kernel.shape[-1]
-    # Taps 0, 1 and 2, 3 of a stamp lie in two neighbouring 2-pixel cells of a grid shifted by one pixel.
-    stamps = x @ kernel.reshape(2, 2, 2, 2, inputs, outputs).transpose(4, 0, 2, 1, 3, 5).reshape(inputs, -1)
-    stamps = stamps.reshape(batch, height, width, 4, 4 * outputs)
-    cells = sum(
-        jnp.pad(stamps[:, :, :, 2 * i + j], ((0, 0), (i, 1 - i), (j, 1 - j), (0, 0)))
-        for i in range(2)
-        for j in range(2)
-    )
-    return _cells_to_pixels(cells, outputs)
-
-
-def _transpose_windows(x, kernel):
-    """Every 2x2 window of the padded input makes one 2x2 cell of the output, shifted by one pixel."""
-    inputs, outputs = kernel.shape[2:]
-    taps = kernel.reshape(2, 2, 2, 2, inputs, outputs)[::-1, :, ::-1].transpose(0, 2, 4, 1, 3, 5)
-    return _cells_to_pixels(patches(x, 2, 1, 1) @ taps.reshape(4 * inputs, 4 * outputs), outputs)
-
-
-def _cells_to_pixels(cells, outputs):
-    batch, rows, columns, _ = cells.shape
-    pixels = cells.reshape(batch, rows, columns, 2, 2, outputs).transpose(0, 1, 3, 2, 4, 5)
-    return pixels.reshape(batch, 2 * rows, 2 * columns, outputs)[:, 1:-1, 1:-1]
-
-
-CONV = {"plain": _conv_plain, "patches": _conv_patches}
-CONV_TRANSPOSE = {
-    "plain": _transpose_plain,
-    "overlap": _transpose_overlap,
-    "windows": _transpose_windows,
-}
-
-
-def conv2d(
-    x: Float[Array, "b h w i"],
-    kernel: Float[Array, "k k i o"],
-    stride: int,
-    padding: int,
-    formulation: str | None = None,
-) -> Float[Array, "b y x o"]:
-    """Zero-padded convolution without bias. `formulation`: a name in `CONV`; None chooses by shape."""
-    if formulation is None:
-        formulation = "patches" if jax.default_backend() == "cpu" else "plain"
-    return CONV[formulation](x, kernel, stride, padding)
-
-
-def conv_transpose2d(
-    x: Float[Array, "b h w i"], kernel: Float[Array, "4 4 i o"], formulation: str | None = None
-) -> Float[Array, "b 2*h 2*w o"]:
-    """Transposed convolution, 4x4, stride 2, padding 1: `out[2i - 1 + k] += x[i] kernel[k]` on both axes.
-
-    `formulation`: a name in `CONV_TRANSPOSE`; None chooses by shape.
-    """
-    if formulation is None:
-        formulation = "overlap" if jax.default_backend() == "cpu" else "plain"
-    return CONV_TRANSPOSE[formulation](x, kernel)
 
 
 def spectral_norm(
@@ -195,7 +94,8 @@ class Conv(nn.Module):
     """A convolution, or a transposed one (4x4, stride 2, padding 1), optionally spectrally normalised.
 
     spectral: divides by the kernel's largest singular value; the vectors live in the collection `spectral`
-    and move only when that is mutable and `train` is true.
+    and move only when that is mutable and `train` is true. twice: a gradient of this layer will be
+    differentiated again.
     """
 
     features: int
@@ -206,12 +106,16 @@ class Conv(nn.Module):
     spectral: bool = True
     use_bias: bool = False
     initial: str = "torch"
+    twice: bool = False
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
         shape = (self.size, self.size, x.shape[-1], self.features)
         kernel = self.param("kernel", INITS[self.initial], shape)
-        y = conv_transpose2d(x, kernel) if self.transposed else conv2d(x, kernel, self.stride, self.padding)
+        if self.transposed:
+            y = conv_transpose2d(x, kernel)
+        else:
+            y = conv2d(x, kernel, self.stride, self.padding, twice=self.twice)
         if self.spectral:
             # Scaling the output is the same as scaling the kernel, and far less to write.
             y = y / self._sigma(kernel, train)
@@ -248,12 +152,14 @@ class Block(nn.Module):
     norm: str = "instance"
     initial: str = "torch"
     activate: bool = True
+    twice: bool = False
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
         x = Conv(
             self.features, self.size, self.stride, self.padding, self.transposed, self.spectral,
-            use_bias=self.norm == "none" and self.initial != "torch", initial=self.initial, name="conv",
+            use_bias=self.norm == "none" and self.initial != "torch", initial=self.initial, twice=self.twice,
+            name="conv",
         )(x, train=train)  # fmt: skip
         x = Norm(self.norm, name="norm")(x)
         return leaky_relu(x) if self.activate else x
