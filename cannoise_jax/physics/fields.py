@@ -62,9 +62,7 @@ def sparse_sites(key: Key[Array, ""], shape: tuple[int, ...], fraction) -> Float
     return (jax.random.uniform(key, shape) < fraction) / jnp.sqrt(jnp.asarray(fraction, jnp.float32))
 
 
-def telegraph(
-    key: Key[Array, ""], frames: int, sites: tuple[int, ...], rate, size: tuple[int, int]
-) -> Float[Array, "t ..."]:
+def telegraph(key: Key[Array, ""], frames: int, sites: tuple[int, ...], rate) -> Float[Array, "t ..."]:
     """Two-level telegraph signal of +1 and -1: starts at random, jumps with chance `rate` from frame to
     frame."""
     first, jumps = jax.random.split(key)

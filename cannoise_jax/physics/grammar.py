@@ -121,9 +121,9 @@ def _draw_maps(point: Point):
     return draw if point.time in ("frozen", "telegraph") else None
 
 
-def _strength(point: Point, values: Values, context: Context) -> Any:
+def _strength(point: Point, name: str, values: Values, context: Context) -> Any:
     """Strength in the unit of what the stage carries, before any dependence on the signal."""
-    strength = values[amplitude_name(point)]
+    strength = values[name]
     in_dn = point.combine == "add" and point.acts_on == "charge"
     return strength / context.gain_dn_per_e if in_dn else strength
 
@@ -134,17 +134,15 @@ def _signal_factor(point: Point, context: Context) -> Any:
     return (jnp.maximum(context.mean_dn, 0.0) / context.span_dn) ** point.signal
 
 
-def _sample(point: Point):
+def _sample(point: Point, name: str):
     def sample(key, x, values, maps, context):
         if point.time == "frozen":
             unit = maps["field"]
         elif point.time == "telegraph":
-            unit = maps["field"] * fields.telegraph(
-                key, x.shape[0], maps["field"].shape[1:], values["rate"], context.size
-            )
+            unit = maps["field"] * fields.telegraph(key, x.shape[0], maps["field"].shape[1:], values["rate"])
         else:
             unit = _fields(key, x.shape[0], point, values, context)
-        change = _strength(point, values, context) * unit * _signal_factor(point, context)
+        change = _strength(point, name, values, context) * unit * _signal_factor(point, context)
         if point.combine == "add":
             return x + change
         level = context.black_level if point.acts_on in ("signal", "code") else 0.0
@@ -153,12 +151,12 @@ def _sample(point: Point):
     return sample
 
 
-def _effect(point: Point):
+def _effect(point: Point, name: str):
     """Closed form of a grammar point, in DN."""
 
     def effect(values, maps, context):
         gain, base = context.gain_dn_per_e, context.mean_dn
-        strength = values[amplitude_name(point)] * _signal_factor(point, context)
+        strength = values[name] * _signal_factor(point, context)
         # `reach`: DN by which one unit of the field moves the pixel.
         if point.combine == "multiply":
             reach = strength * base
@@ -207,13 +205,6 @@ def _effect(point: Point):
     return effect
 
 
-def _amplitude(point: Point):
-    def amplitude(values, context):
-        return values[amplitude_name(point)]
-
-    return amplitude
-
-
 def mechanism_from_grammar(
     point: Point,
     *,
@@ -228,16 +219,18 @@ def mechanism_from_grammar(
     scaling: Scaling | None = None,
     parameters: tuple[Parameter, ...] | None = None,
     amplitude=None,
+    strength: str | None = None,
 ) -> Mechanism:
     """The mechanism at a point of the grammar. What is not given follows from the point.
 
     scaling: default: a field in DN follows the gain, for it arises before the amplifier.
     likelihood: default: frozen maps shift the mean, so "exact"; white Gaussian fields of rows, columns or
       frames are integrated, "approximate"; anything else "none".
+    strength: name of the parameter that sets the strength, when `parameters` name it otherwise.
     """
     if parameters is None:
         parameters = point_parameters(point, default if default is not None else 0.01)
-    name = amplitude_name(point)
+    name = strength or amplitude_name(point)
     if likelihood is None:
         integrable = point.over in ("row", "column", "whole", "pixel") and point.time == "redrawn"
         likelihood = "exact" if point.time == "frozen" else "approximate" if integrable else "none"
@@ -258,10 +251,10 @@ def mechanism_from_grammar(
         needs=needs,
         confused_with=confused_with,
         likelihood=likelihood,
-        amplitude=amplitude or _amplitude(point),
-        sample=_sample(point),
+        amplitude=amplitude or (lambda values, context: values[name]),
+        sample=_sample(point, name),
         draw_maps=_draw_maps(point),
-        effect=_effect(point),
+        effect=_effect(point, name),
         scaling=scaling,
         scales=name,
     )

@@ -95,12 +95,20 @@ class Context:
         """White minus black level, DN."""
         return self.white_level - self.black_level
 
+    def mean_charge(self) -> Array:
+        """Expected charge of the baseline, e-."""
+        return self.mean_dn / self.gain_dn_per_e
+
+    def own_variance(self) -> Array:
+        """Variance of the Poisson-Gaussian baseline, DN^2."""
+        return self.gain_dn_per_e * self.mean_dn + (self.gain_dn_per_e * self.read_noise_e) ** 2
+
 
 class Noise(NamedTuple):
     """The two noise steps and the rounding, as `baseline` functions alter them.
 
     tukey_lambda: shape of the read noise; None: Gaussian. poisson_share: 1: Poisson shot noise, 0: Gaussian.
-    code_step: spacing of the stored codes, DN. black_shift: error of the recorded black level, DN.
+    code_step: spacing of the stored codes, DN.
     """
 
     gain_dn_per_e: Array
@@ -108,7 +116,6 @@ class Noise(NamedTuple):
     code_step: Array
     tukey_lambda: Array | None = None
     poisson_share: Array | None = None
-    black_shift: Array | None = None
 
 
 class Effect(NamedTuple):
@@ -140,6 +147,16 @@ class Effect(NamedTuple):
 SampleFn = Callable[[Key[Array, ""], Float[Array, "t h w"], Values, Maps, Context], Float[Array, "t h w"]]
 
 
+def effect_in_dn(context: Context, mean=None, variance=None, **more) -> Effect:
+    """An effect whose mean and variance are given in e- and e-^2, [1, H, W]."""
+    gain = context.gain_dn_per_e
+    return Effect(
+        mean=None if mean is None else (gain * mean)[0],
+        variance=None if variance is None else (gain**2 * variance)[0],
+        **more,
+    )
+
+
 @dataclass(frozen=True)
 class Mechanism:
     """One way in which cameras depart from Poisson-Gaussian noise.
@@ -151,7 +168,8 @@ class Mechanism:
     baseline(noise, parameters, maps, context) -> noise: for mechanisms that alter the noise steps themselves.
     draw_maps(unit_key, parameters, context) -> maps: frozen patterns of a camera unit; None: it has none.
     effect(parameters, maps, context) -> Effect: closed form; None: there is none.
-    amplitude(parameters, context) -> the one number that the vocabulary defines.
+    amplitude(parameters, context) -> the one number that the vocabulary defines, of parameters at that
+    setting.
     score(z, parameters, maps, context) -> statistic of standardised residuals z[T, H, W] that is standard
       normal for white Gaussian z: how strongly the data look like this mechanism.
     likelihood: "exact" and "approximate": the discretised likelihood integrates it; "none": composite score.

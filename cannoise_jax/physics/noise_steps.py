@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.physics import tukey_lambda
+from cannoise_jax.physics import scores, tukey_lambda
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.mechanism import Effect, Mechanism, Parameter
 from cannoise_jax.physics.poisson_gaussian import sample_normal
@@ -161,6 +161,11 @@ def _skew_effect(values, maps, context):
     return Effect(third=(share**3 - 1) * gain**2 * mean, fourth=(share**4 - 1) * gain**3 * mean)
 
 
+def _skew_score(z, values, maps, context):
+    gain, own = context.gain_dn_per_e, context.own_variance()
+    return scores.skew_score(z, gain**2 * context.mean_dn / own**1.5)
+
+
 POISSON_SKEW = Mechanism(
     id="poisson_skew",
     stage="photons",
@@ -177,6 +182,7 @@ POISSON_SKEW = Mechanism(
     amplitude=lambda values, context: values["strength"],
     baseline=_skew,
     effect=_skew_effect,
+    score=_skew_score,
 )
 
 MECHANISMS = (GAIN_ERROR, READ_NOISE_ERROR, HEAVY_TAILS, PIXEL_READ_NOISE_MAP, POISSON_SKEW)

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from cannoise_jax.physics import scores
 from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
-from cannoise_jax.physics.mechanism import Mechanism
+from cannoise_jax.physics.mechanism import Context, Effect, Mechanism, Parameter, Scaling
 
 _EMVA_LINES = "EMVA 1288 release 4.0, section 8.2 (row and column nonuniformity)"
 _ELD = "Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, section 3"
@@ -17,6 +23,79 @@ def _offsets(
         place, id=id, default=default, sentence=sentence, equation=equation, reference=reference, needs=needs,
         confused_with=confused, likelihood=likelihood,
     )  # fmt: skip
+
+
+def _step_maps(key, values, context: Context):
+    # Two taps: the left half of the frame reads half a step low, the right half as much high.
+    width = context.size[1]
+    side = np.where(np.arange(width) * 2 // width % 2 == 0, -0.5, 0.5)
+    return {"field": jnp.asarray(side, jnp.float32).reshape(1, 1, width)}
+
+
+AMPLIFIER_MISMATCH = dataclasses.replace(
+    mechanism_from_grammar(
+        Point("readout", "signal", "block", "frozen"),
+        id="amplifier_mismatch",
+        strength="step_dn",
+        parameters=(Parameter("step_dn", "DN", 1.0, -1e4, 1e4, "identity", "right minus left half"),),
+        equation=r"y_{ij} \to y_{ij} + \Delta\,(k_{ij} - \tfrac12)",
+        sentence="Two amplifiers read one half each, and their black levels differ: a step down the middle.",
+        reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 6 (multiple "
+        "amplifiers)",
+        needs=("dark", "pair_independent"),
+        confused_with=("dsnu", "column_fpn", "reference_error"),
+        scaling=Scaling(gain=1.0),
+    ),
+    draw_maps=_step_maps,
+)
+
+
+def _switch(noise, values, maps, context: Context):
+    above = context.iso >= values["iso_switch"]
+    gain = jnp.where(above, values["gain_ratio"], 1.0)
+    read = jnp.where(above, values["read_ratio"], 1.0)
+    return noise._replace(gain_dn_per_e=noise.gain_dn_per_e * gain, read_noise_e=noise.read_noise_e * read)
+
+
+def _switch_effect(values, maps, context: Context):
+    above = context.iso >= values["iso_switch"]
+    gain = jnp.where(above, values["gain_ratio"], 1.0)
+    total = jnp.where(above, values["read_ratio"], 1.0) * gain
+    shot = context.gain_dn_per_e * context.mean_dn
+    read = (context.gain_dn_per_e * context.read_noise_e) ** 2
+    return Effect(variance=((gain - 1) * shot + (total**2 - 1) * read)[0])
+
+
+def _switch_score(z, values, maps, context: Context):
+    return scores.variance_score(z, 1.0 + 0 * context.mean_dn)
+
+
+DUAL_GAIN = Mechanism(
+    id="dual_gain",
+    stage="readout",
+    acts_on="signal",
+    point=Point("readout", "signal", "whole", "frozen", "multiply"),
+    parameters=(
+        Parameter("iso_switch", "ISO", 800.0, 1.0, 1e7, "log", "first ISO of the high conversion gain"),
+        Parameter("gain_ratio", "1", 1.0, 0.1, 10.0, "log", "system gain above the switch over the table's"),
+        Parameter(
+            "read_ratio", "1", 0.42, 0.01, 10.0, "log", "read noise in e- above the switch over the table's"
+        ),
+    ),
+    equation=r"s \to s\,r,\quad K \to K\,g \quad \mathrm{for\ ISO} \geq \mathrm{ISO}_s",
+    sentence="From one ISO on the pixel switches to a smaller capacitor: more volts per electron, so less "
+    "read "
+    "noise.",
+    reference="Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 (Sony A7S2 "
+    "table)",
+    needs=("iso", "dark"),
+    confused_with=("read_noise_error", "gain_error"),
+    likelihood="exact",
+    amplitude=lambda values, context: jnp.abs(values["gain_ratio"] / values["read_ratio"] - 1),
+    baseline=_switch,
+    effect=_switch_effect,
+    score=_switch_score,
+)
 
 
 MECHANISMS: tuple[Mechanism, ...] = (
@@ -83,4 +162,6 @@ MECHANISMS: tuple[Mechanism, ...] = (
         _ELD + " (colour bias)", ("dark",), ("bookkeeping", "dark_current", "nonlinearity"),
         r"y_{tij} \to y_{tij} + \sigma d_{c(i,j)}",
     ),
+    AMPLIFIER_MISMATCH,
+    DUAL_GAIN,
 )  # fmt: skip

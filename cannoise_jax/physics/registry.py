@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import functools
+import importlib
 from collections.abc import Callable
 from typing import Any
 
-from cannoise_jax.physics import capture, converter, digital, noise_steps, photons, pixel, readout
+from cannoise_jax.physics import (
+    capture,
+    converter,
+    dark_charge,
+    digital,
+    noise_steps,
+    photons,
+    pixel,
+    readout,
+    transport,
+)
 from cannoise_jax.physics.mechanism import Mechanism
 from cannoise_jax.vocabulary import VOCABULARY
 
 _CHAIN: tuple[Mechanism, ...] = (
     *capture.MECHANISMS,
     *photons.MECHANISMS,
+    *dark_charge.MECHANISMS,
     *noise_steps.MECHANISMS,
+    *transport.MECHANISMS,
     *pixel.MECHANISMS,
     *readout.MECHANISMS,
     *converter.MECHANISMS,
@@ -43,9 +56,8 @@ def chain_position(id: str, record: Mechanism) -> tuple[int, int]:
 
 @functools.cache
 def _estimators() -> dict[str, Callable[..., Any]]:
-    from cannoise_jax.physics import estimators
-
-    return dict(estimators.ESTIMATORS)
+    # Looked up late: estimators may themselves build models from the mechanisms above.
+    return dict(importlib.import_module("cannoise_jax.physics.estimators").ESTIMATORS)
 
 
 def estimator(id: str) -> Callable[..., Any] | None:

@@ -1,0 +1,168 @@
+"""A sensor model at one setting: tables over ISO, scaling laws, and the context that the mechanisms see."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from cannoise_jax.physics import registry
+from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.mechanism import Context, Mechanism, Scaling, scaling_factor
+from cannoise_jax.physics.poisson_gaussian import electrons_from_nlf
+
+Numbers = Array | np.ndarray | np.floating | float
+"""Numbers as they come: of NumPy outside jit, traced inside."""
+
+
+class Settings(NamedTuple):
+    """How a recording is taken. Temperature None: that at which the model's parameters hold."""
+
+    iso: float = 100.0
+    exposure_s: float = 0.01
+    temperature_c: float | None = None
+    frames: int = 1
+
+
+DEFAULT = Settings()
+
+
+class ExtrapolationWarning(UserWarning):
+    """A setting lies outside the range in which the model was calibrated."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class IsoTable:
+    """A parameter tabulated over ISO: linear in between, held at the ends. iso, value: [N], ISO ascending."""
+
+    iso: Numbers
+    value: Numbers
+
+    def at(self, iso) -> Array:
+        """The parameter at an ISO."""
+        return jnp.interp(iso, jnp.asarray(self.iso), jnp.asarray(self.value))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A mechanism with its parameters: numbers or `IsoTable`s by name, and the frozen maps that were
+    measured.
+
+    maps empty: they are drawn from the model's `unit_key`. point: for a mechanism without a name ("unnamed").
+    """
+
+    mechanism: str = field(metadata={"static": True})
+    parameters: dict[str, Any]
+    scaling: Scaling
+    maps: dict[str, Array]
+    point: Point | None = field(default=None, metadata={"static": True})
+
+    @property
+    def record(self) -> Mechanism:
+        """The functions of this mechanism."""
+        if self.point is not None:
+            return mechanism_from_grammar(self.point, id=self.mechanism)
+        return registry.mechanism(self.mechanism)
+
+
+def chain_order(fitted: tuple[Fitted, ...]) -> tuple[Fitted, ...]:
+    """Fitted mechanisms in the order of the signal chain; equals keep their order."""
+    return tuple(sorted(fitted, key=lambda f: registry.chain_position(f.mechanism, f.record)))
+
+
+def site_map(values: Float[Array, "... 4"], size: tuple[int, int]) -> Float[Array, "... h w"]:
+    """One value per mosaic site spread over [H, W]; batched and traceable form of `mosaic_map`."""
+    height, width = size
+    cell = jnp.asarray(values).reshape(*values.shape[:-1], 2, 2)
+    return cell[..., np.arange(height)[:, None] % 2, np.arange(width)[None, :] % 2]
+
+
+def baseline_at(model: Any, iso) -> tuple[Float[Array, "4"], Float[Array, "4"]]:
+    """Gain and read noise at an ISO, mosaic order. Between tabulated ISOs both are linear in ISO; beyond them
+    the gain is proportional to ISO and the read noise in e- stays at its last value."""
+    isos, gains, reads = (jnp.asarray(v) for v in (model.iso, model.gain_dn_per_e, model.read_noise_e))
+    inside = jnp.clip(iso, isos[0], isos[-1])
+    at = jax.vmap(lambda column: jnp.interp(inside, isos, column), in_axes=1)
+    return at(gains) * (iso / inside), at(reads)
+
+
+def context_of(model: Any, clean: Float[Array, "t h w"], settings: Settings) -> Context:
+    """The context of a clean mosaic [T or 1, H, W] at a setting."""
+    size = (clean.shape[-2], clean.shape[-1])
+    gain, read = baseline_at(model, settings.iso)
+    black = site_map(jnp.asarray(model.black_level), size)[None]
+    white = jnp.asarray(model.white_level)
+    temperature = settings.temperature_c
+    return Context(
+        mean_dn=jnp.maximum(clean, 0.0) * (white - black),
+        gain_dn_per_e=site_map(gain, size)[None],
+        read_noise_e=site_map(read, size)[None],
+        black_level=black,
+        white_level=white,
+        code_step=jnp.asarray(model.code_step),
+        iso=jnp.asarray(settings.iso, jnp.float32),
+        exposure_s=jnp.asarray(settings.exposure_s, jnp.float32),
+        temperature_c=None if temperature is None else jnp.asarray(temperature, jnp.float32),
+        cfa=model.cfa,
+        size=size,
+    )
+
+
+def context_of_nlf(model: Any, clean: Float[Array, "b h w"], shot, read) -> Context:
+    """The context of mosaics with one noise level function each ([B, 4], mosaic order)."""
+    first = context_of(model, clean, Settings())
+    span = jnp.asarray(model.white_level) - jnp.asarray(model.black_level)
+    gain, read_noise = electrons_from_nlf(shot, read, span)
+    # The ISO at which this model has that gain, one per mosaic, so that tables over ISO apply.
+    gains = jnp.mean(jnp.asarray(model.gain_dn_per_e), axis=1)
+    ratio = jnp.mean(gain, axis=1) / jnp.clip(jnp.mean(gain, axis=1), gains[0], gains[-1])
+    iso = jnp.interp(jnp.mean(gain, axis=1), gains, jnp.asarray(model.iso)) * ratio
+    return dataclasses.replace(
+        first,
+        gain_dn_per_e=site_map(gain, first.size),
+        read_noise_e=site_map(read_noise, first.size),
+        iso=iso[:, None, None],
+    )
+
+
+def resolve(model: Any, context: Context) -> tuple[dict[str, Array], ...]:
+    """The parameters of every mechanism at the context's setting: tables read, scaling law applied."""
+    resolved = []
+    for fitted in model.mechanisms:
+        values = {
+            name: v.at(context.iso) if isinstance(v, IsoTable) else jnp.asarray(v, jnp.float32)
+            for name, v in fitted.parameters.items()
+        }
+        scales = fitted.record.scales
+        if scales is not None:
+            iso = fitted.scaling.reference_iso
+            reference, _ = baseline_at(model, jnp.asarray(model.iso)[0] if iso is None else iso)
+            # A table over ISO already says how the strength moves with the gain.
+            law = fitted.scaling
+            if isinstance(fitted.parameters[scales], IsoTable):
+                law = dataclasses.replace(law, gain=0.0)
+            values[scales] = values[scales] * scaling_factor(law, context, site_map(reference, context.size))
+        resolved.append(values)
+    return tuple(resolved)
+
+
+def warn_outside(model: Any, settings: Settings) -> None:
+    iso = settings.iso
+    if isinstance(iso, jax.core.Tracer) or isinstance(model.iso, jax.core.Tracer):
+        return
+    low, high = float(model.iso[0]), float(model.iso[-1])
+    if not low <= iso <= high:
+        warnings.warn(
+            f"{model.camera}: ISO {iso:g} is outside the calibrated {low:g} to {high:g}: "
+            "the gain is taken as proportional to ISO, the read noise in e- as constant",
+            ExtrapolationWarning,
+            stacklevel=3,
+        )
