@@ -8,7 +8,7 @@ the noise of the real phones does:
   the ratio of standard deviations measured on two learned models (see `tables/phones.json`);
 - row noise of 0.09 to 0.16 of the read noise, as measured on a Sony A7S2; on N6 it is 1/f from row to row;
 - read noise with Tukey-lambda tails, shapes -0.2 to +0.1 as measured on the cameras of ELD and PMN;
-- black-level errors per colour channel of a fraction of the read noise, as in the tables of ELD;
+- black-level errors per colour channel of 0.15 to 0.45 of the read noise, as in the tables of ELD;
 - on G4, whose noise is *below* its published function at ISO 100, weak denoising inside the camera, which
   correlates neighbours of one colour. Its clean signal is what the denoising makes of the scene.
 
@@ -17,11 +17,10 @@ Codes are 10 bit. Shares and shapes are set per camera within the measured range
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-import json
 import math
 from dataclasses import dataclass
-from importlib import resources
 from typing import NamedTuple
 
 import jax
@@ -29,10 +28,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int32, Key, UInt16
 
-from cannoise_jax.physics.poisson_gaussian import sample_normal, sample_poisson, uniform_open
+from cannoise_jax.physics.half_real import half_real_recording
+from cannoise_jax.physics.presets import by_iso, read_table
 from cannoise_jax.physics.scenes import SPLITS, Scene, Split, draw_scenes, mosaic, numpy_generator
-from cannoise_jax.recordings.packing import pack, to_mosaic_order
-from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map, per_channel
+from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.recordings.packing import pack
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording, per_channel
 
 PATCH = 64
 """Side of a training patch in packed pixels; 128 on the mosaic."""
@@ -45,40 +46,39 @@ class Nlf(NamedTuple):
     read: float
 
 
-class TrueNoise(NamedTuple):
-    """What a virtual camera really does. Additive parts are in units of the read noise.
-
-    nlf: its true shot and read noise. row: rms of the row noise. row_exponent: 0: white, 1: 1/f.
-    tail: shape of the Tukey-lambda read noise (0.14 is near Gaussian, negative is heavy).
-    offset: black-level error of R, Gr, Gb, B. denoising: weight of the four same-colour neighbours.
-    """
-
-    nlf: Nlf
-    row: float
-    row_exponent: float
-    tail: float
-    offset: tuple[float, float, float, float]
-    denoising: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VirtualCamera:
     """A camera with a published noise level function and a true noise that is not quite it.
 
-    published, true: by ISO, same keys. black_level, white_level: DN; the code step is 1 DN.
+    published: by ISO, as handed on. true: by ISO, the shot and read noise that it really has, before what
+    `sensor` adds. sensor: the whole truth.
     """
 
     name: str
     cfa: str
-    black_level: float
-    white_level: float
     published: dict[int, Nlf]
-    true: dict[int, TrueNoise]
+    true: dict[int, Nlf]
+    sensor: SensorModel
 
     @property
     def isos(self) -> tuple[int, ...]:
         """The ISO settings it records at."""
         return tuple(self.published)
+
+    @property
+    def denoises(self) -> bool:
+        """Whether it averages neighbours, so that its clean signal is a blend of the scene."""
+        return any(fitted.mechanism == "in_camera_denoising" for fitted in self.sensor.mechanisms)
+
+    @property
+    def black_level(self) -> float:
+        """Black level, DN."""
+        return float(self.sensor.black_level[0])
+
+    @property
+    def white_level(self) -> float:
+        """White level, DN; the code step is 1 DN."""
+        return float(self.sensor.white_level)
 
 
 class VirtualPatches(NamedTuple):
@@ -101,35 +101,27 @@ class VirtualPatches(NamedTuple):
 def virtual_cameras() -> tuple[VirtualCamera, ...]:
     """The five virtual cameras IP, GP, S6, N6 and G4, in the order of the camera index."""
     return (
-        _camera("IP", "RGGB", 64, row=0.16, tail=0.10, offset=(0.3, 0.1, 0.1, -0.2)),
-        _camera("GP", "BGGR", 64, row=0.12, tail=-0.03, offset=(-0.1, 0.1, 0.1, 0.2)),
-        _camera("S6", "GRBG", 0, row=0.14, tail=-0.09, offset=(0.6, 0.3, 0.4, 0.5)),
-        _camera("N6", "BGGR", 64, row=0.16, row_exponent=1.0, tail=-0.20, offset=(0.1, -0.1, 0.0, 0.2)),
-        _camera("G4", "BGGR", 64, row=0.09, tail=0.05, offset=(-0.4, -0.2, -0.3, -0.5), denoising=0.15),
+        _camera("IP", "RGGB", 64, unit=0, row=0.16, tail=0.10, offset=0.2),
+        _camera("GP", "BGGR", 64, unit=1, row=0.12, tail=-0.03, offset=0.15),
+        _camera("S6", "GRBG", 0, unit=2, row=0.14, tail=-0.09, offset=0.45),
+        _camera("N6", "BGGR", 64, unit=3, pink_row=0.16, tail=-0.20, offset=0.15),
+        _camera("G4", "BGGR", 64, unit=4, row=0.09, tail=0.05, offset=0.35, denoising=0.15),
     )
 
 
 def record(
-    camera: VirtualCamera, key: Key[Array, ""], clean: Float[Array, "t h w"], iso: int
-) -> tuple[UInt16[np.ndarray, "t h w"], Float[np.ndarray, "t h w"]]:
-    """Frames (DN) of `clean` mosaics, and the noise-free signal they are about (normalised).
+    camera: VirtualCamera, key: Key[Array, ""], clean: Float[np.ndarray, "h w"], iso: int, frames: int = 1
+) -> tuple[UInt16[np.ndarray, "t h w"], Float[np.ndarray, "h w"]]:
+    """Frames (DN) of a clean mosaic, and the noise-free signal they are about (normalised).
 
     That signal is `clean` itself unless the camera denoises, which it does to the scene as well.
-    Raises KeyError for an ISO that the camera has not.
+    Raises BadInput for an ISO that the camera has not.
     """
-    true = camera.true[iso]
-    offset = mosaic_map(
-        per_channel(to_mosaic_order(np.array(true.offset), camera.cfa)), (clean.shape[1], clean.shape[2])
-    )
-    frames, expected = _record(
-        key,
-        jnp.asarray(clean, jnp.float32),
-        jnp.array([*true.nlf, true.row, true.row_exponent, true.tail, true.denoising]),
-        jnp.asarray(offset),
-        camera.black_level,
-        camera.white_level,
-    )
-    return np.asarray(frames), np.asarray(expected)
+    if iso not in camera.published:
+        raise BadInput(f"{camera.name}: no ISO {iso}, use one of {', '.join(map(str, camera.isos))}")
+    taken = camera.sensor.sample(key, jnp.asarray(clean, jnp.float32), Settings(iso=iso, frames=frames))
+    expected = _denoised(camera.sensor, jnp.asarray(clean)) if camera.denoises else clean
+    return np.asarray(taken), np.asarray(expected, np.float32)
 
 
 def virtual_capture_set(
@@ -138,15 +130,28 @@ def virtual_capture_set(
     scenes: tuple[Scene, ...],
     isos: tuple[int, ...] | None = None,
     frames: int = 1,
+    real_darks: CaptureSet | None = None,
 ) -> CaptureSet:
-    """Every scene recorded at every ISO, `frames` frames each, with the published noise level function."""
-    recordings = []
+    """Every scene recorded at every ISO, `frames` frames each, with the published noise level function.
+
+    real_darks: dark frames of a real camera to stand in for the floor, taken in turn. Then levels, colour
+    pattern, code step and number of frames are the real camera's, the virtual one lends its true shot noise,
+    and shot and read are those that are known of it: see `half_real`.
+    """
+    floors = real_darks.of_kind("dark", "bias") if real_darks else ()
+    if real_darks and not floors:
+        raise BadInput(f"{real_darks.path or real_darks.camera}: no dark or bias frames to lend their floor")
+    recordings: list[Recording] = []
     for s, scene in enumerate(scenes):
-        clean = mosaic(scene.image, camera.cfa)
         for iso in isos or camera.isos:
             draw = jax.random.fold_in(jax.random.fold_in(key, s), iso)
-            taken, expected = record(camera, draw, jnp.stack([clean] * frames), iso)
-            recordings.append(_recording(camera, iso, taken, expected[0]))
+            if floors:
+                dark = floors[len(recordings) % len(floors)]
+                gain = camera.true[iso].shot * (dark.white_level - float(np.mean(dark.black_level)))
+                recordings.append(half_real_recording(draw, mosaic(scene.image, dark.cfa), dark, gain))
+            else:
+                taken, expected = record(camera, draw, mosaic(scene.image, camera.cfa), iso, frames)
+                recordings.append(_recording(camera, iso, taken, expected))
     return CaptureSet(camera.name, tuple(recordings))
 
 
@@ -176,72 +181,53 @@ def virtual_patches(
     start = int(numpy_generator(iso_key).integers(1 << 16))
     parts = []
     for c, camera in enumerate(cameras):
-        isos = [camera.isos[(start + c + s) % len(camera.isos)] for s in range(scenes)]
-        for s, (scene, iso) in enumerate(zip(pictures, isos, strict=True)):
+        for s, scene in enumerate(pictures):
+            iso = camera.isos[(start + c + s) % len(camera.isos)]
             draw = jax.random.fold_in(jax.random.fold_in(noise_key, c), s)
-            clean = jnp.asarray(mosaic(scene.image, camera.cfa))[None]
-            taken, expected = record(camera, draw, clean, iso)
+            taken, expected = record(camera, draw, mosaic(scene.image, camera.cfa), iso)
             span = camera.white_level - camera.black_level
             noisy = (taken[0].astype(np.float32) - camera.black_level) / np.float32(span)
             number = s * len(SPLITS) + SPLITS.index(split)
-            parts.append(_patches(camera, c, iso, number, expected[0], noisy, side))
+            parts.append(_patches(camera, c, iso, number, expected, noisy, side))
     return VirtualPatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-@jax.jit
-def _record(key, clean, parameters, offset, black, white):
-    shot, read, row, exponent, tail, denoising = parameters
-    count, height, width = clean.shape
-    charge_key, read_key, row_key, round_key = jax.random.split(key, 4)
-    span = white - black
-    sigma = jnp.sqrt(read)
-    signal = shot * sample_poisson(charge_key, clean / shot)
-    floor = tukey_lambda(read_key, clean.shape, tail)
-    rows = coloured_rows(row_key, (count, height), exponent)[..., None]
-    noisy = signal + sigma * (floor + row * rows + offset)
-    blend = functools.partial(same_colour_blend, weight=denoising)
-    dn = black + span * blend(noisy)
-    codes = jnp.clip(jnp.round(dn), 0, white).astype(jnp.uint16)
-    return codes, blend(clean)
-
-
-def tukey_lambda(key: Key[Array, ""], shape: tuple[int, ...], shape_parameter) -> Float[Array, "..."]:
-    """Numbers of a symmetric Tukey-lambda distribution, scaled to variance one; shape > -0.5 and not 0."""
-    lam = jnp.asarray(shape_parameter, jnp.float32)
-    u = uniform_open(key, shape)
-    gamma = jax.scipy.special.gammaln
-    variance = 2 / lam**2 * (1 / (1 + 2 * lam) - jnp.exp(2 * gamma(1 + lam) - gamma(2 + 2 * lam)))
-    return (u**lam - (1 - u) ** lam) / lam / jnp.sqrt(variance)
-
-
-def coloured_rows(key: Key[Array, ""], shape: tuple[int, int], exponent) -> Float[Array, "t h"]:
-    """One number per row, spectrum 1/f^exponent from row to row, unit variance, mean zero unless white."""
-    white = sample_normal(key, shape)
-    frequency = jnp.arange(shape[1] // 2 + 1, dtype=jnp.float32)
-    gain = jnp.where(frequency > 0, jnp.maximum(frequency, 1.0) ** (-exponent / 2), exponent == 0)
-    power = (2 * jnp.sum(gain**2) - gain[0] ** 2 - gain[-1] ** 2) / shape[1]
-    shaped = jnp.fft.irfft(jnp.fft.rfft(white, axis=1) * gain, n=shape[1], axis=1)
-    return shaped / jnp.sqrt(power)
-
-
-def same_colour_blend(image: Float[Array, "t h w"], weight) -> Float[Array, "t h w"]:
-    """Each pixel blended with the mean of its four nearest neighbours of its colour; mirrored borders."""
-    padded = jnp.pad(image, ((0, 0), (2, 2), (2, 2)), mode="reflect")
-    centre = padded[:, 2:-2, 2:-2]
-    around = padded[:, :-4, 2:-2] + padded[:, 4:, 2:-2] + padded[:, 2:-2, :-4] + padded[:, 2:-2, 4:]
-    return (1 - weight) * centre + weight * around / 4
-
-
-def _camera(name, cfa, black, row, tail, offset, row_exponent=0.0, denoising=0.0) -> VirtualCamera:
-    tables = _phones()
-    published = {int(iso): Nlf(*value) for iso, value in tables["published"][name].items() if iso != "source"}
+def _camera(
+    name: str,
+    cfa: str,
+    black: float,
+    unit: int,
+    tail: float,
+    offset: float,
+    row: float = 0.0,
+    pink_row: float = 0.0,
+    denoising: float = 0.0,
+) -> VirtualCamera:
+    """A camera of the table. row, pink_row, offset: rms in units of the read noise; tail: Tukey-lambda shape;
+    unit: the camera unit, from which its black-level errors are drawn."""
+    tables, white = read_table("phones"), 1023.0
+    published = {int(iso): Nlf(*value) for iso, value in tables["published"][name].items()}
     # White noise that passes the blend keeps this share of its variance.
     kept = (1 - denoising) ** 2 + denoising**2 / 4
-    true = {
-        iso: TrueNoise(_true_nlf(tables, name, iso, nlf, kept), row, row_exponent, tail, offset, denoising)
-        for iso, nlf in published.items()
-    }
-    return VirtualCamera(name, cfa, float(black), 1023.0, published, true)
+    true = {iso: _true_nlf(tables, name, iso, nlf, kept) for iso, nlf in published.items()}
+    isos = tuple(float(iso) for iso in true)
+    read_dn = np.sqrt([nlf.read for nlf in true.values()]) * (white - black)
+    sensor = SensorModel.from_nlf(
+        np.array([[nlf.shot] for nlf in true.values()]),
+        np.array([[nlf.read] for nlf in true.values()]),
+        black,
+        white,
+        cfa,
+        iso=isos,
+        camera=name,
+        unit_key=jax.random.key(unit),
+    ).with_mechanism("heavy_tails", tukey_lambda=tail)
+    for id, share in (("row_noise", row), ("row_pink_noise", pink_row), ("channel_offset", offset)):
+        if share:
+            sensor = sensor.with_mechanism(id, sigma_dn=by_iso(isos, share * read_dn))
+    if denoising:
+        sensor = sensor.with_mechanism("in_camera_denoising", weight=denoising)
+    return VirtualCamera(name, cfa, published, true, sensor)
 
 
 def _true_nlf(tables: dict, name: str, iso: int, published: Nlf, kept: float) -> Nlf:
@@ -255,10 +241,13 @@ def _true_nlf(tables: dict, name: str, iso: int, published: Nlf, kept: float) ->
     return Nlf(published.shot * ratio**2 / kept, published.read * ratio**2 / kept)
 
 
-@functools.cache
-def _phones() -> dict:
-    text = (resources.files("cannoise_jax.physics") / "tables" / "phones.json").read_text()
-    return json.loads(text)
+@jax.jit
+def _denoised(sensor: SensorModel, clean: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    """What the camera's denoising makes of a noise-free mosaic (normalised): its closed form alone."""
+    kept = tuple(f for f in sensor.mechanisms if f.mechanism == "in_camera_denoising")
+    alone = dataclasses.replace(sensor, mechanisms=kept)
+    black = sensor.black_level[0]
+    return (alone.expected(clean) - black) / (sensor.white_level - black)
 
 
 def _recording(camera: VirtualCamera, iso: int, frames, clean) -> Recording:
