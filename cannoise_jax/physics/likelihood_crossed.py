@@ -131,8 +131,10 @@ def crossed_laplace(
     log_prob: pixel log-probabilities given an offset map, DN, to be added to the mean; any pixel likelihood
     of
       this package, censored at the rails or not.
-    Exact for normal pixels; within 3e-5 nats per pixel down to noise of a third of a step. The gradient
-    follows the mode (one implicit Newton step at the end is differentiated).
+    Exact for normal pixels. Error against exact integrals, nats per pixel: below 3e-5 on frames of 32 x 32
+    for
+    noise of a third of a step or more; on tiny frames of 12 x 3, 1e-4 at one step and 1e-3 at half a step.
+    The gradient follows the mode: one implicit Newton step at the end is differentiated.
     """
     unit = jnp.zeros(terms.row.shape[1] + terms.column.shape[1] + 1)
 

@@ -126,10 +126,16 @@ def _gather(recordings: Sequence[Recording], site: int, black: float, pixels: in
                 image = span * clean[site // 2 :: 2, site % 2 :: 2]
                 signal = image.reshape(-1)
                 # A noisy reference may not set its own weight: errors below would count more than above.
-                light = ndimage.uniform_filter(image, 5).reshape(-1) if r.reference_frames else signal
+                light = _smooth(image).reshape(-1) if r.reference_frames else signal
             signals.append(signal[few] + np.float32(r.black_level[site] - black))
             lights.append(np.maximum(light[few], 0))
     return np.concatenate(codes), np.concatenate(signals), np.concatenate(lights)
+
+
+def _smooth(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Means of 5 x 5 pixels, gradients continued beyond the border."""
+    padded = np.pad(image, 2, mode="reflect", reflect_type="odd")
+    return ndimage.uniform_filter(padded, 5)[2:-2, 2:-2]
 
 
 class _Pixels(NamedTuple):

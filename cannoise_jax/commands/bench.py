@@ -1,0 +1,191 @@
+"""bin/bench simulate|likelihood: how fast the sensor model samples, how exact the likelihood is.
+
+simulate     megapixels per second of SensorModel.sample beside getframes on the effects that both have.
+likelihood   errors of its integrals against brute force, and coverage of its 90 % intervals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from cannoise_jax.physics import likelihood_accuracy as accuracy
+from cannoise_jax.physics.likelihood import CodeGrid
+from cannoise_jax.physics.likelihood_shot import Shot, shot_error
+from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.recordings.recording import BadInput
+
+GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
+"""The camera of the speed comparison: DN/e-, e-, DN, DN (12 bit)."""
+PRNU, DARK_E_S, HOT_FRACTION, HOT_E_S, EXPOSURE_S = 0.01, 2.0, 0.002, 300.0, 1.0
+
+
+class Speed(NamedTuple):
+    """Best megapixels per second; peer: getframes as its manual shows, fast: in float32 with its buffers
+    reused."""
+
+    effects: str
+    side: int
+    electrons: float
+    ours: float
+    peer: float | None
+    fast: float | None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs one benchmark; returns 0, or 2 after one line on stderr when something cannot be used."""
+    arguments = _parser().parse_args(argv)
+    try:
+        arguments.run(arguments)
+    except BadInput as error:
+        print(f"bin/bench: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
+    commands = parser.add_subparsers(required=True, metavar="simulate|likelihood")
+    simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
+    simulate.add_argument(
+        "--sizes", type=int, nargs="+", default=[256, 1024, 2048], help="frame sides, pixels"
+    )
+    simulate.add_argument("--electrons", type=float, nargs="+", default=[3.0, 300.0], help="mean signals, e-")
+    simulate.add_argument("--frames", type=int, default=4, help="frames per timed call (default 4)")
+    simulate.add_argument(
+        "--repeats", type=int, default=5, help="timed calls each, taken in turn; best counts"
+    )
+    simulate.set_defaults(run=_run_simulate)
+    exact = commands.add_parser("likelihood", help="errors and interval coverage of the likelihood")
+    exact.add_argument("--simulations", type=int, default=300, help="for the coverage (default 300)")
+    exact.add_argument("--seed", type=int, default=0)
+    exact.set_defaults(run=_run_likelihood)
+    return parser
+
+
+def _run_simulate(arguments: argparse.Namespace) -> None:
+    if min(arguments.sizes) < 2 or arguments.frames < 1 or arguments.repeats < 1:
+        raise BadInput("simulate: sizes from 2, frames and repeats from 1")
+    if not all(0 <= e * GAIN < WHITE - BLACK for e in arguments.electrons):
+        raise BadInput(f"simulate: --electrons from 0 to {(WHITE - BLACK) / GAIN:g}, the white level")
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    print(f"{jax.default_backend()}, {os.cpu_count()} cores, load {load:.1f}; best of {arguments.repeats}")
+    print(f"calls of {arguments.frames} frames, taken in turn; one warm-up call each is not counted; Mpx/s.")
+    print(f"{'effects':<34}{'side':>6}{'e-':>7}{'ours':>9}{'getframes':>11}{'its float32':>13}{'ratio':>8}")
+    for effects in ("shot, read, rounding, clipping", "+ PRNU, dark current, hot pixels"):
+        for side in arguments.sizes:
+            for electrons in arguments.electrons:
+                s = speed(effects, side, electrons, arguments.frames, arguments.repeats)
+                line = f"{s.effects:<34}{s.side:>6}{s.electrons:>7g}{s.ours:>9.1f}"
+                if s.peer is None or s.fast is None:
+                    print(line + "   getframes is not installed: pip install 'cannoise-jax[peers]'")
+                else:
+                    print(f"{line}{s.peer:>11.1f}{s.fast:>13.1f}{s.ours / max(s.peer, s.fast):>8.2f}")
+    print("ratio: ours over the faster of getframes' two ways.")
+
+
+def speed(effects: str, side: int, electrons: float, frames: int, repeats: int) -> Speed:
+    """Times both simulators on one flat scene; a leading "+" in `effects` adds the fixed patterns."""
+    more = effects.startswith("+")
+    calls = [_our_call(side, electrons, frames, more), *_peer_calls(side, electrons, frames, more)]
+    best = [np.inf] * len(calls)
+    for call in calls:
+        call(0)
+    for repeat in range(repeats):
+        for i, call in enumerate(calls):
+            start = time.perf_counter()
+            call(repeat + 1)
+            best[i] = min(best[i], time.perf_counter() - start)
+    rates = [frames * side * side / 1e6 / b for b in best]
+    return Speed(effects, side, electrons, rates[0], *(rates[1:] or (None, None)))
+
+
+def our_model(side: int, more: bool) -> SensorModel:
+    """The camera of the comparison; `more`: with PRNU, dark current and hot pixels, their maps drawn once."""
+    model = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "MONO")
+    if not more:
+        return model
+    model = model.with_mechanism("prnu", sigma=PRNU).with_mechanism("dark_current", e_per_s=DARK_E_S)
+    return model.with_mechanism("hot_pixels", e_per_s=HOT_E_S, fraction=HOT_FRACTION).with_maps((side, side))
+
+
+def _our_call(side: int, electrons: float, frames: int, more: bool) -> Callable[[int], object]:
+    model = our_model(side, more)
+    clean = jax.numpy.full((side, side), electrons * GAIN / (WHITE - BLACK), jax.numpy.float32)
+    settings = Settings(iso=100.0, exposure_s=EXPOSURE_S, frames=frames)
+    return lambda seed: np.asarray(model.sample(jax.random.key(seed), clean, settings))
+
+
+def peer_config(side: int, more: bool):
+    """The same camera for getframes; None where that package is not installed."""
+    try:
+        import getframes
+    except ImportError:
+        return None
+    return getframes.CameraConfig(
+        name="comparison",
+        sensor_type=getframes.SensorType.CMOS,
+        resolution=(side, side),
+        pixel_size_um=3.0,
+        quantum_efficiency=1.0,
+        full_well_e=1e6,
+        bit_depth=12,
+        gain_e_per_adu=1 / GAIN,
+        bias_offset_adu=BLACK,
+        read_noise_e=READ_E,
+        dark_current_e_per_s=DARK_E_S if more else 0.0,
+        prnu=PRNU if more else 0.0,
+        hot_pixel_fraction=HOT_FRACTION if more else 0.0,
+        hot_pixel_factor=HOT_E_S / DARK_E_S,
+    )
+
+
+def _peer_calls(side: int, electrons: float, frames: int, more: bool) -> list[Callable[[int], object]]:
+    config = peer_config(side, more)
+    if config is None:
+        return []
+    import getframes
+
+    rate = np.full((side, side), electrons / EXPOSURE_S)
+    plain = getframes.Camera(config, seed=0)
+    quick = getframes.Camera(config, seed=0, precision="float32")
+    scratch, out = getframes.DetectorWorkspace(), np.empty((side, side), np.uint32)
+
+    def by_manual(seed: int):
+        return [plain.expose(rate, EXPOSURE_S).data for _ in range(frames)]
+
+    def reusing(seed: int):
+        for _ in range(frames):
+            quick.expose(rate, EXPOSURE_S, include_truth=False, workspace=scratch, out=out)
+
+    return [by_manual, reusing]
+
+
+def _run_likelihood(arguments: argparse.Namespace) -> None:
+    if arguments.simulations < 1:
+        raise BadInput("likelihood: --simulations from 1")
+    print("Error of integrated offsets against brute force, largest, nats per pixel (codes of step 1 DN)")
+    print(f"{'pixel noise':>12}{'offsets':>9}{'nested':>10}{'crossed normal':>16}{'crossed Laplace':>17}")
+    for sigma in (0.35, 0.5, 0.69, 1.0, 2.0):
+        e = accuracy.shared_errors(sigma, 0.5, arguments.seed)
+        print(f"{sigma:>12g}{0.5:>9g}{e.nested:>10.1e}{e.crossed_normal:>16.1e}{e.crossed_laplace:>17.1e}")
+    print("Log-likelihood lost by a form of shot noise, nats per pixel (read noise 2 e-, 2 DN/e-)")
+    forms: tuple[Shot, ...] = ("gaussian", "skewed", "poisson")
+    print(f"{'electrons':>12}" + "".join(f"{form:>12}" for form in forms))
+    for electrons in (1.0, 5.0, 25.0, 100.0, 400.0):
+        lost = (shot_error(electrons, 2.0, 4.0, CodeGrid(1.0), form) for form in forms)
+        print(f"{electrons:>12g}" + "".join(f"{value:>12.1e}" for value in lost))
+    print(f"Coverage of 90 % intervals over {arguments.simulations} simulations")
+    for c in accuracy.coverage(arguments.simulations, arguments.seed):
+        print(f"{c.parameter:>14}  true {c.truth:g}, mean {c.mean:.4g}, covered {100 * c.covered:.1f} %")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
