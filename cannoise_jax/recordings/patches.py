@@ -13,7 +13,7 @@ import os
 import shutil
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +113,7 @@ def open_patches(folder: str | Path) -> PatchStore:
         counts = [entry["patches"] for entry in entries]
         store = PatchStore(
             path=str(folder),
-            tile=index["tile"],
+            tile=int(index["tile"]),
             cameras=tuple(index["cameras"]),
             scenes=tuple(index["scenes"]),
             camera=np.repeat(np.array([entry["camera"] for entry in entries], np.int32), counts),
@@ -147,10 +147,11 @@ def split_scenes(source: PatchStore, held_out: Collection[str]) -> tuple[PatchSo
     numbers = [source.scenes.index(scene) for scene in held_out]
     test = np.isin(source.scene, numbers)
     if test.all() or not test.any():
-        raise BadInput(f"{source.path}: {len(numbers)} of {len(source.scenes)} scenes held out: one side is empty")
+        raise BadInput(f"{source.path}: holding out {', '.join(held_out)} leaves one side without scenes")
     return Subset(source, np.flatnonzero(~test)), Subset(source, np.flatnonzero(test))
 
 
+@cache
 def _layout(tile: int) -> np.dtype:
     """One record: numbers in packed order, DN, and normalised units."""
     image = (tile, tile, 4)

@@ -107,7 +107,11 @@ def batches(
     triplet: False leaves out `positive` and `negative`, which one camera alone cannot give.
     Raises BadInput for one camera with a triplet, a camera with fewer than two patches, patches below `size`.
     """
-    element = _Element(source, _by_camera(source, triplet), size, triplet)
+    members = _by_camera(source, triplet)
+    if size is not None and min(source[0]["noisy"].shape[:2]) < size:
+        stored = "{} x {}".format(*source[0]["noisy"].shape[:2])
+        raise BadInput(f"stored patches of {stored} (packed) are smaller than {size}: store larger ones")
+    element = _Element(source, members, size, triplet)
     per_epoch = len(element.members) * max(map(len, element.members))
     data = grain.MapDataset.range(per_epoch).seed(seed).shuffle().repeat().random_map(element)
     options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=4 * batch_size if threads else 0)
