@@ -73,7 +73,7 @@ class VirtualCamera:
     @property
     def black_level(self) -> float:
         """Black level, DN."""
-        return float(self.sensor.black_level[0])
+        return float(np.asarray(self.sensor.black_level)[0])
 
     @property
     def white_level(self) -> float:
@@ -246,7 +246,7 @@ def _denoised(sensor: SensorModel, clean: Float[Array, "h w"]) -> Float[Array, "
     """What the camera's denoising makes of a noise-free mosaic (normalised): its closed form alone."""
     kept = tuple(f for f in sensor.mechanisms if f.mechanism == "in_camera_denoising")
     alone = dataclasses.replace(sensor, mechanisms=kept)
-    black = sensor.black_level[0]
+    black = jnp.asarray(sensor.black_level)[0]
     return (alone.expected(clean) - black) / (sensor.white_level - black)
 
 
