@@ -1,0 +1,142 @@
+"""A stored sensor model is the same model, and a damaged file says in one line what is wrong."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.mechanism import Scaling
+from cannoise_jax.physics.registry import MECHANISMS
+from cannoise_jax.physics.sensor import IsoTable, SensorModel, Settings
+from cannoise_jax.physics.sensor_json import SCHEMA, read_sensor, sensor_document, write_sensor
+from cannoise_jax.recordings import BadInput
+
+SIZE = (8, 10)
+
+
+def camera() -> SensorModel:
+    base = SensorModel.poisson_gaussian(
+        [[0.1, 0.11, 0.12, 0.13], [0.4, 0.41, 0.42, 0.43]],
+        [[3.0] * 4, [2.0] * 4],
+        (64, 64.25, 64.5, 63.1),
+        4095,
+        "GBRG",
+        iso=(100, 400),
+        camera="test",
+        unit_key=jax.random.key(7),
+    )
+    return (
+        base.with_mechanism("row_noise", sigma_dn=IsoTable(np.array([100.0, 400.0]), np.array([0.3, 0.9])))
+        .with_mechanism("prnu", sigma=0.02)
+        .with_mechanism(
+            "dark_current", scaling=Scaling(exposure=1.0, doubling_c=6.3, reference_temperature_c=20)
+        )
+        .with_mechanism(
+            "stripes",
+            point=Point("readout", "signal", "column", "drifting", spectrum="power_law"),
+            sigma_dn=0.7,
+        )
+    )
+
+
+def assert_same(first: SensorModel, second: SensorModel):
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        if jnp.issubdtype(getattr(a, "dtype", np.float32), jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(np.asarray(a, np.float32), np.asarray(b, np.float32))
+
+
+def test_round_trip_with_tables_scaling_grammar_and_maps(tmp_path):
+    model = camera().with_maps(SIZE)
+    path = tmp_path / "sensor.json"
+    write_sensor(path, model)
+    again = read_sensor(path)
+    assert_same(model, again)
+    settings = Settings(iso=250, exposure_s=0.1, frames=2)
+    clean = np.full(SIZE, 0.2, np.float32)
+    key = jax.random.key(3)
+    np.testing.assert_array_equal(model.sample(key, clean, settings), again.sample(key, clean, settings))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["sensor.json", "sensor.npz"]
+
+
+@pytest.mark.parametrize("id", MECHANISMS)
+def test_every_mechanism_round_trips(id, tmp_path):
+    model = SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, "RGGB").with_mechanism(id)
+    path = tmp_path / "sensor.json"
+    write_sensor(path, model)
+    assert_same(model, read_sensor(path))
+    document = json.loads(path.read_text())
+    assert document["schema"] == SCHEMA and document == sensor_document(model)
+    assert set(document["mechanisms"][0]) >= {"mechanism", "parameters", "scaling", "maps"}
+
+
+def damage(**changes):
+    def change(document):
+        document.update(changes)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (damage(schema="other/1"), "schema"),
+        (damage(cfa="RGBW"), "cfa"),
+        (damage(baseline=[]), "baseline is empty"),
+        (
+            damage(baseline=[{"iso": 100, "gain_dn_per_e": 0, "read_noise_e": 1}]),
+            "gain_dn_per_e must be positive",
+        ),
+        (damage(baseline=[{"iso": 100, "gain_dn_per_e": [1, 2], "read_noise_e": 1}]), "1 or 4 values"),
+        (damage(white_level=10), "not above black_level"),
+        (damage(white_level="bright"), "not a finite number"),
+        (lambda d: d.pop("camera"), "lacks the entry 'camera'"),
+        (lambda d: d["mechanisms"][0].update(mechanism="gremlins"), "gremlins"),
+        (lambda d: d["mechanisms"][0]["parameters"].update(volume=11), "no parameter volume"),
+        (lambda d: d["mechanisms"][0]["parameters"].update(sigma=-0.1), "outside"),
+        (lambda d: d["mechanisms"][0]["scaling"].update(moon=1.0), "moon"),
+        (lambda d: d["mechanisms"][0]["maps"].update(field="9/field"), "not in the .npz"),
+        (lambda d: d["maps"].update(sha256="0" * 64), "is not the file"),
+        (lambda d: d["maps"].update(file="gone.npz"), "cannot be read"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)
+def test_damaged_files_are_one_line(change, message, tmp_path):
+    path = tmp_path / "sensor.json"
+    write_sensor(path, camera().with_maps(SIZE))
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(BadInput, match=message) as caught:
+        read_sensor(path)
+    assert "\n" not in str(caught.value) and str(tmp_path) in str(caught.value)
+
+
+def test_files_that_are_no_sensor_model(tmp_path):
+    with pytest.raises(BadInput, match="cannot be read"):
+        read_sensor(tmp_path / "absent.json")
+    (tmp_path / "text.json").write_text("hello")
+    with pytest.raises(BadInput, match="not JSON"):
+        read_sensor(tmp_path / "text.json")
+
+
+def test_pickled_maps_are_refused(tmp_path):
+    import hashlib
+
+    path = tmp_path / "sensor.json"
+    write_sensor(path, camera().with_maps(SIZE))
+    np.savez(tmp_path / "sensor.npz", **{"0/field": np.array([{"a": 1}], dtype=object)})
+    document = json.loads(path.read_text())
+    document["maps"]["sha256"] = hashlib.sha256((tmp_path / "sensor.npz").read_bytes()).hexdigest()
+    path.write_text(json.dumps(document))
+    with pytest.raises(BadInput, match="no plain arrays"):
+        read_sensor(path)
+
+
+def test_unwritable_place_is_one_line(tmp_path):
+    with pytest.raises(BadInput, match="cannot be written"):
+        write_sensor(tmp_path / "absent" / "sensor.json", camera())
