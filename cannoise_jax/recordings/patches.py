@@ -20,9 +20,10 @@ from typing import Any
 import grain
 import numpy as np
 from array_record.python.array_record_module import ArrayRecordWriter
+from jaxtyping import Float, Int
 
 from cannoise_jax.recordings.packing import pack, to_packed_order
-from cannoise_jax.recordings.pipeline import PatchSource, Subset
+from cannoise_jax.recordings.pipeline import Subset
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.references import referenced_frames
 
@@ -66,7 +67,8 @@ def write_patches(
         writer.close()
         index = {"schema": SCHEMA, "tile": tile, "cameras": cameras, "scenes": scenes, "recordings": entries}
         (partial / _INDEX).write_text(json.dumps(index, indent=1))
-        _check_size(partial / _RECORDS, count * _layout(tile).itemsize)
+        if (partial / _RECORDS).stat().st_size < count * _layout(tile).itemsize:
+            raise OSError("the disk took only a part of the patches")
         os.replace(partial, folder)
     except (OSError, RuntimeError) as error:
         raise BadInput(f"{folder}: cannot be written: {' '.join(str(error).split())}") from error
@@ -77,14 +79,18 @@ def write_patches(
 
 @dataclass(frozen=True, eq=False)
 class PatchStore:
-    """A patch source on disk, see `pipeline.PatchSource`. camera, scene: indices into `cameras`, `scenes`."""
+    """A patch source on disk, see `pipeline.PatchSource`.
+
+    One value a patch: camera, scene (indices into `cameras`, `scenes`) and iso (0: unknown).
+    """
 
     path: str
     tile: int
     cameras: tuple[str, ...]
     scenes: tuple[str, ...]
-    camera: np.ndarray
-    scene: np.ndarray
+    camera: Int[np.ndarray, "n"]
+    scene: Int[np.ndarray, "n"]
+    iso: Float[np.ndarray, "n"]
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -118,6 +124,7 @@ def open_patches(folder: str | Path) -> PatchStore:
             scenes=tuple(index["scenes"]),
             camera=np.repeat(np.array([entry["camera"] for entry in entries], np.int32), counts),
             scene=np.repeat(np.array([entry["scene"] for entry in entries], np.int32), counts),
+            iso=np.repeat(np.array([entry["iso"] or 0 for entry in entries], np.float32), counts),
         )
     except FileNotFoundError as error:
         raise BadInput(f"{folder}: holds no patch store (no {_INDEX})") from error
@@ -135,7 +142,7 @@ def open_patches(folder: str | Path) -> PatchStore:
     return store
 
 
-def split_scenes(source: PatchStore, held_out: Collection[str]) -> tuple[PatchSource, PatchSource]:
+def split_scenes(source: PatchStore, held_out: Collection[str]) -> tuple[Subset, Subset]:
     """(train, test) with disjoint scenes: test holds the scenes named, train all others.
 
     Raises BadInput for a scene that the store does not hold, or when one side would be empty.

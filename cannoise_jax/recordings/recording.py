@@ -44,7 +44,7 @@ class Recording:
     frames: `uint16[T, H, W]`, DN as stored; an array, or a lazy view of a file (see `Frames`).
     black_level, shot, read: mosaic order, see `PerChannel`. shot and read are variance coefficients in
       normalised units, var = shot * clean + read, so the system gain is K = shot * (white - black) DN/e-.
-    clean: expected noise-free signal, normalised; `float32[H, W]` or `[T, H, W]`.
+    clean: expected noise-free signal, normalised; `float32[H, W]`, or `[T, H, W]`, maybe lazy like frames.
     code_step: spacing of the stored codes in DN; None: to be detected; 0: not on a lattice.
     reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
     path: the file it was read from, for messages.

@@ -78,6 +78,7 @@ def test_cameras_scenes_and_the_split(tmp_path):
     store = write_patches(tmp_path / "s", sources, 20, seed=0, tile=8)
     assert store.cameras == ("A", "B") and store.scenes == ("001", "002", "003")
     np.testing.assert_array_equal(np.bincount(store.camera), [10, 10])
+    assert set(store.iso) == {100}
     train, test = split_scenes(store, ("001", "002"))
     assert len(train) == 5 and len(test) == 15
     assert {store.scenes[store.scene[n]] for n in test.indices} == {"001", "002"}
