@@ -79,7 +79,7 @@ def row_spectrum(noise: Float[np.ndarray, "n h w 4"]) -> float:
     centred = noise - noise.mean(axis=(1, 2), keepdims=True)
     count, height, width, _ = centred.shape
     rows = centred.reshape(count, height, width, 2, 2).mean(axis=(2, 4)).reshape(count, 2 * height)
-    power = np.abs(np.fft.rfft(rows, axis=1)[:, 1 : height // 2 + 1]) ** 2 / rows.shape[1]
+    power = np.abs(np.fft.rfft(rows, axis=1)[:, 1 : height // 4 + 1]) ** 2 / rows.shape[1]
     return float(power.mean() * 2 * width / np.square(centred).mean())
 
 
