@@ -36,21 +36,24 @@ _RECORDS, _INDEX = "patches.array_record", "index.json"
 def write_patches(
     folder: str | Path,
     recordings: Sequence[tuple[Recording, str]],
-    count: int,
+    counts: int | Sequence[int],
     *,
     seed: int,
     tile: int = TILE,
 ) -> PatchStore:
-    """Cuts `count` patches at random frames and even offsets out of recordings with their scene names.
+    """Cuts patches at random frames and even offsets out of recordings with their scene names.
 
-    Every recording gives the same number of patches. The noise-free patch is the recording's `clean`, or the
-    mean of its other frames. shot and read must be known. Equal arguments give equal bytes.
+    counts: how many in all, every recording giving the same number, or how many of each recording: see
+    `counts_by_split` for a given number of training and of test patches. The noise-free patch is the
+    recording's `clean`, or the mean of its other frames. shot and read must be known. Equal arguments give
+    equal bytes.
     Raises BadInput, and then leaves nothing behind; also when the folder holds a store already.
     """
     folder = Path(folder)
     if (folder / _INDEX).exists():
         raise BadInput(f"{folder}: holds a patch store already: remove it or name another folder")
     _check(recordings, tile)
+    wanted = spread(counts, len(recordings)) if isinstance(counts, int) else list(counts)
     cameras = tuple(dict.fromkeys(recording.camera for recording, _ in recordings))
     scenes = tuple(sorted({scene for _, scene in recordings}))
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
@@ -59,15 +62,15 @@ def write_patches(
         writer = ArrayRecordWriter(str(partial / _RECORDS), "group_size:1,uncompressed")
         entries = []
         for number, (recording, scene) in enumerate(recordings):
-            wanted = count * (number + 1) // len(recordings) - count * number // len(recordings)
             entry = {"camera": cameras.index(recording.camera), "scene": scenes.index(scene)}
-            for record in _records(recording, entry, wanted, np.random.default_rng([seed, number]), tile):
+            rng = np.random.default_rng([seed, number])
+            for record in _records(recording, entry, wanted[number], rng, tile):
                 writer.write(record)
-            entries.append(entry | {"iso": recording.iso, "patches": wanted})
+            entries.append(entry | {"iso": recording.iso, "patches": wanted[number]})
         writer.close()
         index = {"schema": SCHEMA, "tile": tile, "cameras": cameras, "scenes": scenes, "recordings": entries}
         (partial / _INDEX).write_text(json.dumps(index, indent=1))
-        if (partial / _RECORDS).stat().st_size < count * _layout(tile).itemsize:
+        if (partial / _RECORDS).stat().st_size < sum(wanted) * _layout(tile).itemsize:
             raise OSError("the disk took only a part of the patches")
         os.replace(partial, folder)
     except (OSError, RuntimeError) as error:
@@ -75,6 +78,24 @@ def write_patches(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return open_patches(folder)
+
+
+def spread(count: int, over: int) -> list[int]:
+    """`count` in `over` parts that differ by one at most."""
+    return [count * (n + 1) // over - count * n // over for n in range(over)]
+
+
+def counts_by_split(scenes: Sequence[str], held_out: Collection[str], train: int, test: int) -> list[int]:
+    """Patches of each recording, given its scene, so that training and held-out scenes get their totals.
+
+    The paper: 500,000 and 150,000. Raises BadInput when one side has no recording.
+    """
+    is_test = [scene in held_out for scene in scenes]
+    if all(is_test) or not any(is_test):
+        known = ", ".join(sorted(set(scenes)))
+        raise BadInput(f"holding out {', '.join(held_out)} of the scenes {known} empties a side")
+    shares = iter(spread(train, is_test.count(False))), iter(spread(test, is_test.count(True)))
+    return [next(shares[side]) for side in is_test]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +124,7 @@ class PatchStore:
             "clean": record["clean"],
             "shot": record["shot"],
             "read": record["read"],
+            "iso": record["iso"],
         }
 
     @cached_property

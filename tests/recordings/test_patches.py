@@ -7,7 +7,7 @@ import pytest
 
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.packing import pack, to_packed_order
-from cannoise_jax.recordings.patches import open_patches, split_scenes, write_patches
+from cannoise_jax.recordings.patches import counts_by_split, open_patches, split_scenes, spread, write_patches
 from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput, Recording, normalise
 from cannoise_jax.recordings.references import leave_one_out
@@ -88,6 +88,19 @@ def test_cameras_scenes_and_the_split(tmp_path):
     for everything in (("001", "002", "003"), ()):
         with pytest.raises(BadInput, match="leaves one side without"):
             split_scenes(store, everything)
+
+
+def test_totals_of_training_and_test_patches(tmp_path):
+    assert spread(10, 4) == [2, 3, 2, 3] and sum(spread(650_001, 97)) == 650_001
+    scenes = ["001", "003", "004", "003", "008"]
+    counts = counts_by_split(scenes, ("001", "002", "008"), train=10, test=7)
+    assert counts == [3, 3, 3, 4, 4]
+    sources = [(recording(seed=n), scene) for n, scene in enumerate(scenes)]
+    store = write_patches(tmp_path / "s", sources, counts, seed=0, tile=8)
+    train, test = split_scenes(store, ("001", "008"))
+    assert len(train) == 10 and len(test) == 7
+    with pytest.raises(BadInput, match="empties a side"):
+        counts_by_split(["003"], ("001",), 1, 1)
 
 
 def test_batches_from_the_store_resume_bit_exactly(tmp_path):
