@@ -74,14 +74,13 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
     first = statistics[0].recording
     _check_alike([s.recording for s in statistics])
-    steps = [s.code_step for s in statistics if s.code_step > 0]
-    step = min(steps, default=0.0)
+    step = _code_step(statistics)
     flats = [s for s in statistics if s.recording.kind == "flat"]
     dark = _reference_dark([s for s in statistics if s.recording.kind in DARK_KINDS], flats)
     lit = flats or [s for s in statistics if s.recording.kind == "scene"]
     names = channel_names(first.cfa)
-    black = per_channel(dark.frame_means.mean(0)) if dark is not None else first.black_level
-    lines = [_line(lit, dark, black, step, c) for c in range(4)]
+    black = _black_level(statistics, dark)
+    lines = channel_lines(statistics)
     quantities: list[Quantity] = []
     for c, name in enumerate(names):
         quantities += noise_quantities(name, c, lines[c], lit, dark, step)
@@ -96,6 +95,24 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
         first.camera, first.iso, first.cfa, _baseline(lines, dark, black, first, step, quantities),
         tuple(sorted(quantities, key=_table_order(quantities))), tuple(statistics),
     )  # fmt: skip
+
+
+def channel_lines(statistics: Sequence[FrameStatistics]) -> list[Line | NotMeasurable]:
+    """The photon transfer line of every channel, mosaic order."""
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    dark = _reference_dark([s for s in statistics if s.recording.kind in DARK_KINDS], flats)
+    lit = flats or [s for s in statistics if s.recording.kind == "scene"]
+    black = _black_level(statistics, dark)
+    step = _code_step(statistics)
+    return [_line(lit, dark, black, step, c) for c in range(4)]
+
+
+def _black_level(statistics: Sequence[FrameStatistics], dark: FrameStatistics | None) -> PerChannel:
+    return statistics[0].recording.black_level if dark is None else per_channel(dark.frame_means.mean(0))
+
+
+def _code_step(statistics: Sequence[FrameStatistics]) -> float:
+    return min((s.code_step for s in statistics if s.code_step > 0), default=0.0)
 
 
 def _check_alike(recordings: Sequence[Recording]) -> None:

@@ -9,11 +9,12 @@ be used.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from jaxtyping import Float
 
-from cannoise_jax.physics.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
+from cannoise_jax.physics.estimate import Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer_fit import robust_mean_square
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 
@@ -24,45 +25,53 @@ _HOT = 6.0  # robust standard deviations above the median of the longest dark
 _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
 
 
-def dark_currents(
-    darks: Sequence[FrameStatistics], channel: int, gain: Outcome
-) -> tuple[Outcome, Outcome, str]:
-    """Dark current by mean and by variance, e-/s per pixel, and a note on whether they agree.
+class Series(NamedTuple):
+    """Darks of one channel over exposure time: mean (e- above any constant) and temporal variance (e-^2)."""
 
-    Pixels that clip, or that are hot in the longest dark, are left out of both (the rule: above the median by
-    six robust standard deviations).
+    seconds: Float[np.ndarray, "n"]
+    mean: Float[np.ndarray, "n"]
+    variance: Float[np.ndarray, "n"]
+    error: Float[np.ndarray, "n"]
+
+
+def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> Series | NotMeasurable:
+    """One channel of repeated darks of known exposure, in electrons.
+
+    Pixels that clip, or that are hot in the longest dark, are left out (the rule: above the median by six
+    robust standard deviations).
     """
     series = sorted(
         (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
         key=lambda s: s.recording.exposure_s or 0.0,
     )
     if len({s.recording.exposure_s for s in series}) < 3:
-        return NotMeasurable(RECORD), NotMeasurable(RECORD), ""
-    if isinstance(gain, NotMeasurable):
-        return gain, gain, ""
+        return NotMeasurable(RECORD)
     longest = site(series[-1].mean, channel)
     middle = np.median(longest)
     keep = longest < middle + _HOT * 1.4826 * np.median(np.abs(longest - middle))
     for s in series:
         keep &= ~site(s.clipped, channel)
-    exposure, mean, square, error = [], [], [], []
+    rows = []
     for s in series:
-        exposure.append(s.recording.exposure_s)
-        mean.append(float(site(s.mean, channel)[keep].mean()))
         value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)
-        square.append(value)
-        error.append(value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR))
-    times = np.array(exposure, np.float64)
-    by_mean = _slope(times, np.array(mean), np.ones(len(times))).scaled(1 / gain.value)
-    by_variance = _slope(times, np.array(square), 1 / np.array(error)).scaled(1 / gain.value**2)
+        error = value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR)
+        mean = float(site(s.mean, channel)[keep].mean())
+        rows.append((s.recording.exposure_s, mean / gain, value / gain**2, error / gain**2))
+    return Series(*np.array(rows, np.float64).T)
+
+
+def dark_currents(series: Series) -> tuple[Estimate, Estimate, bool, str]:
+    """Dark current by mean and by variance, e-/s per pixel, whether they agree, and a note that says so."""
+    by_mean = _slope(series.seconds, series.mean, np.ones(len(series.seconds)))
+    by_variance = _slope(series.seconds, series.variance, 1 / series.error)
     apart = by_mean.value - by_variance.value
-    agree = abs(apart) < max(3 * np.hypot(by_mean.stderr, by_variance.stderr), 0.25 * abs(by_variance.value))
-    if agree:
-        return by_mean, by_variance, "agrees with the variance"
+    error = float(np.hypot(by_mean.stderr, by_variance.stderr))
+    if abs(apart) < max(3 * error, 0.25 * abs(by_variance.value)):
+        return by_mean, by_variance, True, "agrees with the variance"
     note = "disagrees with the variance: black is clamped on the chip, so the mean cannot be used"
     if apart > 0:
         note = "exceeds what the variance allows: light leak, or black level rising with exposure"
-    return by_mean, by_variance, note
+    return by_mean, by_variance, False, note
 
 
 def _slope(times: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Estimate:
@@ -72,6 +81,4 @@ def _slope(times: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Estimat
     rest = values * weight - design @ solution
     dof = len(times) - 2
     covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
-    return normal_estimate(
-        float(solution[1]), float(np.sqrt(covariance[1, 1])), min(dof, stats.t.ppf(0.9999, 1))
-    )
+    return normal_estimate(float(solution[1]), float(np.sqrt(covariance[1, 1])), dof)

@@ -13,6 +13,7 @@ difference); all others use the sample variance over frames. Memory does not gro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,6 +69,34 @@ def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]
     return site(s.variance, channel)
 
 
+def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
+    """Frames as float64 in which what rows do together is taken out, as the module's docstring says; flats
+    are given above black."""
+    yield from _steady(s.recording, s.row_means, s.relative)
+
+
+def _row_signal(recording: Recording, rows: Float[np.ndarray, "T H 2"]) -> Float[np.ndarray, "T H 2"]:
+    black = np.asarray(recording.black_level).reshape(2, 2)
+    return rows - np.stack([black[np.arange(rows.shape[1]) % 2, p] for p in (0, 1)], -1)
+
+
+def _steady(recording: Recording, rows: np.ndarray, relative: bool) -> Iterator[np.ndarray]:
+    parity = np.arange(recording.size[1]) % 2
+    black = recording.black_map().astype(np.float64)
+    signal = _row_signal(recording, rows)
+    middle = rows.mean(0)
+    harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if relative else None
+    at = 0
+    for part in chunks(recording.frames, _CHUNK_BYTES):
+        for frame in part:
+            values = frame.astype(np.float64)
+            if harmonic is not None:
+                yield (values - black) * (harmonic / signal[at])[:, parity]
+            else:
+                yield values - (rows[at] - middle)[:, parity]
+            at += 1
+
+
 def frame_statistics(recording: Recording) -> FrameStatistics:
     """All statistics of one recording. Reads its frames twice, a few at a time.
 
@@ -80,16 +109,15 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     if step is None:
         step = code_lattice(histograms.sum(0)).step
     low, high = zip(*(rails(h, max(step, 1.0), recording.white_level) for h in histograms), strict=True)
-    black = np.asarray(recording.black_level).reshape(2, 2)
-    signal = rows - np.stack([black[np.arange(rows.shape[1]) % 2, p] for p in (0, 1)], -1)
+    signal = _row_signal(recording, rows)
     relative = _is_lit(recording, signal)
     mean, variance, total, clipped = _second_pass(recording, rows, signal, relative, low, high)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
-    count, half = recording.count, recording.size[1] // 2
+    count = recording.count
     dof = 2 * (count - 1) ** 2 / (3 * count - 4) if recording.kind == "scene" and count > 1 else count - 1.0
     level = per_channel(frame_means.mean(0) - np.asarray(recording.black_level))
     return FrameStatistics(
-        recording, mean, variance, total, dof * (1 - 1 / half), relative, frame_means, rows, columns,
+        recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)), clipped,
     )  # fmt: skip
 
@@ -144,9 +172,6 @@ def _second_pass(
     for channel in range(4):
         site(low_map, channel)[...] = low[channel] if np.isfinite(low[channel]) else -1.0
         site(high_map, channel)[...] = high[channel] if np.isfinite(high[channel]) else np.inf
-    parity = np.arange(width) % 2
-    harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if relative else None
-    middle = rows.mean(0)
     frames_signal = np.stack([signal[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)  # [T, 4]
     middle_frame = 1 / np.mean(1 / frames_signal, axis=0) if relative else frames_signal.mean(0)
 
@@ -156,22 +181,19 @@ def _second_pass(
     plain, total, total_square, kept, kept_square, steps = (np.zeros(shape) for _ in range(6))
     clipped = np.zeros(shape, bool)
     whole_first: np.ndarray | None = None
+    steady = _steady(recording, rows, relative)
     at = 0
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
             values = frame.astype(np.float64)
             clipped |= (values <= low_map) | (values >= high_map)
             plain += values
-            if relative:
-                assert harmonic is not None
-                pixel = (values - black) * (harmonic / signal[at])[:, parity]
-                whole = values - black
-                for c in range(4):
+            pixel = next(steady)
+            whole = values - black if relative else values
+            for c in range(4):
+                if relative:
                     site(whole, c)[...] *= middle_frame[c] / frames_signal[at, c]
-            else:
-                pixel = values - (rows[at] - middle)[:, parity]
-                whole = values.copy()
-                for c in range(4):
+                else:
                     site(whole, c)[...] -= frames_signal[at, c] - middle_frame[c]
             # Shifted by the first frame, so that sums of squares do not cancel.
             first = pixel if first is None else first

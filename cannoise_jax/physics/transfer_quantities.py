@@ -19,7 +19,7 @@ from cannoise_jax.physics.estimate import (
     scatter_estimate,
     variance_difference,
 )
-from cannoise_jax.physics.transfer_dark import dark_currents
+from cannoise_jax.physics.transfer_dark import dark_currents, dark_series
 from cannoise_jax.physics.transfer_fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 from cannoise_jax.physics.transfer_spatial import (
@@ -209,11 +209,14 @@ def dark_current_quantities(
 ) -> list[Quantity]:
     """Dark current by both ways."""
     darks = [s for s in statistics if s.recording.kind in DARK_KINDS]
-    gain = line if isinstance(line, NotMeasurable) else line.slope
-    by_mean, by_variance, note = dark_currents(darks, c, gain)
+    names = ("dark current, by mean", "dark current, by variance")
+    series = line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
+    if isinstance(series, NotMeasurable):
+        return [Quantity(title, "e-/s", name, series) for title in names]
+    by_mean, by_variance, _, note = dark_currents(series)
     return [
-        Quantity("dark current, by mean", "e-/s", name, by_mean, note),
-        Quantity("dark current, by variance", "e-/s", name, by_variance),
+        Quantity(names[0], "e-/s", name, by_mean, note),
+        Quantity(names[1], "e-/s", name, by_variance),
     ]
 
 

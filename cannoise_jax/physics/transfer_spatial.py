@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.estimate import Estimate, heavy_dof, variance_difference
 
-_SHADING_DEGREE = 4
+SHADING_DEGREE = 4
 _GRID = 16
 
 
@@ -110,7 +110,7 @@ def total_of(*parts: Estimate) -> Estimate:
     return Estimate(value, float(np.sqrt(sum(p.stderr**2 for p in parts))), (value - low, value + high))
 
 
-def shading(pattern: Float[np.ndarray, "h w"], degree: int = _SHADING_DEGREE) -> Float[np.ndarray, "h w"]:
+def shading(pattern: Float[np.ndarray, "h w"], degree: int = SHADING_DEGREE) -> Float[np.ndarray, "h w"]:
     """The smooth part of a flat field: a polynomial surface fitted to the means of a grid of blocks."""
     height, width = pattern.shape
     y_edges = np.linspace(0, height, min(_GRID, height // 2) + 1).astype(int)

@@ -1,0 +1,183 @@
+"""Charge that is not light: dark current, glow and hot pixels, from darks of known exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize, special
+
+from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
+from cannoise_jax.physics.estimators.pick import darks_by_exposure, pooled_variance
+from cannoise_jax.physics.transfer_dark import RECORD, Series, dark_currents, dark_series
+from cannoise_jax.physics.transfer_frames import FrameStatistics, site
+
+_SERIES = NotMeasurable(RECORD)
+_LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
+_GRID = 24
+
+
+def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """e_per_s, from the growth of the mean with exposure; from that of the variance where the two disagree
+    (see `transfer_dark`). Channels are averaged."""
+    if baseline is None:
+        return _SERIES
+    darks = darks_by_exposure(statistics)
+    channels = []
+    for c in range(4):
+        series = dark_series(darks, c, baseline.gain[c])
+        if isinstance(series, NotMeasurable):
+            return series
+        channels.append(series)
+    pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
+    by_mean, by_variance, agree, _ = dark_currents(pooled)
+    return {"e_per_s": by_mean if agree else by_variance}
+
+
+def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """e_per_s at the brightest point and length (in frame sides): least squares of G exp(-d/L) around a point
+    on the frame's edge, on the longest dark less the shortest, in blocks."""
+    pair = _long_and_short(statistics)
+    if pair is None or baseline is None:
+        return _LONG
+    long, short, seconds = pair
+    charge, error = _charge_map(long, short, baseline)
+    height, width = charge.shape
+    rows, columns = (np.linspace(0, n, min(_GRID, n // 2) + 1).astype(int) for n in (height, width))
+    sums = np.add.reduceat(np.add.reduceat(charge, rows[:-1], 0), columns[:-1], 1)
+    pixels = np.outer(np.diff(rows), np.diff(columns))
+    y = 0.5 * (rows[:-1] + rows[1:] - 1)
+    x = 0.5 * (columns[:-1] + columns[1:] - 1)
+    means, sigma = sums / pixels, error / np.sqrt(pixels)
+    side = max(height, width)
+
+    def model(p: np.ndarray) -> np.ndarray:
+        y0, x0 = _edge_point(p[2], height, width)
+        distance = np.hypot.outer(y - y0, x - x0) / side
+        return p[3] + np.exp(p[0] - distance / np.exp(p[1]))
+
+    def cost(p: np.ndarray) -> np.ndarray:
+        return ((model(p) - means) / sigma).ravel()
+
+    top = np.unravel_index(np.argmax(means), means.shape)
+    peak = max(float(means[top] - np.median(means)), 1e-6)
+    starts = [
+        np.array([np.log(peak), np.log(length), around, float(np.median(means))])
+        for around in np.arange(0.05, 4, 0.2) for length in (0.1, 0.4)
+    ]  # fmt: skip
+    best = min(starts, key=lambda p: float(np.sum(cost(p) ** 2)))
+    fit = optimize.least_squares(cost, best, x_scale=[0.3, 0.3, 0.1, float(sigma.mean())])
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
+    covariance *= max(1.0, 2 * fit.cost / max(means.size - 4, 1))
+    rate, length = float(np.exp(fit.x[0])) / seconds, float(np.exp(fit.x[1]))
+    errors = np.sqrt(np.diag(covariance))
+    return {"e_per_s": _log_estimate(rate, errors[0]), "length": _log_estimate(length, errors[1])}
+
+
+def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """e_per_s (mean over the hot pixels) and fraction: maximum likelihood of a mixture of healthy pixels and
+    hot ones with exponential heights, on the longest dark less the shortest.
+
+    The spread of the healthy ones, fixed pattern included, is taken from the quartiles.
+    """
+    pair = _long_and_short(statistics)
+    if pair is None or baseline is None:
+        return _LONG
+    long, short, seconds = pair
+    charge, _ = _charge_map(long, short, baseline)
+    values = charge[~long.clipped].ravel()
+    low, middle, high = np.percentile(values, (25, 50, 75))
+    sigma = float(high - low) / 1.349
+    values = values - middle
+    values = values[values > -8 * sigma]
+    tail = values[values > 6 * sigma]
+    if len(tail) < 10:
+        return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
+
+    def negative(p: np.ndarray) -> float:
+        fraction, mean = special.expit(p[0]), np.exp(p[1])
+        healthy = np.exp(-0.5 * (values / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma
+        hot = 0.5 / mean * _exponential_tail(values, sigma, mean)
+        return -float(np.sum(np.log((1 - fraction) * healthy + fraction * hot + 1e-300)))
+
+    share = len(tail) / len(values)
+    start = np.array([special.logit(min(1.2 * share, 0.4)), np.log(tail.mean())])
+    fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
+    errors = np.sqrt(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.05, 0.05])))))
+    fraction = float(special.expit(fit.x[0]))
+    ends = special.expit(fit.x[0] + 1.6449 * errors[0] * np.array([-1, 1]))
+    return {
+        "e_per_s": _log_estimate(float(np.exp(fit.x[1])) / seconds, float(errors[1])),
+        "fraction": Estimate(
+            fraction, float(errors[0]) * fraction * (1 - fraction), (float(ends[0]), float(ends[1]))
+        ),
+    }
+
+
+def hessian(
+    function: Callable[[np.ndarray], float], at: np.ndarray, step: np.ndarray
+) -> Float[np.ndarray, "n n"]:
+    """Second derivatives by central differences."""
+    count = len(at)
+    out = np.empty((count, count))
+    unit = np.diag(step)
+    for i in range(count):
+        for j in range(i, count):
+            corners = [
+                a * b * function(at + a * unit[i] + b * unit[j]) for a in (1, -1) for b in (1, -1)
+            ]  # fmt: skip
+            out[i, j] = out[j, i] = sum(corners) / (4 * step[i] * step[j])
+    return out
+
+
+def _log_estimate(value: float, error: float) -> Estimate:
+    """A positive value whose logarithm has a Gaussian error."""
+    low, high = value * np.exp(1.6449 * error * np.array([-1, 1]))
+    return Estimate(value, value * float(error), (float(low), float(high)))
+
+
+def _exponential_tail(x: np.ndarray, sigma: float, mean: float) -> np.ndarray:
+    """2 mean times the density of an exponential of a given mean plus a Gaussian, without overflow."""
+    argument = (sigma / mean - x / sigma) / np.sqrt(2)
+    safe = np.maximum(argument, -25.0)
+    bulk = np.exp(-0.5 * (x / sigma) ** 2) * special.erfcx(safe)
+    return np.where(argument > -25.0, bulk, 2 * np.exp(0.5 * (sigma / mean) ** 2 - x / mean))
+
+
+def _long_and_short(
+    statistics: Sequence[FrameStatistics],
+) -> tuple[FrameStatistics, FrameStatistics | None, float] | None:
+    """The longest dark, a dark of at most a tenth of its exposure if there is one, and the seconds between."""
+    darks = darks_by_exposure(statistics)
+    if not darks:
+        return None
+    long, short = darks[-1], darks[0]
+    long_s, short_s = long.recording.exposure_s or 0.0, short.recording.exposure_s or 0.0
+    if long_s <= 0:
+        return None
+    return (long, short, long_s - short_s) if short_s <= 0.1 * long_s else (long, None, long_s)
+
+
+def _charge_map(
+    long: FrameStatistics, short: FrameStatistics | None, baseline
+) -> tuple[Float[np.ndarray, "H W"], float]:
+    """Electrons that the long dark has more than the short one (or than black), and the error of a pixel."""
+    charge = np.empty(long.mean.shape)
+    for c in range(4):
+        base = baseline.black_level[c] if short is None else site(short.mean, c)
+        site(charge, c)[...] = (site(long.mean, c) - base) / baseline.gain[c]
+    variance = 0.0
+    for s in (long, short) if short is not None else (long,):
+        noise = pooled_variance(s)[0] if s.variance is not None else float(np.mean(baseline.read_noise)) ** 2
+        variance += noise / s.recording.count
+    return charge, float(np.sqrt(variance) / np.mean(baseline.gain))
+
+
+def _edge_point(around: float, height: int, width: int) -> tuple[float, float]:
+    """The point on the frame's edge at `around` in [0, 4): top, right, bottom, left."""
+    side, share = int(np.floor(around)) % 4, around - np.floor(around)
+    down, across = share * (height - 1), share * (width - 1)
+    return [(0.0, across), (down, width - 1.0), (height - 1.0, width - 1 - across), (height - 1 - down, 0.0)][
+        side
+    ]

@@ -1,0 +1,38 @@
+"""The amplitude of a wave whose phase is new in every frame, over a fixed pattern of the same frequency."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Complex
+
+
+def circle(points: Complex[np.ndarray, "T"], noise: float) -> tuple[float, float]:
+    """Radius and its error of a circle through complex amplitudes, one per frame; its centre is the fixed
+    pattern. noise: standard deviation of the real part, and of the imaginary part, of a point.
+
+    Where the points do not stand out of the noise, or fewer than four frames fix a circle: the root of the
+    scatter about their mean less that of the noise.
+    """
+    frames = len(points)
+    scatter = float(np.sum(np.abs(points - points.mean()) ** 2)) / max(frames - 1, 1) - 2 * noise**2
+    if frames < 4 or scatter < 9 * 2 * noise**2:
+        square = max(scatter, 0.0)
+        share = noise**2 / max(square, noise**2 / 4)
+        # The mean taken out holds a random part of the wave.
+        spread = np.sqrt((2 * noise**2 * (1 + share) + square / max(frames, 2)) / (2 * max(frames - 1, 1)))
+        return float(np.sqrt(square)), float(spread)
+    centre, radius = 0j, float(np.sqrt(np.mean(np.abs(points) ** 2)))
+    design = np.empty((frames, 3))
+    for _ in range(30):
+        away = points - centre
+        distance = np.abs(away)
+        direction = away / np.maximum(distance, 1e-30)
+        design = np.stack([direction.real, direction.imag, np.ones(frames)], -1)
+        # Noise across the radius lengthens every distance.
+        rest = distance - noise**2 / (2 * radius) - radius
+        move, *_ = np.linalg.lstsq(design, rest, rcond=None)
+        centre, radius = centre + complex(move[0], move[1]), max(radius + float(move[2]), 1e-12)
+        if np.abs(move).max() < 1e-6 * radius:
+            break
+    covariance = np.linalg.pinv(design.T @ design) * noise**2
+    return float(radius), float(np.sqrt(covariance[2, 2]))

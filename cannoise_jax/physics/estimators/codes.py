@@ -1,0 +1,95 @@
+"""The lattice of stored codes and its ends, and offsets of channels and amplifiers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable, normal_estimate
+from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, column_offsets, darkest
+from cannoise_jax.physics.transfer_frames import FrameStatistics
+from cannoise_jax.recordings.codes import code_histogram
+
+_POPULATED = 50  # counts on both sides that make an empty code a missing one
+
+
+def quantization(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """step_dn of the codes; exact, so its interval has no width."""
+    steps = [s.code_step for s in statistics if s.code_step > 0]
+    if not steps:
+        return NotMeasurable("the codes lie on no lattice: record more frames at several levels")
+    return {"step_dn": _exact(min(steps))}
+
+
+def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """period: median distance in code steps of codes that never occur between populated ones; exact."""
+    step = int(min((s.code_step for s in statistics if s.code_step > 0), default=0))
+    if not step:
+        return NotMeasurable("the codes lie on no lattice: record more frames at several levels")
+    histogram = np.sum([code_histogram(s.recording.frames) for s in statistics], axis=0)
+    codes = np.flatnonzero(histogram)
+    counts = histogram[np.arange(codes[0], codes[-1] + 1, step)]
+    around = np.minimum(np.roll(counts, 1), np.roll(counts, -1))
+    missing = np.flatnonzero((counts == 0) & (around >= _POPULATED))
+    missing = missing[(missing > 0) & (missing < len(counts) - 1)]
+    if len(missing) < 2:
+        populated = int(np.sum(counts >= _POPULATED))
+        return NotMeasurable(f"no missing codes among {populated} well-populated ones")
+    return {"period": _exact(float(np.median(np.diff(missing))))}
+
+
+def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """level_dn: the code at which darks pile up, above the black level; known to half a code step."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    ends = [
+        low - black
+        for low, black in zip(dark.low, dark.recording.black_level, strict=True)
+        if np.isfinite(low)
+    ]
+    if not ends:
+        return NotMeasurable("darks are not cut off: no values pile up at their lower end")
+    half = max(dark.code_step, 1.0) / 2
+    value = float(np.mean(ends))
+    return {"level_dn": Estimate(value, half / np.sqrt(3), (value - half, value + half))}
+
+
+def channel_offset(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn: rms of the four channels' errors of the stated black level. Of a population of cameras four
+    values are known, so the interval is that of chi-square with four degrees of freedom."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    offsets = dark.frame_means.mean(0) - np.asarray(dark.recording.black_level)
+    noise = (
+        float(np.mean(dark.total)) / dark.mean.size * 4 / dark.recording.count
+        if dark.total is not None
+        else 0.0
+    )
+    square = max(float(np.mean(offsets**2)) - noise, 0.0)
+    low, high = 4 / stats.chi2.ppf((0.95, 0.05), 4)
+    sigma = float(np.sqrt(square))
+    return {
+        "sigma_dn": Estimate(
+            sigma, sigma / np.sqrt(8), (sigma * float(np.sqrt(low)), sigma * float(np.sqrt(high)))
+        )
+    }
+
+
+def amplifier_mismatch(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """step_dn: offset of the right half of the frame less that of the left, in the average of the darks."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    columns = column_offsets(dark).mean(0)
+    middle = len(columns) // 2
+    left, right = columns[:middle], columns[middle:]
+    error = np.sqrt(left.var(ddof=1) / len(left) + right.var(ddof=1) / len(right))
+    return {"step_dn": normal_estimate(float(right.mean() - left.mean()), float(error), len(columns) - 2)}
+
+
+def _exact(value: float) -> Estimate:
+    return Estimate(float(value), 0.0, (float(value), float(value)))

@@ -1,0 +1,227 @@
+"""What the light does from frame to frame and row to row, and how the mean follows it: from flats, and from
+recordings that come with a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from cannoise_jax.physics.estimate import (
+    Estimates,
+    NotMeasurable,
+    normal_estimate,
+    root,
+    variance_difference,
+)
+from cannoise_jax.physics.estimators.circle import circle
+from cannoise_jax.physics.estimators.pick import (
+    REPEATED_FLATS,
+    brightest_flat,
+    darkest,
+)
+from cannoise_jax.physics.mosaic_ops import shifted
+from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer_spatial import temporal_mean_square
+from cannoise_jax.recordings.recording import Recording
+
+_LEVELS = NotMeasurable("record flats of one steady light at three or more exposure times up to saturation")
+_REFERENCE = NotMeasurable("record repeated frames of a scene together with an independent reference")
+
+
+def illumination_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma: relative drift of the light, from the variance of frame means less what rows leave in them."""
+    flat = brightest_flat(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    rows = relative_rows(flat)
+    frames = rows.mean(1)
+    square, dof = temporal_mean_square(rows)
+    drift = variance_difference(frames.var(ddof=1), len(frames) - 1, square / rows.shape[1], dof)
+    return {"sigma": root(drift)}
+
+
+def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """amplitude (peak, fraction of the signal) and frequency (cycles per row) of the strongest sinusoid along
+    the rows of a flat, its phase free in every frame: least squares on a constant, sine and cosine."""
+    flat = brightest_flat(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    rows = relative_rows(flat)
+    rest = rows - rows.mean(0)
+    frames, height = rest.shape
+    grid = np.arange(1, 4 * height) / (8 * height)
+    power = np.array([_explained(rest, f) for f in grid])
+    frequency, step = float(grid[np.argmax(power)]), 1 / (8 * height)
+    for _ in range(5):
+        near = np.clip(frequency + step * np.linspace(-1, 1, 9), 1e-4, 0.5 - 1e-4)
+        frequency, step = float(near[np.argmax([_explained(rest, f) for f in near])]), step / 4
+    total = float(np.sum((rest - rest.mean(1, keepdims=True)) ** 2))
+    # Per frame: a constant and two amplitudes fitted to `height` rows; the averages cost one frame.
+    noise = max(total - _explained(rest, frequency), 0.0) / ((frames - 1) * (height - 3))
+    waves = _waves(height, frequency)
+    coefficients = (rows - rows.mean()) @ np.linalg.pinv(waves - waves.mean(0)).T
+    amplitude, stderr = circle(coefficients[:, 0] + 1j * coefficients[:, 1], np.sqrt(2 * noise / height))
+    bound = np.sqrt(24 * noise / (max(amplitude, stderr) ** 2 * height**3 * (frames - 1))) / (2 * np.pi)
+    return {
+        "amplitude": normal_estimate(amplitude, stderr),
+        "frequency": normal_estimate(frequency, float(bound)),
+    }
+
+
+def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """loss: share of the signal missing at the white level, from the means of flats whose relative exposure
+    is known (exposure time of one light, or their references)."""
+    flats = [s for s in statistics if s.recording.kind == "flat" and _exposure(s.recording) is not None]
+    if len({_exposure(s.recording) for s in flats}) < 3:
+        return _LEVELS
+    dark = darkest(statistics)
+    white = flats[0].recording.white_level
+    values, weights = [], []
+    for c in range(4):
+        black = _black(flats[0].recording, dark, c)
+        light = np.array([_exposure(s.recording) for s in flats], np.float64)
+        signal = np.array([s.frame_means[:, c].mean() - black for s in flats])
+        error = np.array([_mean_error(s, c) for s in flats])
+        use = signal < 0.95 * (white - black)
+        if use.sum() < 3:
+            continue
+        # signal = g x - a x^2 with loss = a (W - b) / g^2.
+        light, signal, error = light[use] / light[use].max(), signal[use], error[use]
+        design = np.stack([light, -(light**2)], -1) / error[:, None]
+        covariance = np.linalg.inv(design.T @ design)
+        g, a = covariance @ (design.T @ (signal / error))
+        slope = np.array([-2 * a / g**3, 1 / g**2]) * (white - black)
+        values.append(a / g**2 * (white - black))
+        weights.append(1 / float(slope @ covariance @ slope))
+    if not values:
+        return _LEVELS
+    weight = np.array(weights)
+    return {
+        "loss": normal_estimate(float(np.sum(weight * values) / weight.sum()), float(weight.sum() ** -0.5))
+    }
+
+
+def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """full_well_e: mean level of flats whose noise has collapsed below half the shot noise, over the gain."""
+    if baseline is None:
+        return _LEVELS
+    found = []
+    for s in statistics:
+        for c in range(4) if s.recording.kind == "flat" and s.variance is not None else ():
+            signal = s.frame_means[:, c].mean() - baseline.black_level[c]
+            noise = float(pixel_variance(s, c).mean()) - baseline.read_noise[c] ** 2
+            if noise < 0.25 * baseline.gain[c] * signal and np.isnan(s.high[c]):
+                pixels = site(s.mean, c).size * s.recording.count
+                error = np.sqrt(float(pixel_variance(s, c).mean()) / pixels + s.code_step**2 / 12 / pixels)
+                found.append((signal / baseline.gain[c], error / baseline.gain[c]))
+    if not found:
+        return NotMeasurable("no flat is bright enough to fill the pixels: record one that saturates")
+    weight = 1 / np.square([e for _, e in found])
+    value = float(np.sum(weight * [v for v, _ in found]) / weight.sum())
+    return {"full_well_e": normal_estimate(value, float(weight.sum() ** -0.5))}
+
+
+def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn, blur, shift_y, shift_x and scale of a reference: regression of (average frame - reference) on
+    the reference, its high-pass and its gradients; what is left beyond temporal noise is sigma_dn."""
+    paired = [s for s in statistics if s.recording.clean is not None and s.recording.clean.ndim == 2]
+    repeated = [s for s in paired if s.variance is not None]
+    if not repeated:
+        return _REFERENCE
+    s = max(repeated, key=lambda s: s.recording.count)
+    recording = s.recording
+    black = recording.black_map().astype(np.float64)
+    reference = np.asarray(recording.clean, np.float64) * (recording.white_level - black)
+    templates = {
+        "scale": reference,
+        "blur": reference - _nearest(reference, [(2, 0), (-2, 0), (0, 2), (0, -2)]),
+    }
+    slopes = {"shift_y": ((2, 0), (-2, 0)), "shift_x": ((0, 2), (0, -2))}
+    for name, (ahead, behind) in slopes.items():
+        templates[name] = (_nearest(reference, [ahead]) - _nearest(reference, [behind])) / 4
+    inner = np.zeros(reference.shape, bool)
+    inner[3:-3, 3:-3] = True
+    inner &= ~s.clipped
+    assert s.variance is not None
+    difference = (s.mean - black - reference)[inner]
+    noise = s.variance[inner] / recording.count
+    names = [n for n, t in templates.items() if np.std(t[inner]) > 1e-9 * max(np.abs(reference).max(), 1)]
+    design = np.stack([templates[n][inner] for n in names], -1)
+    fitted, *_ = np.linalg.lstsq(design, difference, rcond=None)
+    # A shift between pixels mixes two of them: from here on the slope towards the side it comes from.
+    for k, name in enumerate(names):
+        if name in slopes:
+            side = slopes[name][0] if fitted[k] > 0 else slopes[name][1]
+            sign = 1.0 if fitted[k] > 0 else -1.0
+            templates[name] = sign * (_nearest(reference, [side]) - reference) / 2
+    design = np.stack([templates[n][inner] for n in names], -1)
+    fitted, *_ = np.linalg.lstsq(design, difference, rcond=None)
+    rest = difference - design @ fitted
+    dof = rest.size - len(names)
+    square = float(rest @ rest) / dof
+    inverse = np.linalg.inv(design.T @ design)
+    spread = inverse @ (design.T * rest**2) @ design @ inverse  # sandwich: pixels differ in noise
+    out = {
+        n: normal_estimate(float(f), float(np.sqrt(v)))
+        for n, f, v in zip(names, fitted, np.diag(spread), strict=True)
+    }
+    return {
+        "sigma_dn": root(variance_difference(square, dof, float(noise.mean()), noise.size * s.dof)),
+        **out,
+    }
+
+
+def relative_rows(s: FrameStatistics) -> Float[np.ndarray, "T H"]:
+    """Row means over the mean of their channel above black, both colours of a row averaged."""
+    black = np.asarray(s.recording.black_level)
+    level = s.frame_means.mean(0) - black
+    out = np.empty(s.row_means.shape[:2])
+    for parity in (0, 1):
+        c = 2 * parity
+        rows = s.row_means[:, parity::2]
+        out[:, parity::2] = np.mean([(rows[..., p] - black[c + p]) / level[c + p] for p in (0, 1)], 0)
+    return out
+
+
+def _explained(rest: Float[np.ndarray, "T n"], frequency: float) -> float:
+    """Sum of squares that a sinusoid of free phase in every row explains beyond a constant."""
+    waves = _waves(rest.shape[1], frequency)
+    wave, _ = np.linalg.qr(waves - waves.mean(0))
+    return float(np.sum((rest @ wave) ** 2))
+
+
+def _waves(count: int, frequency: float) -> Float[np.ndarray, "n 2"]:
+    at = 2 * np.pi * frequency * (np.arange(count) - (count - 1) / 2)
+    return np.stack([np.cos(at), np.sin(at)], -1)
+
+
+def _exposure(recording: Recording) -> float | None:
+    """Relative amount of light: the mean of the reference if there is one, else the exposure time."""
+    if recording.clean is not None:
+        return float(np.mean(recording.clean))
+    return recording.exposure_s
+
+
+def _black(recording: Recording, dark: FrameStatistics | None, c: int) -> float:
+    return recording.black_level[c] if dark is None else float(dark.frame_means[:, c].mean())
+
+
+def _mean_error(s: FrameStatistics, c: int) -> float:
+    """Error of a channel's mean over a recording: from the pixels' noise, or from the scatter of the frames
+    where that is significantly larger (chi-square at 99.9 %)."""
+    frames = s.frame_means[:, c]
+    total = s.total if s.total is not None else None
+    pixel = float(site(total, c).mean()) / site(s.mean, c).size if total is not None else 0.0
+    if len(frames) < 2:
+        return max(np.sqrt(pixel), 1e-6)
+    scatter, dof = float(frames.var(ddof=1)), len(frames) - 1
+    larger = scatter > pixel * stats.chi2.isf(1e-3, dof) / dof
+    return float(np.sqrt((scatter if larger else pixel) / len(frames)))
+
+
+def _nearest(x: Float[np.ndarray, "H W"], steps: Sequence[tuple[int, int]]) -> Float[np.ndarray, "H W"]:
+    """Mean of x at the given steps (dy, dx)."""
+    return np.mean([shifted(x, *step) for step in steps], axis=0)  # type: ignore[arg-type]

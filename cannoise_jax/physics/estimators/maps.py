@@ -1,0 +1,184 @@
+"""What differs from pixel to pixel: fixed offsets, sensitivities and read noise, from repeated frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import special
+
+from cannoise_jax.physics.estimate import (
+    Estimate,
+    Estimates,
+    heavy_dof,
+    normal_estimate,
+    root,
+    variance_difference,
+)
+from cannoise_jax.physics.estimators.pick import (
+    REPEATED_DARKS,
+    REPEATED_FLATS,
+    brightest_flat,
+    darkest,
+    pooled_variance,
+    steady_pixels,
+)
+from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer_spatial import SHADING_DEGREE, correlation_loss, shading
+
+
+class Pattern(NamedTuple):
+    """A fixed pattern by pixels and columns.
+
+    pixels: with channel, row and column means taken out. columns: means per row parity. keep: which pixels
+    count. noise: temporal variance that the average of frames still holds. smooth: degree of the shading
+    taken out.
+    """
+
+    pixels: Float[np.ndarray, "H W"]
+    columns: Float[np.ndarray, "2 W"]
+    keep: Bool[np.ndarray, "H W"]
+    noise: float
+    noise_dof: float
+    smooth: int = 0
+
+
+def offset_pattern(dark: FrameStatistics) -> Pattern:
+    """The fixed offsets of a dark, DN."""
+    variance, dof = pooled_variance(dark)
+    keep = steady_pixels(dark)
+    pixels, columns = _split(dark.mean, keep)
+    return Pattern(pixels, columns, keep, variance / dark.recording.count, dof)
+
+
+def response_pattern(flat: FrameStatistics) -> Pattern:
+    """The fixed relative sensitivities of a flat; smooth shading is taken out."""
+    relative = np.empty(flat.mean.shape)
+    keep = steady_pixels(flat)
+    noise, dof = 0.0, 0.0
+    for c in range(4):
+        level = flat.level[c]
+        gains = (site(flat.mean, c) - flat.recording.black_level[c]) / level
+        site(relative, c)[...] = gains - shading(gains)
+        variance = pixel_variance(flat, c)[site(keep, c)]
+        noise += float(variance.mean()) / level**2 / 4
+        dof += variance.size * flat.dof
+    pixels, columns = _split(relative, keep)
+    return Pattern(pixels, columns, keep, noise / flat.recording.count, dof, SHADING_DEGREE)
+
+
+def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of the pixels' fixed offsets, row and column patterns apart."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    return {"sigma_dn": root(_pixel_part(offset_pattern(dark)))}
+
+
+def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma of the pixels' relative sensitivity, from a flat; the fixed offsets of the dark, where there is
+    one, are taken out of it."""
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    found = _pixel_part(response_pattern(flat))
+    if dark is not None:
+        offsets = _pixel_part(offset_pattern(dark)).value
+        found = found.shifted(-max(offsets, 0.0) * float(np.mean(1 / np.square(flat.level))))
+    return {"sigma": root(found)}
+
+
+def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma of the columns' relative gain, from a flat: variance of column means less the pixels' share."""
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    found = _column_part(response_pattern(flat))
+    if dark is not None:
+        offsets = _column_part(offset_pattern(dark)).value
+        found = found.shifted(-max(offsets, 0.0) / float(np.mean(flat.level)) ** 2)
+    return {"sigma": root(found)}
+
+
+def pixel_read_noise_map(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """spread (std over mean) of the pixels' read noise, from the spread of their log variances over frames,
+    less what few frames make of it: var(ln v) = 4 w^2 + psi'(dof / 2) for log-normal read noise."""
+    dark = darkest(statistics)
+    if dark is None or dark.recording.count < 4:
+        return REPEATED_DARKS
+    rounding = dark.code_step**2 / 12
+    logs, shares = [], []
+    for c in range(4):
+        variance = np.maximum(pixel_variance(dark, c)[~site(dark.clipped, c)], max(rounding, 1e-6) / 4)
+        logs.append(np.log(variance) - np.log(variance).mean())
+        shares.append(max(1 - rounding / float(variance.mean()), 0.1))
+    values = np.concatenate(logs)
+    chance = float(special.polygamma(1, dark.dof / 2))
+    square = variance_difference(float(values.var()), heavy_dof(values), chance, 1e9)
+    width = root(square.scaled(0.25))
+    # Rounding, and the row mean taken out, add the same to every variance and so narrow the spread of logs.
+    row = 1 / (dark.recording.size[1] // 2)
+    width = width.scaled((1 - row) / (1 - 2 * row) / float(np.mean(shares)))
+    value, low, high = (float(np.sqrt(np.expm1(w**2))) for w in (width.value, *width.ci90))
+    return {"spread": Estimate(value, width.stderr * (1 + value**2), (low, high))}
+
+
+def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma: half of the relative difference of the two greens, that beside red less that beside blue."""
+    flat = brightest_flat(statistics)
+    greens = [] if flat is None else green_sites(flat.recording.cfa)
+    if flat is None or not greens:
+        return REPEATED_FLATS
+    first, second = greens
+    # Lamp drift hits both greens alike, so the difference of logs is taken frame by frame.
+    black = np.asarray(flat.recording.black_level)
+    levels = flat.frame_means - black
+    logs = np.log(levels[:, first] / levels[:, second])
+    spread = 0.0
+    for c in (first, second):
+        gains = (site(flat.mean, c) - black[c]) / flat.level[c]
+        spread += float(np.var(gains - shading(gains))) / gains.size
+    return {"sigma": normal_estimate(float(np.tanh(logs.mean() / 2)), float(np.sqrt(spread)) / 2)}
+
+
+def green_sites(cfa: str) -> list[int]:
+    """Mosaic sites of the green beside red and of the green beside blue; none for a monochrome sensor."""
+    return {"RGGB": [1, 2], "BGGR": [2, 1], "GRBG": [0, 3], "GBRG": [3, 0]}.get(cfa, [])
+
+
+def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels without channel, row and column means, and column means per row parity, channel means out."""
+    pixels = np.where(keep, values, 0.0)
+    columns = np.zeros((2, values.shape[1]))
+    for c in range(4):
+        part, inside = site(pixels, c), site(keep, c)
+        counts = [np.maximum(inside.sum(axis, keepdims=True), 1) for axis in (0, 1)]
+        part -= np.where(inside, part.sum() / max(inside.sum(), 1), 0.0)
+        column = part.sum(0, keepdims=True) / counts[0]
+        row = part.sum(1, keepdims=True) / counts[1]
+        columns[c // 2, c % 2 :: 2] = column[0]
+        part -= np.where(inside, row + column, 0.0)
+    return pixels, columns
+
+
+def _pixel_part(pattern: Pattern) -> Estimate:
+    """Variance of the pixels' own fixed pattern."""
+    height, width = pattern.pixels.shape
+    inside = pattern.pixels[pattern.keep]
+    count = inside.size - 2 * (height + width) + 4
+    square = float(np.sum(inside**2)) / count
+    return variance_difference(square, heavy_dof(inside, count), pattern.noise, pattern.noise_dof)
+
+
+def _column_part(pattern: Pattern) -> Estimate:
+    """Variance of the fixed pattern of columns, both row parities of a column together."""
+    means = pattern.columns.mean(0)
+    height, width = pattern.pixels.shape
+    inside = pattern.pixels[pattern.keep]
+    share = float(np.sum(inside**2)) / (inside.size - 2 * (height + width) + 4) / height
+    # Channel means, and the smooth shading of a flat, have been taken out of both sets of columns.
+    count = width - 2 * (pattern.smooth + 1)
+    dof = max(heavy_dof(means, count) / correlation_loss(means[None]), 2.0)
+    return variance_difference(float(np.sum(means**2)) / count, dof, share, inside.size)

@@ -1,0 +1,121 @@
+"""What neighbouring pixels share: covariances at small lags of frames whose fixed pattern is taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize
+
+from cannoise_jax.physics.estimate import Estimates, normal_estimate
+from cannoise_jax.physics.estimators.pick import (
+    REPEATED_DARKS,
+    REPEATED_FLATS,
+    brightest_flat,
+    darkest,
+)
+from cannoise_jax.physics.transfer_frames import FrameStatistics, steady_frames
+from cannoise_jax.recordings.recording import mosaic_map, per_channel
+
+
+def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """fraction of the charge given away, from the covariance of neighbours in flats less that in darks.
+
+    With a share a/4 to each neighbour their covariance is (1-a) a/4 (V_i S_j/S_i + V_j S_i/S_j) / q,
+    q = (1-a)^2 + a^2/4, in the shot variances V and signals S as they are measured.
+    """
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    shot = lag_covariances(flat)
+    read = lag_covariances(dark) if dark is not None else None
+    signal = mosaic_map(per_channel(np.maximum(flat.level, 1.0)), flat.recording.size).astype(np.float64)
+    variance = _channel_map(flat) - (_channel_map(dark) if dark is not None else 0.0)
+    ratio = variance / signal
+    reach, seen, errors = [], [], []
+    for lag, axis in (((0, 1), 1), ((1, 0), 0)):
+        value, error = shot[lag]
+        if read is not None:
+            value, error = value - read[lag][0], float(np.hypot(error, read[lag][1]))
+        expected = ratio * np.roll(signal, -1, axis) + np.roll(ratio, -1, axis) * signal
+        seen.append(value)
+        errors.append(error)
+        reach.append(float(expected.mean()))
+    rho, stderr = np.sum(seen) / np.sum(reach), float(np.hypot(*errors)) / np.sum(reach)
+
+    def given(r: float) -> float:
+        return _solved(lambda a: (1 - a) * a / 4 / ((1 - a) ** 2 + a**2 / 4), r, 0.6)
+
+    return {"fraction": _through(given, float(rho), float(stderr))}
+
+
+def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """weight of the mean of the four nearest pixels of the same colour, from their correlation in darks (or
+    in flats): 2 (1-w) w/4 / ((1-w)^2 + w^2/4)."""
+    s = darkest(statistics) or brightest_flat(statistics)
+    if s is None:
+        return REPEATED_DARKS
+    found = lag_covariances(s)
+    power = found[0, 0][0] - s.code_step**2 / 12
+    value = (found[0, 2][0] + found[2, 0][0]) / 2
+    # Taking out row means leaves -1/n between pixels of one row and colour.
+    value += power / (s.recording.size[1] // 2) / 2
+    stderr = float(np.hypot(found[0, 2][1], found[2, 0][1])) / 2 / power
+
+    def blended(r: float) -> float:
+        return _solved(lambda w: (1 - w) * w / 2 / ((1 - w) ** 2 + w**2 / 4), r, 0.8)
+
+    return {"weight": _through(blended, value / power, stderr)}
+
+
+def lag_covariances(s: FrameStatistics) -> dict[tuple[int, int], tuple[float, float]]:
+    """Temporal covariance of pixels at lags (dy, dx) up to two, DN^2, and its error (Bartlett, with the
+    variance of products measured on the data)."""
+    lags = [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]
+    totals = dict.fromkeys(lags, 0.0)
+    squares = dict.fromkeys(lags, 0.0)
+    height, width = s.recording.size
+    for rest in _residuals(s):
+        for dy, dx in lags:
+            product = rest[: height - dy, : width - dx] * rest[dy:, dx:]
+            totals[dy, dx] += float(product.sum())
+            squares[dy, dx] += float((product**2).sum())
+    out = {}
+    frames = s.recording.count
+    for dy, dx in lags:
+        pairs = (height - dy) * (width - dx)
+        mean = totals[dy, dx] / pairs / (frames - 1)
+        spread = max(squares[dy, dx] / pairs / (frames - 1) - mean**2, 0.0)
+        out[dy, dx] = mean, float(np.sqrt(spread / pairs / (frames - 1)))
+    return out
+
+
+def _residuals(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
+    """Frames with rows brought to a common level, less their average; outliers cut at eight sigma."""
+    total, count = np.zeros(s.mean.shape), s.recording.count
+    for frame in steady_frames(s):
+        total += frame
+    assert s.variance is not None
+    limit = 8 * np.sqrt(_channel_map(s))
+    for frame in steady_frames(s):
+        yield np.clip(frame - total / count, -limit, limit)
+
+
+def _channel_map(s: FrameStatistics) -> Float[np.ndarray, "H W"]:
+    """The median-free mean temporal variance of every channel, spread over the mosaic."""
+    assert s.variance is not None
+    means = [float(np.mean(s.variance[c // 2 :: 2, c % 2 :: 2])) for c in range(4)]
+    return mosaic_map(per_channel(np.array(means)), s.recording.size).astype(np.float64)
+
+
+def _solved(function, target: float, top: float) -> float:
+    """The parameter at which a rising function of it reaches `target`; odd below zero."""
+    if target < 0:
+        return -_solved(function, -target, top)
+    return float(optimize.brentq(lambda a: function(a) - target, 0.0, top)) if target < function(top) else top
+
+
+def _through(inverse, value: float, stderr: float):
+    slope = (inverse(value + stderr) - inverse(value - stderr)) / (2 * max(stderr, 1e-15))
+    return normal_estimate(inverse(value), stderr * slope)

@@ -1,0 +1,228 @@
+"""Noise with a spectrum: 1/f along the scan or from row to row, and interference at one frequency.
+
+Both 1/f estimators fit strength and exponent by the likelihood of a Gaussian sequence and give profile-
+likelihood intervals (the parameter values at which the profile has dropped by half the 90 % quantile of
+chi-square), which hold near zero strength, where the standard error means little.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+from scipy.interpolate import PchipInterpolator
+
+from cannoise_jax.physics.estimate import Estimate, Estimates, normal_estimate
+from cannoise_jax.physics.estimators.circle import circle
+from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, darkest, pooled_variance
+from cannoise_jax.physics.transfer_frames import FrameStatistics
+from cannoise_jax.recordings.metadata import chunks
+
+_MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
+_EXPONENTS = np.linspace(0.0, 2.0, 41)
+_STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
+_DROP = float(stats.chi2.ppf(0.9, 1)) / 2
+_BINS = 48
+_HALF_90 = 1.6449
+
+
+def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn and exponent of row offsets with a 1/f^exponent spectrum, from row means of repeated darks.
+
+    What is constant over frames and what a frame does as a whole is projected out. Of tall frames the middle
+    512 rows are used.
+    """
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    means = dark.row_means.mean(-1)
+    height = means.shape[1]
+    first = max(0, (height - _MOST_ROWS) // 2)
+    rest = means[:, first : first + _MOST_ROWS]
+    rest = rest - rest.mean(0)
+    rest = rest - rest.mean(1, keepdims=True)
+    scatter, dof = rest.T @ rest, len(rest) - 1
+    variance, _ = pooled_variance(dark)
+    white = variance / dark.recording.size[1]
+    sigmas = _STRENGTHS * np.sqrt(np.trace(scatter) / (dof * len(scatter)))
+    loglik = [_line_loglik(scatter, dof, white, sigmas, height, a) for a in _EXPONENTS]
+    return _profiles(np.array(loglik), sigmas, _EXPONENTS)
+
+
+def pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn and exponent (0.5 to 2) of 1/f noise along the raster scan, from repeated darks.
+
+    Periodogram of the scan, the pixels' averages over frames taken out, averaged over frames and in classes of
+    frequency; compared with its expectation for a finite scan (debiased Whittle likelihood, Sykulski et
+    al., Biometrika 106, 251, 2019). The strength of the white noise is fitted along.
+    """
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    power = scan_power(dark)
+    count = dark.recording.size[0] * dark.recording.size[1]
+    edges = np.unique(np.round(np.geomspace(1, len(power), _BINS)).astype(int))
+    sizes = np.diff(edges)
+    seen = np.add.reduceat(power[: edges[-1]], edges[:-1]) / sizes
+    # Both the real and the imaginary part of every frequency and frame, less one frame for the averages.
+    dof = 2.0 * sizes * (dark.recording.count - 1)
+    dof[-1] -= 1 if edges[-1] == len(power) and count % 2 == 0 else 0
+    total = float(power.mean())
+    exponents = _EXPONENTS[_EXPONENTS >= 0.5]
+    sigmas = _STRENGTHS * np.sqrt(total)
+    loglik = []
+    for exponent in exponents:
+        shape = expected_periodogram(count, float(exponent))[: edges[-1]]
+        pink = np.add.reduceat(shape, edges[:-1]) / sizes
+        loglik.append(_whittle(seen, dof, pink, sigmas))
+    return _profiles(np.array(loglik), sigmas, exponents)
+
+
+def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """amplitude_dn (peak) and frequency (cycles per pixel of the scan) of the strongest line in the raster
+    periodogram, summed over frames because the phase is new in each.
+
+    The frequency is refined until the power at it is largest; errors by the Cramer-Rao bound of a sinusoid of
+    unknown phase (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974). The largest of many powers is biased
+    upwards: an amplitude below `banding_threshold` is noise.
+    """
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    power = scan_power(dark)
+    frames, (height, width) = dark.recording.count, dark.recording.size
+    count = height * width
+    peak = int(np.argmax(power)) + 1
+    frequency = _refined(dark, peak / count)
+    floor = float(np.median(power)) / np.log(2)  # noise power per frequency around, exponential law
+    points = _coefficients(dark, np.array([frequency]), residual=False)[:, 0] * 2 / count
+    amplitude, stderr = circle(points, np.sqrt(2 * floor / count))
+    strength = max(amplitude, stderr) ** 2
+    by_bound = np.sqrt(24 * floor / (strength * count**3 * frames)) / (2 * np.pi)
+    return {
+        "amplitude_dn": normal_estimate(amplitude, stderr),
+        "frequency": normal_estimate(frequency, float(by_bound)),
+    }
+
+
+def banding_threshold(s: FrameStatistics, chance: float = 1e-3) -> float:
+    """The amplitude, DN, that the largest of all raster frequencies exceeds in white noise with `chance`."""
+    count = s.recording.size[0] * s.recording.size[1]
+    frames = s.recording.count
+    variance, _ = pooled_variance(s)
+    largest = stats.gamma.isf(chance / (count / 2), frames) / frames
+    return float(np.sqrt(4 * variance / count * max(largest - 1, 0.0)))
+
+
+def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
+    """Periodogram |FFT|^2 / n of the raster scan without its average over frames, DN^2, mean over frames by
+    T - 1; frequencies 1/n to 1/2. White noise of variance v gives v."""
+    total: np.ndarray | float = 0.0
+    for frame in residual_frames(s):
+        total = total + np.abs(np.fft.rfft(frame.ravel())[1:]) ** 2
+    return np.asarray(total) / s.mean.size / (s.recording.count - 1)
+
+
+def residual_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
+    """Frames less the average of all frames, one at a time."""
+    for part in chunks(s.recording.frames):
+        for frame in part:
+            yield frame - s.mean
+
+
+@functools.lru_cache(maxsize=64)
+def expected_periodogram(count: int, exponent: float) -> Float[np.ndarray, "n/2"]:
+    """Expected periodogram, frequencies 1/n to 1/2, of `count` values of a 1/f^exponent sequence of unit rms
+    (half of a circle of twice the length, see `fields.colour`)."""
+    correlation = power_law_correlation(2 * count, exponent)[:count]
+    weighted = correlation * (1 - np.arange(count) / count)
+    return 2 * np.fft.rfft(weighted).real[1:] - correlation[0]
+
+
+def power_law_correlation(length: int, exponent: float) -> Float[np.ndarray, "n"]:
+    """Correlation of a unit-rms 1/f^exponent sequence on a circle; the zero frequency has the lowest one's
+    power. The float64 twin of the shaping in `fields`."""
+    index = np.maximum(np.arange(length // 2 + 1), 1.0)
+    acf = np.fft.irfft(index**-exponent, length)
+    return acf / acf[0]
+
+
+def _line_loglik(
+    scatter: np.ndarray, dof: int, white: float, sigmas: np.ndarray, height: int, exponent: float
+) -> np.ndarray:
+    power, vectors = _line_modes(len(scatter), height, float(exponent))
+    seen = np.einsum("ik,ik->k", vectors, scatter @ vectors)
+    spectrum = sigmas[:, None] ** 2 * power + white
+    return -0.5 * (dof * np.log(spectrum) + seen / spectrum).sum(1)
+
+
+@functools.lru_cache(maxsize=128)
+def _line_modes(rows: int, height: int, exponent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Variances [n-1] and modes [n, n-1] of a 1/f^exponent sequence whose mean is taken out."""
+    acf = power_law_correlation(2 * height, exponent)[:rows]
+    matrix = acf[np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))]
+    matrix = matrix - matrix.mean(0) - matrix.mean(1, keepdims=True) + matrix.mean()
+    power, vectors = np.linalg.eigh(matrix)
+    constant = np.argmax(np.abs(vectors.sum(0)))
+    return np.maximum(np.delete(power, constant), 0.0), np.delete(vectors, constant, axis=1)
+
+
+def _whittle(seen: np.ndarray, dof: np.ndarray, pink: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
+    """Log-likelihood per strength with the white level fitted (one-dimensional Newton steps)."""
+    colour = sigmas[:, None] ** 2 * pink
+    white = np.full(len(sigmas), float(np.sum(seen * dof) / dof.sum()))
+    for _ in range(30):
+        spectrum = colour + white[:, None]
+        slope = np.sum(dof * (seen - spectrum) / spectrum**2, 1)
+        curvature = np.sum(dof / spectrum**2, 1)
+        white = np.maximum(white + slope / curvature, 0.05 * white)
+    spectrum = colour + white[:, None]
+    return -0.5 * np.sum(dof * (np.log(spectrum) + seen / spectrum), 1)
+
+
+def _profiles(
+    loglik: Float[np.ndarray, "a s"], sigmas: Float[np.ndarray, "s"], exponents: Float[np.ndarray, "a"]
+) -> dict[str, Estimate]:
+    return {
+        "sigma_dn": _profile_estimate(sigmas, loglik.max(0)),
+        "exponent": _profile_estimate(exponents, loglik.max(1)),
+    }
+
+
+def _profile_estimate(grid: Float[np.ndarray, "n"], loglik: Float[np.ndarray, "n"]) -> Estimate:
+    """Peak of a profile and where it has dropped by the 90 % quantile; the grid's ends where it has not."""
+    fine = np.interp(np.linspace(0, len(grid) - 1, 20 * len(grid)), np.arange(len(grid)), grid)
+    values = PchipInterpolator(grid, loglik)(fine)
+    top = int(np.argmax(values))
+    inside = np.flatnonzero(values >= values[top] - _DROP)
+    low, high = float(fine[inside[0]]), float(fine[inside[-1]])
+    return Estimate(float(fine[top]), (high - low) / (2 * _HALF_90), (low, high))
+
+
+def _coefficients(
+    s: FrameStatistics, frequencies: Float[np.ndarray, "f"], residual: bool = True
+) -> np.ndarray:
+    """Fourier sums of every frame's scan at given frequencies, [T, f]; residual: less the average frame, else
+    less the average level. Separable over rows and columns."""
+    height, width = s.recording.size
+    across = np.exp(-2j * np.pi * np.outer(np.arange(width), frequencies))
+    down = np.exp(-2j * np.pi * np.outer(np.arange(height) * width % 2**40, frequencies))
+    back = 0.0 if residual else s.mean - s.mean.mean()
+    return np.array([np.einsum("hf,hf->f", (f + back) @ across, down) for f in residual_frames(s)])
+
+
+def _refined(s: FrameStatistics, frequency: float) -> float:
+    """The frequency of most power within one step of the periodogram: three ever finer grids."""
+    step = 1.0 / s.mean.size
+    for _ in range(4):
+        grid = frequency + step * np.linspace(-1, 1, 9)
+        power = np.sum(np.abs(_coefficients(s, grid)) ** 2, 0)
+        top = int(np.argmax(power))
+        frequency, step = float(grid[top]), step / 4
+    a, b, c = power[max(top - 1, 0)], power[top], power[min(top + 1, 8)]
+    curvature = a - 2 * b + c
+    shift = 0.5 * (a - c) / curvature if curvature < 0 and 0 < top < 8 else 0.0
+    return float(np.clip(frequency + shift * step, 0.0, 0.5))
