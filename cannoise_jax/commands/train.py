@@ -1,0 +1,125 @@
+"""bin/train --workdir DIR [--config FILE] [--config.field=value] [--recordings DIR_A,DIR_B]
+
+Trains, resumes where it was stopped, and ends with a table, a picture and results.json in the workdir.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+from absl import flags
+from ml_collections import ConfigDict, config_flags
+
+from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
+
+
+def _default_config() -> str:
+    """configs/default.py of this checkout, or of the installed package."""
+    package = Path(__file__).resolve().parents[1]
+    folders = (package.parent / "configs", package / "configs")
+    return str(next((f for f in folders if (f / "default.py").is_file()), folders[0]) / "default.py")
+
+
+_FLAGS = flags.FlagValues()
+config_flags.DEFINE_config_file(
+    "config", _default_config(), "A file with get_config().", lock_config=True, flag_values=_FLAGS
+)
+flags.DEFINE_string("workdir", None, "Where checkpoints, metrics and results go.", flag_values=_FLAGS)
+flags.DEFINE_list("recordings", [], "Folders of recordings, one a camera.", flag_values=_FLAGS)
+flags.DEFINE_enum("cfa", None, CFA_PATTERNS, "Colour order of the recordings.", flag_values=_FLAGS)
+flags.DEFINE_list("black-level", None, "DN; one, or four in mosaic order.", flag_values=_FLAGS)
+flags.DEFINE_float("white-level", None, "DN.", flag_values=_FLAGS)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Trains; returns 0, also after a signal; 1 when a loss is not finite; 2 after bad input, in one line."""
+    arguments = sys.argv[1:] if argv is None else argv
+    if any(a in ("-h", "--help", "-help") for a in arguments):
+        print(__doc__)
+        print("\n".join(f"  --{name}  {_FLAGS[name].help}" for name in _FLAGS if "." not in name))
+        return 0
+    started = time.monotonic()
+    try:
+        config, workdir = _read_flags(arguments)
+        return _run(config, workdir, started)
+    except BadInput as error:
+        print(f"bin/train: {error}", file=sys.stderr)
+        return 2
+
+
+def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
+    try:
+        _FLAGS.unparse_flags()
+        rest = _FLAGS(["bin/train", *arguments])[1:]
+    except (flags.Error, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise BadInput(" ".join(str(error).split())) from error
+    if rest:
+        raise BadInput(f"{rest[0]}: not understood: see bin/train --help")
+    if not _FLAGS.workdir:
+        raise BadInput("--workdir: missing: name a folder for checkpoints and results")
+    config = _FLAGS.config
+    if _FLAGS.recordings:
+        if "recordings" not in config.data:
+            raise BadInput("--recordings: this config reads other data: use it with configs/default.py")
+        config.data.source = "recordings"
+        config.data.recordings = tuple(_FLAGS.recordings)
+    try:
+        black = _FLAGS["black-level"].value
+        if black is not None:
+            config.data.black_level = tuple(float(level) for level in black)
+    except ValueError as error:
+        raise BadInput(f"--black-level: {error}") from error
+    if _FLAGS.cfa is not None:
+        config.data.cfa = _FLAGS.cfa
+    if _FLAGS["white-level"].value is not None:
+        config.data.white_level = _FLAGS["white-level"].value
+    return config, Path(_FLAGS.workdir)
+
+
+def _run(config: ConfigDict, workdir: Path, started: float) -> int:
+    import jax
+    from tqdm import tqdm
+
+    from cannoise_jax.evaluation.figures import noise_figure
+    from cannoise_jax.evaluation.tables import results_table, write_results
+    from cannoise_jax.training.data import load_data
+    from cannoise_jax.training.loop import NonFiniteLoss, check_workdir, compare, train
+
+    check_workdir(config, workdir)
+    print(f"{workdir}: reading the data", flush=True)
+    data = load_data(config, workdir)
+    print(f"{len(data.train)} patches of {', '.join(data.cameras)}; compiling takes a minute", flush=True)
+
+    def progress(step: int, steps: int):
+        return tqdm(
+            total=steps * config.batch_size, initial=step * config.batch_size, unit="patch", mininterval=1,
+            dynamic_ncols=True,
+        )  # fmt: skip
+
+    try:
+        outcome = train(config, workdir, data, progress)
+    except NonFiniteLoss as error:
+        print(f"bin/train: {error}", file=sys.stderr)
+        return 1
+    if not outcome.finished:
+        print(f"stopped at step {outcome.step}: the same command resumes", flush=True)
+        return 0
+    results = compare(config, outcome.sampler, data)
+    print(f"\nHeld-out test scenes, checkpoint of step {outcome.step} (best on validation scenes)\n")
+    print(results_table(results))
+    seconds = time.monotonic() - started
+    try:
+        write_results(workdir / "results.json", results, round(seconds, 1))
+        noise_figure(
+            workdir / "noise.png", outcome.sampler, data.test, data.cameras, jax.random.key(config.seed)
+        )
+    except OSError as error:
+        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+    print(f"\n{workdir}/results.json, {workdir}/noise.png; {seconds / 60:.1f} minutes")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

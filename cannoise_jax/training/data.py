@@ -1,0 +1,155 @@
+"""What a run trains on and is measured on: virtual cameras, folders of recordings, or SIDD.
+
+Three sets of scenes that share none: training; validation, which picks the best checkpoint; test, which the
+final table is about and nothing else looks at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+from ml_collections import ConfigDict
+
+from cannoise_jax.evaluation.baselines import calibrate_by_setting
+from cannoise_jax.evaluation.kl import clipped_noise
+from cannoise_jax.physics.scenes import SPLITS
+from cannoise_jax.physics.virtual import virtual_cameras, virtual_patches
+from cannoise_jax.recordings.patches import PatchStore, open_patches, split_scenes, write_patches
+from cannoise_jax.recordings.pipeline import ArrayPatches, PatchSource
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.sidd import load_sidd, scene_id
+from cannoise_jax.training.recorded import recorded_patches
+
+Levels = dict[tuple[int, int], tuple[float, float]]
+
+
+@dataclass(eq=False)
+class HeldOut:
+    """Patches to measure on, as `evaluation.compare` takes them; packed `[n, h, w, 4]`, `[n, 4]`, `[n]`."""
+
+    clean: Float[np.ndarray, "n h w 4"]
+    noisy: Float[np.ndarray, "n h w 4"]
+    shot: Float[np.ndarray, "n 4"]
+    read: Float[np.ndarray, "n 4"]
+    camera: Int[np.ndarray, "n"]
+    iso: Int[np.ndarray, "n"]
+    scene: Int[np.ndarray, "n"]
+
+    def some(self, count: int) -> HeldOut:
+        """`count` patches spread evenly over the set; all of them where it has no more."""
+        total = len(self.camera)
+        chosen = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int))
+        return HeldOut(**{name: np.asarray(value)[chosen] for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """train: patches to learn from. recalibrated: (shot, read) by (camera, ISO), fitted to them."""
+
+    train: PatchSource
+    validation: HeldOut
+    test: HeldOut
+    cameras: tuple[str, ...]
+    recalibrated: Levels
+
+
+def load_data(config: ConfigDict, workdir: Path) -> TrainingData:
+    """The data that `config.data` names. Raises BadInput."""
+    loaders: dict[str, Callable[[ConfigDict, Path], TrainingData]] = {
+        "virtual": _virtual,
+        "recordings": _recordings,
+        "sidd": _sidd,
+    }
+    if config.data.source not in loaders:
+        raise BadInput(f"config.data.source: {config.data.source!r}: use one of {', '.join(loaders)}")
+    return loaders[config.data.source](config, workdir)
+
+
+def _virtual(config: ConfigDict, workdir: Path) -> TrainingData:
+    data, cameras = config.data, virtual_cameras()
+    key = jax.random.key(data.seed)
+    counts = (data.scenes, data.validation_scenes, data.test_scenes)
+    parts = [
+        virtual_patches(key, split, count, data.per_scene)
+        for split, count in zip(SPLITS, counts, strict=True)
+    ]
+    train, validation, test = (HeldOut(**part._asdict()) for part in parts)
+    return _in_memory(train, validation, test, tuple(camera.name for camera in cameras))
+
+
+def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
+    data = config.data
+    overrides: dict[str, Any] = {
+        name: data[name] for name in ("cfa", "black_level", "white_level") if data[name] is not None
+    }
+    folders = [Path(folder) for folder in data.recordings]
+    names, parts = recorded_patches(
+        folders,
+        overrides,
+        jax.random.key(data.seed),
+        data.scenes,
+        data.per_scene,
+        triplet=bool(config.loss.triplet),
+    )
+    train, validation, test = (HeldOut(**part) for part in parts)
+    return _in_memory(train, validation, test, names)
+
+
+def _in_memory(train: HeldOut, validation: HeldOut, test: HeldOut, cameras: tuple[str, ...]) -> TrainingData:
+    source = ArrayPatches(train.clean, train.noisy, train.shot, train.read, train.camera, cameras)
+    noise = clipped_noise(train.noisy - train.clean, train.clean)
+    levels = calibrate_by_setting(train.clean, noise, train.camera, train.iso)
+    return TrainingData(source, validation, test, cameras, levels)
+
+
+def _sidd(config: ConfigDict, workdir: Path) -> TrainingData:
+    """SIDD Medium: the paper's scenes 001, 002 and 008 are the test, one more scene is for validation."""
+    data = config.data
+    if not data.path:
+        raise BadInput("config.data.path: not set: name the folder of SIDD Medium: --config.data.path=DIR")
+    store = _sidd_store(config, workdir)
+    rest, test = split_scenes(store, tuple(data.test_scenes))
+    validation_scene = store.scenes.index(data.validation_scene)
+    indices = np.asarray(rest.indices)  # type: ignore[attr-defined]
+    held = store.scene[indices] == validation_scene
+    train = type(rest)(store, indices[~held])  # type: ignore[call-arg]
+    sample = _held_out(store, indices[~held], data.calibration_patches)
+    noise = clipped_noise(sample.noisy - sample.clean, sample.clean)
+    return TrainingData(
+        train,
+        _held_out(store, indices[held], data.held_out_patches),
+        _held_out(store, np.asarray(test.indices), data.held_out_patches),  # type: ignore[attr-defined]
+        store.cameras,
+        calibrate_by_setting(sample.clean, noise, sample.camera, sample.iso),
+    )
+
+
+def _sidd_store(config: ConfigDict, workdir: Path) -> PatchStore:
+    folder = workdir / "patches"
+    if folder.is_dir():
+        return open_patches(folder)
+    captures = load_sidd(config.data.path)
+    recordings = [(r, scene_id(r)) for captured in captures for r in captured.recordings]
+    return write_patches(folder, recordings, config.data.patches, seed=config.data.seed)
+
+
+def _held_out(store: PatchStore, indices: Sequence[int] | np.ndarray, count: int) -> HeldOut:
+    """`count` stored patches in memory, spread evenly, cut to 64 x 64."""
+    indices = np.asarray(indices)
+    chosen = indices[np.unique(np.linspace(0, len(indices) - 1, min(count, len(indices))).astype(int))]
+    found = [store[int(i)] for i in chosen]
+    return HeldOut(
+        clean=np.stack([f["clean"][:64, :64] for f in found]),
+        noisy=np.stack([f["noisy"][:64, :64] for f in found]),
+        shot=np.stack([f["shot"] for f in found]),
+        read=np.stack([f["read"] for f in found]),
+        camera=store.camera[chosen],
+        iso=np.array([round(float(f["iso"])) for f in found], np.int32),
+        scene=store.scene[chosen],
+    )

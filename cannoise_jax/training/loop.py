@@ -1,0 +1,229 @@
+"""The training loop: resume, step, report, measure, checkpoint, stop cleanly; then the final comparison."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from ml_collections import ConfigDict
+
+from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
+from cannoise_jax.evaluation.evaluators import EVALUATORS
+from cannoise_jax.recordings.pipeline import batches
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.training.checkpoint import Checkpoints
+from cannoise_jax.training.data import HeldOut, TrainingData
+from cannoise_jax.training.metrics import MetricWriter, noise_panel
+from cannoise_jax.training.state import State, init_state, latent_of, make_networks
+from cannoise_jax.training.step import initial_noise, make_train_step
+
+
+class Progress(Protocol):
+    """What shows progress; `tqdm` is one."""
+
+    def update(self, n: int = 1) -> Any: ...
+    def set_postfix(self, ordered_dict: Any = None, refresh: bool = True, **numbers: Any) -> None: ...
+
+
+class Outcome(NamedTuple):
+    """finished: False after a signal. state: the last one, or the best by validation KL when finished.
+    step: of that state. sampler: its averaged model, see `make_sampler`."""
+
+    finished: bool
+    state: State
+    step: int
+    sampler: Callable[..., Any]
+
+
+class NonFiniteLoss(RuntimeError):
+    """A loss or a parameter is no longer finite; the message names the last good checkpoint."""
+
+
+def check_workdir(config: ConfigDict, workdir: Path) -> None:
+    """Makes the workdir and puts config.json there. Raises BadInput where it holds another config."""
+    path = workdir / "config.json"
+    text = config.to_json_best_effort(indent=1, sort_keys=True)
+    try:
+        workdir.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            difference = _difference(json.loads(path.read_text()), json.loads(text))
+            if difference:
+                raise BadInput(
+                    f"{workdir}: holds a run with another config ({difference}): use another --workdir, "
+                    "or the same config to resume"
+                )
+            return
+        partial = workdir / ".config.json.partial"
+        partial.write_text(text + "\n")
+        partial.replace(path)
+    except json.JSONDecodeError as error:
+        raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
+    except OSError as error:
+        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+
+
+def _difference(old: Any, new: Any, name: str = "") -> str:
+    """The first field that differs, as `name: old there, new here`; empty where none does."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            found = _difference(old.get(key), new.get(key), f"{name}.{key}" if name else key)
+            if found:
+                return found
+        return ""
+    return "" if old == new else f"{name}: {old!r} there, {new!r} here"
+
+
+def make_sampler(config: ConfigDict) -> Callable[[State], Callable[..., Any]]:
+    """A function from a state to its averaged model as `evaluation` takes it,
+    (key, clean, reference, shot, read) -> noise; compiled once for all states."""
+    networks, draw = make_networks(config), initial_noise(config.initial_noise)
+
+    @jax.jit
+    def sample(average, spectral, key, clean, reference, shot, read):
+        noise_key, row_key = jax.random.split(key)
+        n_init, sigma = draw(noise_key, clean, shot, read)
+        latent = latent_of(networks, {"params": average["encoder"], "spectral": spectral[1]}, reference)
+        generator = {"params": average["generator"], "spectral": spectral[0]}
+        return networks.generator.apply(
+            generator, clean, n_init, latent, sigma, train=False, rngs={"noise": row_key}
+        )
+
+    def of_state(state: State) -> Callable[..., Any]:
+        spectral = (state.generator["spectral"], state.encoder["spectral"])
+        return lambda *arguments: sample(state.average, spectral, *arguments)
+
+    return of_state
+
+
+@contextmanager
+def stop_requested() -> Iterator[Callable[[], bool]]:
+    """Within it SIGTERM and Ctrl-C only set what the yielded function tells; a second Ctrl-C interrupts.
+
+    Outside the main thread, where signals cannot be caught, it tells False.
+    """
+    caught: list[int] = []
+
+    def handle(number, frame):
+        if caught and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        caught.append(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def train(
+    config: ConfigDict,
+    workdir: Path,
+    data: TrainingData,
+    progress: Callable[[int, int], Progress],
+) -> Outcome:
+    """Trains from the newest checkpoint of the workdir, or from the start, to `config.steps`.
+
+    progress: (steps done, steps in all) -> what shows progress.
+    Raises NonFiniteLoss, and BadInput for a full disk or a workdir that holds another config.
+    """
+    check_workdir(config, workdir)
+    source = batches(
+        data.train, config.batch_size, seed=config.seed, size=config.patch, triplet=bool(config.loss.triplet)
+    )
+    checkpoints = Checkpoints(workdir)
+    state = init_state(config, len(data.cameras))
+    newest = checkpoints.newest()
+    if newest is not None:
+        state, position = checkpoints.restore(state, newest)
+        source.set_state(position)
+    train_step = make_train_step(config, len(data.cameras))
+    sampler = make_sampler(config)
+    writer = MetricWriter(workdir)
+    validation = data.validation.some(config.validation_patches)
+    step, scored = int(state.step), None
+    try:
+        with stop_requested() as stopping:
+            bar = progress(step, config.steps)
+            while step < config.steps and not stopping():
+                state, metrics = train_step(state, next(source))
+                step += 1
+                bar.update(config.batch_size)
+                last = step == config.steps
+                if step % config.log_every == 0 or last:
+                    numbers = {name: float(value) for name, value in metrics.items()}
+                    _check_finite(numbers, step, checkpoints)
+                    bar.set_postfix(D=f"{numbers['critic/wasserstein']:.3f}", refresh=False)
+                    writer.write_scalars(step, numbers)
+                scored = None
+                if step % config.evaluate_every == 0 or last:
+                    scored = _validate(writer, step, sampler(state), validation, data.cameras)
+                if step % config.checkpoint_every == 0 or scored is not None:
+                    _save(checkpoints, state, metrics, source, scored)
+                    writer.flush()
+            finished = step >= config.steps
+            if not finished:
+                _save(checkpoints, state, metrics if step > int(newest or 0) else {}, source, scored)
+        best = checkpoints.best() if finished else None
+        if best is not None and best != step:
+            state, _ = checkpoints.restore(state, best)
+        return Outcome(finished, state, int(state.step), sampler(state))
+    finally:
+        writer.close()
+        checkpoints.close()
+
+
+def compare(config: ConfigDict, sampler: Callable[..., Any], data: TrainingData) -> dict[str, Any]:
+    """Every noise model on the test scenes, which nothing before this has looked at."""
+    key = jax.random.key(config.seed)
+    return evaluate_model(sampler, data.test, data.cameras, key, recalibrated=data.recalibrated)
+
+
+def _save(checkpoints: Checkpoints, state: State, metrics, source, score: float | None) -> None:
+    """A checkpoint is good by definition: what is not finite is never stored."""
+    _check_finite({name: float(value) for name, value in metrics.items()}, int(state.step), checkpoints)
+    trained = (state.generator, state.encoder, state.critic)
+    if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(trained)):
+        _check_finite({"a parameter": np.nan}, int(state.step), checkpoints)
+    checkpoints.save(state, source.get_state(), score)
+
+
+def _check_finite(numbers: dict[str, float], step: int, checkpoints: Checkpoints) -> None:
+    wrong = [name for name, value in numbers.items() if not np.isfinite(value)]
+    if wrong:
+        good = checkpoints.path(checkpoints.newest())
+        raise NonFiniteLoss(
+            f"step {step}: {wrong[0]} is not finite; last good checkpoint: {good}; "
+            "lower config.optimiser.generator_rate and critic_rate"
+        )
+
+
+def _validate(writer: MetricWriter, step: int, sample, patches: HeldOut, cameras: tuple[str, ...]) -> float:
+    """KL on validation scenes to the writer, with pictures; returns the pooled KL."""
+    key = jax.random.key(0)  # the same draws every time, so that steps can be compared
+    columns = ("model", "model_wrong_reference")
+    results = evaluate_model(sample, patches, cameras, key, columns=columns, evaluators=EVALUATORS[:1])
+    scalars = {
+        f"validation/{name}/{camera}": row[name]["kl"]
+        for camera, row in {**results["cameras"], "pooled": results["pooled"]}.items()
+        for name in row
+    }
+    writer.write_scalars(step, scalars)
+    shown = patches.some(5)
+    made = model_columns(sample, shown, key)
+    noises = [draw_noise(made[name], shown, key) for name in ("poisson_gaussian", "model")]
+    real = np.clip(shown.noisy, 0, 1) - shown.clean
+    writer.write_images(step, {"clean, n_init, generated, real": noise_panel(shown.clean, (*noises, real))})
+    writer.flush()
+    return results["pooled"]["model"]["kl"]

@@ -1,0 +1,180 @@
+"""Folders of real recordings as training data: one folder a camera, any colour orders and noise levels.
+
+What a folder gives:
+- scenes with a noise-free image, or with two frames and more, are used as they are; repeated frames are
+  compared with the mean of the others;
+- flats likewise;
+- darks (or bias frames) lend their floor to computed scenes: clean scene + Poisson shot noise + a real dark
+  frame. This needs the system gain, from photon transfer on flats and darks, or from a recording's `shot`.
+Frames are parted into training (0.7), validation (0.1) and test (0.2), in capture order, so that no frame is
+in two of them; computed scenes are parted as well. shot and read come from photon transfer where the files
+do not state them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Key
+
+from cannoise_jax.physics.half_real import half_real_recording
+from cannoise_jax.physics.scenes import SPLITS, draw_scenes, mosaic
+from cannoise_jax.physics.transfer import photon_transfer
+from cannoise_jax.physics.transfer_baseline import Baseline
+from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.packing import pack, to_packed_order
+from cannoise_jax.recordings.recording import (
+    BadInput,
+    CaptureSet,
+    PerChannel,
+    Recording,
+    normalise,
+    per_channel,
+)
+from cannoise_jax.recordings.references import referenced_frames
+
+PATCH = 64
+_SHARES = (0.7, 0.8)
+"""Where validation and test frames begin."""
+_MOST = 48
+"""Patches at most from one recording and split."""
+Columns = dict[str, np.ndarray]
+
+
+def recorded_patches(
+    folders: Sequence[Path],
+    overrides: Mapping[str, Any],
+    key: Key[Array, ""],
+    scenes: int,
+    per_recording: int = _MOST,
+    *,
+    triplet: bool = True,
+) -> tuple[tuple[str, ...], tuple[Columns, Columns, Columns]]:
+    """Camera names, and the columns of training, validation and test patches (see `data.HeldOut`).
+
+    scenes: computed scenes per camera for its darks. Raises BadInput, also for one camera with a triplet.
+    """
+    captures = [load_capture_set(folder, **overrides) for folder in folders]
+    names = tuple(captured.camera for captured in captures)
+    if len(set(names)) < len(names):
+        raise BadInput(f"{folders[0]}: {', '.join(names)}: each folder must hold another camera")
+    if triplet and len(names) < 2:
+        raise BadInput(
+            f"{folders[0]}: one camera only, {names[0]}: the triplet loss needs two cameras or more: "
+            "add a folder, or train without it: --config.loss.triplet=0"
+        )
+    parts: tuple[list[Columns], ...] = ([], [], [])
+    for c, captured in enumerate(captures):
+        cut = list(_camera_patches(captured, jax.random.fold_in(key, c), scenes, per_recording))
+        for s, part in enumerate(parts):
+            own = [columns for split, columns in cut if split == s]
+            if not own:
+                raise BadInput(
+                    f"{folders[c]}: too few frames for {SPLITS[s]}: record 10 frames or more of one scene"
+                )
+            part.extend({**columns, "camera": np.full(len(columns["iso"]), c, np.int32)} for columns in own)
+    train, validation, test = ({n: np.concatenate([p[n] for p in part]) for n in part[0]} for part in parts)
+    return names, (train, validation, test)
+
+
+def _camera_patches(
+    captured: CaptureSet, key: Key[Array, ""], scenes: int, most: int
+) -> Iterator[tuple[int, Columns]]:
+    """(split, patches) of one camera."""
+    repeated = [r for r in captured.of_kind("scene", "flat") if r.clean is not None or r.count > 1]
+    darks = [r for r in captured.of_kind("dark", "bias") if r.count > 2]
+    known = all(r.shot is not None and r.read is not None for r in repeated) and not darks
+    transfer = None if known else _levels_of(captured)
+    found = []
+    for number, recording in enumerate(repeated):
+        for split, frames in enumerate(_parted(recording.count)):
+            found.append((split, number, recording, frames))
+    for split, name in enumerate(SPLITS) if darks else ():
+        pictures = draw_scenes(jax.random.fold_in(key, split), name, scenes, darks[0].size)
+        for s, scene in enumerate(pictures):
+            dark = darks[s % len(darks)]
+            part = _frames(dark, _parted(dark.count)[split])
+            draw = jax.random.fold_in(jax.random.fold_in(key, len(SPLITS) + split), s)
+            assert transfer is not None
+            gain = float(np.mean(transfer[0])) * (dark.white_level - float(np.mean(dark.black_level)))
+            made = half_real_recording(draw, mosaic(scene.image, dark.cfa), part, gain)
+            number = len(repeated) + s * len(SPLITS) + split
+            found.append((split, number, made, np.arange(made.count)))
+    if not found:
+        raise BadInput(
+            f"{captured.path}: nothing to train on: record a scene or flat twice or more, or darks and flats"
+        )
+    for split, number, recording, frames in found:
+        if len(frames):
+            yield split, _cut(recording, frames, number, most, transfer)
+
+
+def _levels_of(captured: CaptureSet) -> tuple[PerChannel, PerChannel]:
+    """shot and read of a camera, mosaic order: photon transfer, else what the files state."""
+    for result in photon_transfer(captured):
+        if isinstance(result.baseline, Baseline):
+            base = result.baseline
+            span = base.white_level - np.array(base.black_level)
+            shot, read = np.array(base.gain) / span, np.square(np.array(base.read_noise) / span)
+            return per_channel(shot), per_channel(read)
+        reason = result.baseline.record
+    for recording in captured.recordings:
+        if recording.shot is not None and recording.read is not None:
+            return recording.shot, recording.read
+    raise BadInput(f"{captured.path}: shot and read are unknown and cannot be measured: {reason}")
+
+
+def _parted(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frame numbers of training, validation and test, in capture order."""
+    first, second = (int(share * count) for share in _SHARES)
+    train, validation, test = np.split(np.arange(count), [first, second])
+    return train, validation, test
+
+
+def _frames(recording: Recording, numbers: np.ndarray) -> Recording:
+    return dataclasses.replace(recording, frames=np.asarray(recording.frames[numbers[0] : numbers[-1] + 1]))
+
+
+def _cut(
+    recording: Recording,
+    frames: np.ndarray,
+    scene: int,
+    most: int,
+    transfer: tuple[PerChannel, PerChannel] | None,
+) -> Columns:
+    """Patches on a grid over the frames; `most` of them, spread evenly, where there are more."""
+    cleans, noisies = [], []
+    for _, frame, clean in referenced_frames(recording, frames):
+        pair = (clean, normalise(frame, recording))
+        packed = [
+            pack(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2], recording.cfa) for image in pair
+        ]
+        cleans.append(_tiles(packed[0]))
+        noisies.append(_tiles(packed[1]))
+    clean, noisy = np.concatenate(cleans), np.concatenate(noisies)
+    if not len(clean):
+        raise BadInput(f"{recording.path}: smaller than {2 * PATCH} x {2 * PATCH} pixels: no patch fits")
+    chosen = np.unique(np.linspace(0, len(clean) - 1, min(most, len(clean))).round().astype(int))
+    stated = (recording.shot, recording.read)
+    levels = stated if None not in stated else transfer
+    assert levels is not None
+    shot, read = (to_packed_order(np.array(v, np.float32), recording.cfa) for v in levels)
+    return {
+        "clean": np.ascontiguousarray(clean[chosen], np.float32),
+        "noisy": np.ascontiguousarray(noisy[chosen], np.float32),
+        "shot": np.tile(shot, (len(chosen), 1)),
+        "read": np.tile(read, (len(chosen), 1)),
+        "iso": np.full(len(chosen), round(recording.iso or 0), np.int32),
+        "scene": np.full(len(chosen), scene, np.int32),
+    }
+
+
+def _tiles(packed: np.ndarray) -> np.ndarray:
+    rows, columns = packed.shape[0] // PATCH, packed.shape[1] // PATCH
+    tiles = packed[: rows * PATCH, : columns * PATCH].reshape(rows, PATCH, columns, PATCH, 4)
+    return tiles.swapaxes(1, 2).reshape(-1, PATCH, PATCH, 4)

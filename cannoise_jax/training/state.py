@@ -1,0 +1,152 @@
+"""Everything that training changes, as one pytree; and how it is made.
+
+The state holds the position in the data as well, so that a state, a config and the data determine every later
+state bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Int, Key
+from ml_collections import ConfigDict
+
+from cannoise_jax.networks import Discriminator, Encoder, Generator
+
+Variables = Mapping[str, Any]
+
+
+class Networks(NamedTuple):
+    """The three modules. `encoder` is None for a generator without camera awareness."""
+
+    generator: Generator
+    encoder: Encoder | None
+    critic: Discriminator
+
+
+class Optimisers(NamedTuple):
+    """One for G and E together, one for D."""
+
+    generator: optax.GradientTransformation
+    critic: optax.GradientTransformation
+
+
+class State(NamedTuple):
+    """The combined training state.
+
+    step: generator updates done. position: batches drawn from the data. key: of the whole run, never used up
+    (step n uses fold_in(key, n)). generator, encoder, critic: `params` and `spectral` collections.
+    average: exponential moving average of the parameters of G and E, which is what is sampled from.
+    """
+
+    step: Int[Array, ""]
+    position: Int[Array, ""]
+    key: Key[Array, ""]
+    generator: Variables
+    encoder: Variables
+    critic: Variables
+    generator_optimiser: optax.OptState
+    critic_optimiser: optax.OptState
+    average: Variables
+
+
+def make_networks(config: ConfigDict) -> Networks:
+    """The modules that the config describes."""
+    shared = {"width": config.width, "literal": config.literal}
+    return Networks(
+        Generator(**shared, **config.networks.generator),
+        Encoder(**shared, **config.networks.encoder) if config.encoder else None,
+        Discriminator(**shared, **config.networks.critic),
+    )
+
+
+def make_optimisers(config: ConfigDict) -> Optimisers:
+    """Adam for G and E, and for D.
+
+    The cosine schedule ends at zero; that of G rises from zero for `warmup` steps first, so that an untrained
+    critic does not drive it.
+    """
+    options = config.optimiser
+
+    def adam(rate: float, warmup: int, updates: int) -> optax.GradientTransformation:
+        schedule: Any = rate
+        if options.schedule == "cosine":
+            warmup = min(warmup, updates - 1)
+            schedule = optax.warmup_cosine_decay_schedule(0.0 if warmup else rate, rate, warmup, updates)
+        elif options.schedule != "constant":
+            raise ValueError(f"optimiser.schedule must be constant or cosine, got {options.schedule!r}")
+        return optax.adam(schedule, b1=options.beta1, b2=options.beta2)
+
+    generator = {
+        "generator": adam(options.generator_rate, options.warmup, config.steps),
+        "encoder": adam(options.encoder_rate, 0, config.steps),
+    }
+    return Optimisers(
+        optax.partition(generator, {name: name for name in generator}),
+        adam(options.critic_rate, 0, config.steps * config.critic_updates),
+    )
+
+
+def init_state(config: ConfigDict, cameras: int) -> State:
+    """The state before the first step. Pure: the same config gives the same state."""
+    networks, optimisers = make_networks(config), make_optimisers(config)
+    keys = jax.random.split(jax.random.key(config.seed), 4)
+
+    @jax.jit
+    def variables():
+        image = jnp.ones((1, config.patch, config.patch, 4))
+        encoder = networks.encoder.init(keys[1], image, train=False) if networks.encoder else {}
+        latent = latent_of(networks, encoder, image)
+        generator = networks.generator.init(
+            {"params": keys[2], "noise": keys[2]}, image, image, latent, image, train=False
+        )
+        critic = networks.critic.init(
+            keys[3],
+            image,
+            image,
+            image,
+            train=False,
+            latent=condition(config, latent, jnp.zeros(1, int), cameras),
+        )
+        return complete(generator), complete(encoder), complete(critic)
+
+    generator, encoder, critic = variables()
+    trained = {"generator": generator["params"], "encoder": encoder["params"]}
+    return State(
+        step=jnp.zeros((), jnp.int32),
+        position=jnp.zeros((), jnp.int32),
+        key=keys[0],
+        generator=generator,
+        encoder=encoder,
+        critic=critic,
+        generator_optimiser=optimisers.generator.init(trained),
+        critic_optimiser=optimisers.critic.init(critic["params"]),
+        average=jax.tree.map(jnp.copy, trained),
+    )
+
+
+def complete(variables: Variables) -> Variables:
+    """Both collections, empty where the module has none."""
+    return {"params": variables.get("params", {}), "spectral": variables.get("spectral", {})}
+
+
+def latent_of(networks: Networks, encoder: Variables, noisy: Any, train: bool = False) -> Any:
+    """The camera latent `[B, L]`, or one zero per image where there is no encoder."""
+    if networks.encoder is None:
+        return jnp.zeros((noisy.shape[0], 1))
+    return networks.encoder.apply(encoder, noisy, train=train)
+
+
+def condition(config: ConfigDict, latent: Any, camera: Any, cameras: int) -> Any:
+    """What the critic is told about the camera: nothing (the paper), its name, or the encoder's latent."""
+    if config.critic_condition == "none":
+        return None
+    if config.critic_condition == "camera":
+        return jax.nn.one_hot(camera, cameras)
+    if config.critic_condition == "latent":
+        return jax.lax.stop_gradient(latent)
+    raise ValueError(f"critic_condition must be none, camera or latent, got {config.critic_condition!r}")

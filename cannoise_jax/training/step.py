@@ -1,0 +1,188 @@
+"""One training step, jitted as a whole: the critic's updates, then one update of generator and encoder.
+
+The encoder sees the anchor j, the positive k and the negative l, never the target i (paper Sec. 3.4). The
+initial noise is drawn inside, from keys that depend on the run's key and the step number alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Key
+from ml_collections import ConfigDict
+
+from cannoise_jax.physics.poisson_gaussian import nlf_sigma, sample_normal
+from cannoise_jax.training import losses
+from cannoise_jax.training.state import (
+    Networks,
+    State,
+    condition,
+    latent_of,
+    make_networks,
+    make_optimisers,
+)
+
+Batch = dict[str, Any]
+InitialNoise = Callable[..., tuple[Any, Any]]
+
+
+def poisson_gaussian(key: Key[Array, ""], clean: Float[Array, "b h w 4"], shot, read):
+    """Initial noise of variance shot * clean + read (paper eq. 2), and its standard deviation.
+
+    Normal draws, as in the reference release; shot and read `[b, 4]` in packed order, normalised units.
+    """
+    sigma = nlf_sigma(clean, shot[:, None, None], jnp.maximum(read[:, None, None], 1e-9))
+    return sigma * sample_normal(key, clean.shape), sigma
+
+
+def gaussian(key: Key[Array, ""], clean: Float[Array, "b h w 4"], shot, read):
+    """Initial noise of variance shot everywhere: the reference's Gaussian baseline."""
+    sigma = jnp.broadcast_to(jnp.sqrt(shot)[:, None, None], clean.shape)
+    return sigma * sample_normal(key, clean.shape), sigma
+
+
+INITIAL_NOISE: dict[str, InitialNoise] = {"poisson_gaussian": poisson_gaussian, "gaussian": gaussian}
+
+
+def initial_noise(choice: str | InitialNoise) -> InitialNoise:
+    """By name, or any `f(key, clean, shot, read) -> (noise, sigma)` as it stands."""
+    if callable(choice):
+        return choice
+    if choice not in INITIAL_NOISE:
+        raise ValueError(f"initial_noise must be {', '.join(INITIAL_NOISE)} or a function, got {choice!r}")
+    return INITIAL_NOISE[choice]
+
+
+def visible(noise: Float[Array, "..."], clean: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The noise that a recording clipped to [0, 1] shows."""
+    return jnp.clip(clean + noise, 0, 1) - clean
+
+
+def make_train_step(
+    config: ConfigDict, cameras: int, draw: InitialNoise | None = None
+) -> Callable[[State, Batch], tuple[State, dict[str, Array]]]:
+    """The jitted `train_step(state, batch) -> (state, metrics)`; the old state's memory is reused.
+
+    cameras: how many there are, for a critic that is told which. draw: instead of config.initial_noise.
+    """
+    networks, optimisers = make_networks(config), make_optimisers(config)
+    draw = draw or initial_noise(config.initial_noise)
+    weights = config.loss
+
+    def shown(noise, clean):
+        return visible(noise, clean) if config.clip else noise
+
+    def critic_update(state: State, batch: Batch, key) -> tuple[State, dict[str, Array]]:
+        draw_key, row_key, mix_key = jax.random.split(key, 3)
+        clean = batch["clean"]
+        n_init, sigma = draw(draw_key, clean, batch["shot"], batch["read"])
+        latent = latent_of(networks, state.encoder, batch["anchor"])
+        fake = networks.generator.apply(
+            state.generator, clean, n_init, latent, sigma, train=False, rngs={"noise": row_key}
+        )
+        told = condition(config, latent, batch["camera"], cameras)
+        # The penalty asks for slope one per unit of noise: sigma, unless literal.
+        unit = jnp.ones_like(sigma) if config.literal else sigma
+        real = shown(batch["noisy"] - clean, clean) / unit
+        fake = shown(fake, clean) / unit
+        between = losses.interpolate(real, fake, jax.random.uniform(mix_key, clean.shape[:1]))
+
+        def loss(params):
+            variables = {"params": params, "spectral": state.critic["spectral"]}
+            (scores, _), changed = networks.critic.apply(
+                variables, jnp.concatenate([real, fake]) * jnp.concatenate([unit, unit]), _twice(clean),
+                _twice(sigma), train=True, latent=_twice(told), mutable=["spectral"],
+            )  # fmt: skip
+            real_scores, fake_scores = jnp.split(scores, 2)
+            spectral = changed.get("spectral", {})
+
+            def scores_at(noise):
+                frozen = {"params": params, "spectral": spectral}
+                return networks.critic.apply(frozen, noise * unit, clean, sigma, train=False, latent=told)[0]
+
+            wasserstein = losses.critic_loss(real_scores, fake_scores)
+            penalty = losses.gradient_penalty(scores_at, between, weights.slope)
+            aux = {"critic/wasserstein": -wasserstein, "critic/penalty": penalty}
+            return wasserstein + weights.penalty * penalty, (aux, spectral)
+
+        (_, (aux, spectral)), gradient = jax.value_and_grad(loss, has_aux=True)(state.critic["params"])
+        updates, optimiser = optimisers.critic.update(gradient, state.critic_optimiser)
+        critic = {"params": optax.apply_updates(state.critic["params"], updates), "spectral": spectral}
+        return state._replace(critic=critic, critic_optimiser=optimiser), aux
+
+    def generator_update(state: State, batch: Batch, key) -> tuple[State, dict[str, Array]]:
+        draw_key, row_key = jax.random.split(key)
+        clean = batch["clean"]
+        n_init, sigma = draw(draw_key, clean, batch["shot"], batch["read"])
+        real = shown(batch["noisy"] - clean, clean)
+
+        def loss(params):
+            latents, encoder_changed = _latents(networks, params["encoder"], state, batch, weights.triplet)
+            generated, generator_changed = networks.generator.apply(
+                {"params": params["generator"], "spectral": state.generator["spectral"]},
+                clean, n_init, latents[0], sigma, train=True, mutable=["spectral"], rngs={"noise": row_key},
+            )  # fmt: skip
+            told = condition(config, latents[0], batch["camera"], cameras)
+            seen: Any = networks.critic.apply(
+                state.critic, shown(generated, clean), clean, sigma, train=False, latent=told
+            )
+            scores, features = seen
+            terms = {"adversarial": losses.generator_loss(scores)}
+            if weights.feature_matching:
+                target = {"clean": clean, "real": real}[weights.feature_target]
+                wanted: Any = networks.critic.apply(
+                    state.critic, target, clean, sigma, train=False, latent=told
+                )[1]
+                terms["feature_matching"] = losses.feature_matching_loss(features, wanted)
+            if weights.triplet and networks.encoder:
+                terms["triplet"] = losses.triplet_loss(latents[0], latents[1], latents[2], weights.margin)
+            total = sum(weights[name] * value for name, value in terms.items())
+            aux = {f"generator/{name}": value for name, value in terms.items()}
+            aux["generator/spread"] = jnp.std(generated / sigma)
+            return total, (aux, generator_changed.get("spectral", {}), encoder_changed)
+
+        trained = {"generator": state.generator["params"], "encoder": state.encoder["params"]}
+        (_, (aux, g_spectral, e_spectral)), gradient = jax.value_and_grad(loss, has_aux=True)(trained)
+        updates, optimiser = optimisers.generator.update(gradient, state.generator_optimiser)
+        trained = optax.apply_updates(trained, updates)
+        count = state.step.astype(jnp.float32)
+        decay = jnp.minimum(config.ema, (1 + count) / (10 + count))
+        return state._replace(
+            step=state.step + 1,
+            position=state.position + 1,
+            generator={"params": trained["generator"], "spectral": g_spectral},
+            encoder={"params": trained["encoder"], "spectral": e_spectral},
+            generator_optimiser=optimiser,
+            average=jax.tree.map(lambda old, new: new + decay * (old - new), state.average, trained),
+        ), aux
+
+    def train_step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
+        keys = jax.random.split(jax.random.fold_in(state.key, state.step), config.critic_updates + 1)
+        metrics: dict[str, Array] = {}
+        for key in keys[1:]:
+            state, metrics = critic_update(state, batch, key)
+        state, more = generator_update(state, batch, keys[0])
+        return state, metrics | more
+
+    return jax.jit(train_step, donate_argnums=0)
+
+
+def _twice(x):
+    return None if x is None else jnp.concatenate([x, x])
+
+
+def _latents(networks: Networks, params, state: State, batch: Batch, triplet: float):
+    """Latents of anchor, positive and negative in one pass of E (the anchor's alone without a triplet loss),
+    and the new spectral vectors."""
+    if networks.encoder is None:
+        return (latent_of(networks, {}, batch["anchor"]),), {}
+    names = ("anchor", "positive", "negative") if triplet else ("anchor",)
+    latent, changed = networks.encoder.apply(
+        {"params": params, "spectral": state.encoder["spectral"]},
+        jnp.concatenate([batch[name] for name in names]), train=True, mutable=["spectral"],
+    )  # fmt: skip
+    return tuple(jnp.split(latent, len(names))), changed.get("spectral", {})

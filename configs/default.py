@@ -1,0 +1,64 @@
+"""Five virtual cameras from a key, a small model: the whole system in minutes on two CPU cores.
+
+bin/train --workdir runs/first
+"""
+
+from ml_collections import ConfigDict
+from ml_collections.config_dict import placeholder
+
+
+def get_config() -> ConfigDict:
+    """Every field, with the paper's value where it is another one."""
+    return ConfigDict(
+        {
+            "seed": 0,
+            "steps": 2400,
+            "batch_size": 16,  # paper: 64
+            "patch": 32,  # packed pixels; paper: 64
+            "width": 1 / 16,  # of every channel count; paper: 1
+            "literal": False,  # the paper's tables and raw units as printed; see networks/
+            "encoder": True,  # False: a generator without camera awareness
+            "networks": {"generator": {}, "encoder": {}, "critic": {}},  # fields of the modules
+            # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
+            "initial_noise": "poisson_gaussian",
+            "clip": True,  # noise as clipped recordings show it, before the critic; paper: unsaid
+            "critic_updates": 1,  # per generator update; paper: 1
+            "critic_condition": "camera",  # what the critic is told: none (paper), camera, latent
+            "ema": 0.995,  # of the weights of G and E; paper: none, 0
+            "loss": {
+                "adversarial": 1.0,
+                "penalty": 10.0,
+                "slope": 1.0,  # that the penalty asks for
+                "feature_matching": 0.0,  # paper: 1
+                "feature_target": "clean",  # in the noise slot of D: clean (paper) or real
+                "triplet": 0.5,
+                "margin": 0.2,
+            },
+            "optimiser": {
+                "generator_rate": 1e-4,  # paper: 2e-4
+                "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
+                "critic_rate": 5e-4,  # paper: 2e-4
+                "beta1": 0.5,
+                "beta2": 0.999,
+                "schedule": "cosine",  # paper: constant
+                "warmup": 100,  # steps; paper: 0
+            },
+            "log_every": 20,
+            "evaluate_every": 400,
+            "validation_patches": 200,
+            "checkpoint_every": 400,
+            "data": {
+                "source": "virtual",  # virtual, recordings (set by --recordings), sidd
+                "seed": 0,
+                "scenes": 40,
+                "validation_scenes": 10,
+                "test_scenes": 24,
+                "per_scene": 16,
+                # For recordings: folders, one a camera, and what overrides their files.
+                "recordings": (),
+                "cfa": placeholder(str),
+                "black_level": placeholder(tuple),
+                "white_level": placeholder(float),
+            },
+        }
+    )
