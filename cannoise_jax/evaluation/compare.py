@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from cannoise_jax.evaluation.baselines import Sampler, gaussian, poisson_gaussian
-from cannoise_jax.evaluation.evaluators import EVALUATORS, Evaluator, Samples, evaluate
+from cannoise_jax.evaluation.evaluators import EVALUATORS, Evaluator, Samples, evaluate, pooled
 from cannoise_jax.evaluation.kl import clipped_noise
 
 MODELS = (
@@ -66,7 +66,8 @@ def evaluate_model(
       `batch` patches (jit it); None leaves its two columns out.
     camera_names: by camera index. recalibrated: from `baselines.calibrate_by_setting` on training recordings;
       a setting that it lacks uses the published function; None leaves the column out.
-    Numbers per model are those of `evaluators`; see there. The same key gives the same result.
+    Numbers per model are those of `evaluators`, the first of which must count the patches; see there. The
+    same key gives the same result.
     """
     draw_key, pair_key = jax.random.split(key)
     noise = {
@@ -75,18 +76,14 @@ def evaluate_model(
         if name in columns
     }
     camera = np.asarray(patches.camera)
-    present = [c for c in range(len(camera_names)) if (camera == c).any()]
+    rows = {
+        name: {model: _numbers(patches, fake, camera == c, evaluators) for model, fake in noise.items()}
+        for c, name in enumerate(camera_names)
+        if (camera == c).any()
+    }
     return {
-        "cameras": {
-            camera_names[c]: {
-                name: _numbers(patches, fake, camera == c, evaluators) for name, fake in noise.items()
-            }
-            for c in present
-        },
-        "pooled": {
-            name: _numbers(patches, fake, np.full(camera.shape, True), evaluators)
-            for name, fake in noise.items()
-        },
+        "cameras": rows,
+        "pooled": {model: pooled([row[model] for row in rows.values()]) for model in noise},
     }
 
 

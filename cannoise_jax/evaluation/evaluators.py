@@ -8,7 +8,7 @@ so that an image's light and dark parts weigh alike; each number comes for the r
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -45,28 +45,22 @@ class Evaluator:
 def kl_by_patch(samples: Samples) -> dict[str, float]:
     """The reference protocol: the KL of each patch, its floor and its smoothed version, mean over patches.
 
-    `kl_se` is the standard error of `kl` over the patches.
+    `kl_se` is the standard error of `kl` over the patches. `kl_pool` is the KL of one histogram over all
+    patches together, whose floor is far lower: it sees finer, and only what all patches have in common.
     """
     real = [kl.histogram(patch) for patch in samples.real]
     fake = [kl.histogram(patch) for patch in samples.fake]
-    values = [kl.kl_of_counts(a, b) for a, b in zip(real, fake, strict=True)]
-    smoothed = [kl.kl_smoothed_of_counts(a, b) for a, b in zip(real, fake, strict=True)]
-    floors = [kl.kl_floor_of_counts(a, int(b.sum()), trials=8) for a, b in zip(real, fake, strict=True)]
+    pairs = list(zip(real, fake, strict=True))
+    values = [kl.kl_of_counts(a, b) for a, b in pairs]
+    all_real, all_fake = np.sum(real, axis=0), np.sum(fake, axis=0)
     return {
         "kl": float(np.mean(values)),
-        "kl_floor": float(np.mean(floors)),
-        "kl_smoothed": float(np.mean(smoothed)),
+        "kl_floor": float(np.mean([kl.kl_floor_of_counts(a, int(b.sum()), trials=8) for a, b in pairs])),
+        "kl_smoothed": float(np.mean([kl.kl_smoothed_of_counts(a, b) for a, b in pairs])),
         "kl_se": float(np.std(values) / np.sqrt(len(values))),
+        "kl_pool": kl.kl_of_counts(all_real, all_fake),
+        "kl_pool_floor": kl.kl_floor_of_counts(all_real, int(all_fake.sum())),
         "patches": len(values),
-    }
-
-
-def kl_of_pool(samples: Samples) -> dict[str, float]:
-    """The KL of one histogram over all patches together; a far lower floor, so far finer."""
-    real, fake = kl.histogram(samples.real), kl.histogram(samples.fake)
-    return {
-        "kl_pool": kl.kl_of_counts(real, fake),
-        "kl_pool_floor": kl.kl_floor_of_counts(real, int(fake.sum())),
     }
 
 
@@ -85,10 +79,8 @@ def row_spectrum(noise: Float[np.ndarray, "n h w 4"]) -> float:
 
 def lag_correlation(noise: Float[np.ndarray, "n h w 4"], axis: int) -> float:
     """Correlation of neighbours of one packed channel, along the rows (axis 2) or across them (axis 1)."""
-    centred = noise - noise.mean(axis=(1, 2), keepdims=True)
-    size = centred.shape[axis]
-    first, second = (np.take(centred, range(i, size - 1 + i), axis=axis) for i in (0, 1))
-    return float((first * second).mean() / np.square(centred).mean())
+    centred = np.moveaxis(noise - noise.mean(axis=(1, 2), keepdims=True), axis, 1)
+    return float((centred[:, 1:] * centred[:, :-1]).mean() / np.square(centred).mean())
 
 
 def excess_kurtosis(noise: Float[np.ndarray, "..."]) -> float:
@@ -125,11 +117,29 @@ def scale(samples: Samples) -> dict[str, float]:
 
 
 EVALUATORS: tuple[Evaluator, ...] = (
-    Evaluator("kl by patch", kl_by_patch),
-    Evaluator("kl of pool", kl_of_pool),
+    Evaluator("kl", kl_by_patch),
     Evaluator("structure", structure),
     Evaluator("scale", scale),
 )
+
+
+def pooled(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The numbers of several cameras as one row: means weighted by their patches; `patches` adds up.
+
+    So the pooled `kl` is the mean over all patches, and `kl_se` its standard error. A number that some rows
+    lack is the mean of those that have it.
+    """
+    made: dict[str, float] = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        have = [(row["patches"], row[name]) for row in rows if name in row]
+        total = sum(count for count, _ in have)
+        if name == "patches":
+            made[name] = total
+        elif name == "kl_se":
+            made[name] = float(np.sqrt(sum((count * value) ** 2 for count, value in have)) / total)
+        else:
+            made[name] = sum(count * value for count, value in have) / total
+    return made
 
 
 def evaluate(samples: Samples, evaluators: tuple[Evaluator, ...] = EVALUATORS) -> dict[str, float]:

@@ -12,6 +12,7 @@ from cannoise_jax.evaluation.evaluators import (
     evaluate,
     excess_kurtosis,
     lag_correlation,
+    pooled,
     row_spectrum,
 )
 
@@ -100,3 +101,17 @@ def test_evaluators_share_no_key():
     rng = np.random.default_rng(7)
     made = [e.run(samples(rng.normal(0, 0.01, SHAPE), rng.normal(0, 0.01, SHAPE))) for e in EVALUATORS]
     assert sum(len(m) for m in made) == len(set().union(*made))
+
+
+def test_pooled_is_the_mean_over_patches():
+    rng = np.random.default_rng(8)
+    real, fake = rng.normal(0, 0.02, SHAPE), rng.normal(0, 0.025, SHAPE)
+    parts = [evaluate(samples(real[part], fake[part])) for part in (slice(0, 8), slice(8, None))]
+    whole, row = evaluate(samples(real, fake)), pooled(parts)
+    assert row["kl"] == pytest.approx(whole["kl"]) and row["patches"] == SHAPE[0]
+    assert row["kl_se"] == pytest.approx(whole["kl_se"], rel=0.2)
+    assert pooled([{"patches": 1, "a": 1.0}, {"patches": 3, "a": 2.0, "b": 5.0}]) == {
+        "patches": 4,
+        "a": 1.75,
+        "b": 5.0,
+    }
