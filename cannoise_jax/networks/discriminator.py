@@ -9,6 +9,7 @@ therefore
 - has no norm on its output, and `spectral` and `norm` as fields for the other layers;
 - has a full-resolution pointwise branch, averaged over 8x8 pixels: a test of the marginal distribution, which
   is what the KL metric measures;
+- sees |z| and a bounded z^2 beside z = noise / sigma, so that level and tails are linear in what it sees;
 - sees row means, since row noise of a fifth of sigma is invisible in a 46-pixel neighbourhood;
 - may be told the camera's latent, so that another camera's noise is as wrong as none.
 """
@@ -32,7 +33,7 @@ class Discriminator(nn.Module):
     the last layer: no biases, affine instance norms after d2 and d3; that last norm adds 2); stride 1 and
     padding 1 on the last layer, so 64x64 gives 7x7 scores (the printed h/16 would need stride 2).
     spectral, norm ("none", "channel", "instance"): of d2, d3 and, spectral only, the last layer.
-    hidden: channels of the pointwise branch; 0: none. rows: show the row means of the noise.
+    hidden: channels of the pointwise branch; 0: none. rows, moments: show the noise's row means; its size and square.
 
     `noise`: normalised units. `latent`: of the camera, or None; to be given always or never.
     Returns (scores, features): the score map, and d3 (the table's D_f) at an eighth of the size.
@@ -45,6 +46,7 @@ class Discriminator(nn.Module):
     norm: str = "none"
     hidden: int = 32
     rows: bool = True
+    moments: bool = True
     level_input: bool = True
 
     @nn.compact
@@ -67,6 +69,9 @@ class Discriminator(nn.Module):
             x = pixels = jnp.concatenate([clean, noise], -1)
         else:
             x = pixels = in_sigma_units(clean, noise, sigma, level=self.level_input)
+            if self.moments:
+                size = jnp.abs(noise / sigma)
+                x = pixels = jnp.concatenate([x, size, 4 * jnp.tanh(jnp.square(size) / 16)], -1)
             if self.rows:
                 rows = jnp.mean(noise / sigma, 2, keepdims=True) * noise.shape[2] ** 0.5
                 x = jnp.concatenate([x, jnp.broadcast_to(rows, noise.shape)], -1)
