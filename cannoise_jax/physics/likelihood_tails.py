@@ -72,6 +72,7 @@ def student_mixture(dof: Values) -> tuple[Real, Real]:
     return jax.nn.log_softmax(dof / 2 * (u - jnp.expm1(u))), jnp.exp(-u) * (dof - 2) / dof
 
 
+@jax.jit
 def student_log_prob(
     codes: Values,
     mean: Values,
@@ -105,9 +106,12 @@ def tukey_logit(x: Values, shape: Values) -> Real:
     size = jnp.abs(jax.lax.stop_gradient(x))
     fixed = jax.lax.stop_gradient(safe)
     logit = -jnp.log(jnp.maximum(1 - fixed * size, 1e-5)) / fixed
-    for _ in range(_NEWTON):
+
+    def newton(logit, _):
         value, slope = _quantile(logit, fixed)
-        logit = jnp.maximum(logit - (value - size) / slope, 0.0)
+        return jnp.maximum(logit - (value - size) / slope, 0.0), None
+
+    logit = jax.lax.scan(newton, logit, None, length=_NEWTON)[0]
     logit = jnp.where(x < 0, -logit, logit)
     value, slope = _quantile(logit, shape)
     return logit + (x - value) / jax.lax.stop_gradient(slope)  # zero, with the implicit derivatives
@@ -117,15 +121,16 @@ def _tukey_codes(codes: Values, mean: Values, scale: Values, shape: Values, grid
     """Log-probability of codes for Tukey-lambda noise alone; mass between logits a < b: s(b) s(-a) (1 -
     e^(a-b))."""
     half = jnp.asarray(grid.step, jnp.float32) / 2
-    low = tukey_logit((codes - half - mean) / scale, shape)
-    high = tukey_logit((codes + half - mean) / scale, shape)
+    edges = (codes - half, codes + half, rail_edge(grid.low, half), rail_edge(grid.high, -half))
+    offsets = jnp.stack(jnp.broadcast_arrays(*((edge - mean) / scale for edge in edges)))
+    low, high, black, white = tukey_logit(offsets, shape)
     gap = jnp.maximum(high - low, 1e-6)
     inner = jax.nn.log_sigmoid(high) + jax.nn.log_sigmoid(-low) + jnp.log(-jnp.expm1(-gap))
-    below = jax.nn.log_sigmoid(tukey_logit((rail_edge(grid.low, half) - mean) / scale, shape))
-    above = jax.nn.log_sigmoid(-tukey_logit((rail_edge(grid.high, -half) - mean) / scale, shape))
+    below, above = jax.nn.log_sigmoid(black), jax.nn.log_sigmoid(-white)
     return censored(codes, inner, below, above, grid)
 
 
+@jax.jit
 def tukey_log_prob(
     codes: Values,
     mean: Values,

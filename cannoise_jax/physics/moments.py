@@ -140,9 +140,11 @@ def fit_moments(
     def moments(x) -> np.ndarray:
         return np.asarray(batch(common, jnp.asarray(x, jnp.float32)), np.float64).mean(0)
 
-    def spread(x) -> np.ndarray:
-        keys = jax.random.split(spread_key, bootstrap)
-        return np.asarray(batch(keys, jnp.asarray(x, jnp.float32)), np.float64)
+    def spread(x) -> np.ndarray:  # in batches of the same shape, so that one compiled function serves all
+        rounds = -(-bootstrap // simulations)
+        keys = jax.random.split(spread_key, (rounds, simulations))
+        point = jnp.asarray(x, jnp.float32)
+        return np.concatenate([np.asarray(batch(k, point), np.float64) for k in keys])[:bootstrap]
 
     middle = np.array([to_line(p.default, p) for p in parameters], np.float64)
     starts = [middle]
@@ -218,7 +220,7 @@ def fit_mechanism(
         summary_statistics,
         mean=level,
         sigma=_baseline_sigma(model, level, settings),
-        of_level=level_weights(np.asarray(level)),
+        of_level=jnp.asarray(level_weights(np.asarray(level))),
         rails=(0.0, float(np.asarray(model.white_level))),
     )
 
