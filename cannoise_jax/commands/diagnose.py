@@ -1,0 +1,97 @@
+"""bin/diagnose: finds what a noise simulator leaves out of a camera's recordings, and proves it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+
+import jax
+
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.page import page
+from cannoise_jax.discovery.report import document
+from cannoise_jax.physics.sensor_json import write_sensor
+from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.recording import BadInput
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Writes report.json, report.html and sensor.json; returns 0 whatever the verdict, 2 for bad input."""
+    arguments = _parser().parse_args(argv)
+    started = time.monotonic()
+
+    def tell(text: str) -> None:
+        print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
+
+    try:
+        capture = load_capture_set(arguments.recordings)
+        _check_output(arguments.out)
+        found = diagnose(
+            capture,
+            arguments.simulator,
+            jax.random.key(arguments.key),
+            alpha=arguments.alpha,
+            without=tuple(id for id in arguments.without.split(",") if id),
+            tell=tell,
+        )
+        report = document(
+            found,
+            key=arguments.key,
+            version=importlib.metadata.version("cannoise-jax"),
+            seconds=time.monotonic() - started,
+            peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        )
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        _write(arguments.out / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+        _write(arguments.out / "report.html", page(found, report))
+        write_sensor(arguments.out / "sensor.json", found.model)
+    except (BadInput, ValueError) as error:
+        print(f"bin/diagnose: {error}", file=sys.stderr)
+        return 2
+    print(f"{capture.camera}: {report['verdict']}")
+    for finding in report["findings"]:
+        print(f"- {finding['mechanism']}: {finding['sentence']}")
+    print(f"{arguments.out / 'report.html'}")
+    return 0
+
+
+def _check_output(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out}: is a file: name a folder for the report")
+    if not out.parent.is_dir() and not out.parent.parent.exists():
+        raise BadInput(f"{out}: no such folder {out.parent}")
+
+
+def _write(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="bin/diagnose", description=__doc__)
+    parser.add_argument("--recordings", type=Path, required=True, help="folder of recordings of one camera")
+    parser.add_argument(
+        "--simulator",
+        default="poisson-gaussian",
+        help="poisson-gaussian (calibrated from the recordings) or nlf (shot and read of the files)",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for report.html, report.json, sensor.json"
+    )
+    parser.add_argument("--alpha", type=float, default=0.01, help="false-alarm rate of the whole run (0.01)")
+    parser.add_argument("--key", type=int, default=0, help="seed of everything random (0)")
+    parser.add_argument(
+        "--without", default="", metavar="ID,...", help="run as if these mechanisms were not known"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

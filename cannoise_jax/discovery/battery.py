@@ -1,0 +1,156 @@
+"""The battery for one capture set: its fields under the fitted baseline, and every probe that applies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.calibrate import (
+    Baseline,
+    Stack,
+    code_step,
+    detected_step,
+    fit_baseline,
+    gain_groups,
+    stack,
+    standardise,
+    stated_black,
+)
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.statistics import codes, covariance, levels, lines, means, shape, spectra
+from cannoise_jax.discovery.statistics.score import Probe
+from cannoise_jax.recordings.recording import CaptureSet
+
+BROAD = 3.0
+"""Standard deviation, in codes, from which a pixel's noise is broad enough to judge the lattice of codes."""
+
+
+class Prepared(NamedTuple):
+    """One split of a capture set, ready for the statistics."""
+
+    fields: tuple[Fields, ...]
+    baselines: tuple[Baseline, ...]
+    probes: tuple[Probe, ...]
+    stacks: tuple[Stack, ...]
+    step: float
+    span: float
+
+
+def split_frames(count: int) -> tuple[list[int], list[int]]:
+    """Frames that look for effects, and frames that estimate and prove: every other one; one frame
+    only looks."""
+    return list(range(0, count, 2)), list(range(1, count, 2))
+
+
+def prepare(capture: CaptureSet, chosen: list[list[int]], judge_stated: bool) -> Prepared:
+    """Reads the chosen frames of every recording once, fits the baseline and builds fields and probes.
+
+    chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
+    read noise of the files are to be judged.
+    """
+    step = code_step(capture)
+    stacks = tuple(
+        stack(r, n, c, step) for n, (r, c) in enumerate(zip(capture.recordings, chosen, strict=True)) if c
+    )
+    isos = gain_groups(capture)
+    groups = [[s for s in stacks if s.recording.iso == iso] for iso in isos]
+    baselines = tuple(fit_baseline(g, iso) for g, iso in zip(groups, isos, strict=True) if g)
+    order = {baseline.iso: n for n, baseline in enumerate(baselines)}
+    fields = tuple(standardise(s, baselines[order[s.recording.iso]], order[s.recording.iso]) for s in stacks)
+    span = float(np.mean([r.white_level - np.mean(r.black_level) for r in capture.recordings]))
+    fields = tuple(_testable_static(f) for f in fields)
+    return Prepared(
+        fields,
+        baselines,
+        build_probes(capture, stacks, fields, baselines, chosen, judge_stated, step, span),
+        stacks,
+        step,
+        span,
+    )
+
+
+def _testable_static(field: Fields) -> Fields:
+    """One frame alone has no contrast: what is frozen and what is redrawn cannot be told apart."""
+    return field
+
+
+def build_probes(capture, stacks, fields, baselines, chosen, judge_stated, step, span) -> tuple[Probe, ...]:
+    """All probes, with what they need to know about the files."""
+    described = describe(capture, step)
+    jitter = levels.frame_jitter(fields)
+    stated = stated_parameters(capture, baselines) if judge_stated else None
+    lattice = collect_codes(capture, stacks, fields, chosen, step)
+    return (
+        *lines.probes(),
+        *spectra.probes(),
+        *covariance.probes(),
+        *shape.probes(),
+        *means.probes(described, span),
+        *levels.probes(described, baselines, stated, step, span, jitter),
+        *codes.probes(lattice, float(described.black.mean())),
+    )
+
+
+def describe(capture: CaptureSet, step: float) -> means.Described:
+    """Stated black level, and the sites of the two greens."""
+    dark = capture.of_kind("dark", "bias") or capture.recordings
+    black = stated_black(list(dark))
+    cfa = capture.recordings[0].cfa
+    greens = None if cfa == "MONO" else tuple(n for n, letter in enumerate(cfa) if letter == "G")
+    on_lattice = np.allclose(black / step, np.round(black / step), atol=1e-4)
+    return means.Described(black, greens, 0.5 * step if on_lattice else 0.0)  # type: ignore[arg-type]
+
+
+def stated_parameters(capture: CaptureSet, baselines: tuple[Baseline, ...]) -> tuple:
+    """Gain (DN/e-) and read noise (DN) of the files per gain setting; None where not stated."""
+    out: list[tuple] = []
+    for baseline in baselines:
+        chosen = [r for r in capture.recordings if r.iso == baseline.iso and r.shot and r.read]
+        if not chosen:
+            out.append((None, None))
+            continue
+        r = chosen[0]
+        span = r.white_level - np.asarray(r.black_level)
+        out.append((np.asarray(r.shot) * span, np.sqrt(np.asarray(r.read)) * span))
+    return tuple(out)
+
+
+def collect_codes(capture, stacks, fields, chosen, step: float) -> codes.Codes:
+    """Histograms of the stored codes: of pixels with broad noise, and of every dark."""
+    broad = np.zeros(int(65536 // step) + 1)
+    dark, lowest = [], []
+    narrowest = np.inf
+    for s, f in zip(stacks, fields, strict=True):
+        # Away from the rails: a pile-up there is no comb.
+        wide = (
+            f.usable
+            & (f.sigma > BROAD * step)
+            & (f.mean > s.low + 6 * f.sigma)
+            & (f.mean < s.high - 6 * f.sigma)
+        )
+        is_dark = f.kind in ("dark", "bias")
+        if not is_dark and wide.mean() < 0.02:
+            continue
+        counts = np.zeros_like(broad)
+        for t in chosen[s.number][:16]:
+            frame = (np.asarray(s.recording.frames[t : t + 1])[0] // step).astype(np.int64)
+            if wide.any():
+                broad += np.bincount(frame[wide], minlength=broad.size)
+            if is_dark:
+                counts += np.bincount(frame.ravel(), minlength=broad.size)
+        if wide.any():
+            narrowest = min(narrowest, float(f.sigma[wide].min()) / step)
+        if is_dark:
+            dark.append(counts)
+            lowest.append(0)
+    stated = {r.code_step for r in capture.recordings if r.code_step}
+    return codes.Codes(
+        broad,
+        narrowest if np.isfinite(narrowest) else 0.0,
+        tuple(dark),
+        tuple(lowest),
+        step,
+        detected_step(capture),
+        float(stated.pop()) if len(stated) == 1 else None,
+    )

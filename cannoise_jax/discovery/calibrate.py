@@ -1,0 +1,403 @@
+"""The nuisance fit: black level, gain and read noise per channel, and the mean of every recording.
+
+Gain and read noise come from differences between frames alone, which no fixed pattern, shading or wrong
+reference can reach (photon transfer, EMVA 1288 release 4.0, section 6); the mean of a flat is a smooth
+surface
+per channel, that of a scene its reference after an affine refit per channel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from cannoise_jax.discovery.fields import Fields, channel_index, helmert
+from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map
+
+MOST_FRAMES = 16
+"""Frames of one recording and split that are held at once: memory does not grow beyond."""
+_DEGREE = 4
+_BINS = 8
+
+
+class Level(NamedTuple):
+    """One point of a photon-transfer curve: temporal variance of pixels of like signal."""
+
+    recording: int
+    channel: int
+    signal: float
+    variance: float
+    error: float
+    pixels: int
+    full: bool = False
+
+
+class Baseline(NamedTuple):
+    """Poisson-Gaussian parameters of one gain setting: per mosaic site, DN and DN/e-; error: of the gain."""
+
+    iso: float | None
+    black: Float[np.ndarray, "4"]
+    gain: Float[np.ndarray, "4"]
+    read_dn: Float[np.ndarray, "4"]
+    gain_error: Float[np.ndarray, "4"]
+    read_error: Float[np.ndarray, "4"]
+    levels: tuple[Level, ...]
+
+
+class Stack(NamedTuple):
+    """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails."""
+
+    recording: Recording
+    number: int
+    mean: Float[np.ndarray, "h w"]
+    variance: Float[np.ndarray, "h w"]
+    contrasts: Float[np.ndarray, "n h w"]
+    usable: np.ndarray
+    frames: int
+    step: float
+    low: float
+    high: float
+
+
+def stack(recording: Recording, index: int, chosen: list[int], step: float) -> Stack:
+    """Reads the chosen frames one by one (at most MOST_FRAMES) and forms their contrasts."""
+    chosen = chosen[:MOST_FRAMES]
+    matrix = helmert(len(chosen)).astype(np.float32)
+    size = recording.size
+    total = np.zeros(size, np.float64)
+    contrasts = np.zeros((len(chosen) - 1, *size), np.float32)
+    high, low = np.zeros(size, np.uint16), np.full(size, 65535, np.uint16)
+    anchor = None
+    for n, t in enumerate(chosen):
+        frame = np.asarray(recording.frames[t : t + 1])[0]
+        high, low = np.maximum(high, frame), np.minimum(low, frame)
+        anchor = frame.astype(np.float32) if anchor is None else anchor
+        moved = frame.astype(np.float32) - anchor
+        total += frame
+        for k in range(max(n - 1, 0), len(chosen) - 1):
+            contrasts[k] += matrix[k, n] * moved
+    mean = (total / len(chosen)).astype(np.float32)
+    variance = (contrasts**2).mean(0) if len(contrasts) else np.zeros(size, np.float32)
+    white = min(recording.white_level, 65535.0)
+    usable = (high < white - 0.5) & (low > 0)
+    if recording.kind in ("dark", "bias") and usable.mean() < 0.9:
+        usable = np.ones(size, bool)
+    return Stack(
+        recording,
+        index,
+        mean,
+        variance,
+        contrasts,
+        usable,
+        len(chosen),
+        step,
+        float(low.min()),
+        float(high.max()),
+    )
+
+
+def code_step(capture: CaptureSet) -> float:
+    """Spacing of the codes: stated in the files, else the greatest common divisor of the differences, DN."""
+    stated = {r.code_step for r in capture.recordings if r.code_step}
+    return float(stated.pop()) if len(stated) == 1 else detected_step(capture)
+
+
+def detected_step(capture: CaptureSet) -> float:
+    """Greatest common divisor of the differences between the codes that occur, DN."""
+    step = 0
+    for recording in capture.recordings:
+        codes = np.unique(np.asarray(recording.frames[0:1]))
+        codes = codes[codes < recording.white_level]
+        if codes.size > 1:
+            step = int(np.gcd.reduce(np.append(np.diff(codes).astype(np.int64), step)))
+    return float(max(step, 1))
+
+
+def robust_mean(values: np.ndarray) -> float:
+    """Mean of the values within six robust standard deviations of their median."""
+    centre = np.median(values)
+    spread = max(1.4826 * np.median(np.abs(values - centre)), 1e-6)
+    return float(values[np.abs(values - centre) < 6 * spread].mean())
+
+
+def gain_groups(capture: CaptureSet) -> list[float | None]:
+    """The ISO values that occur, sorted; [None] when none is stated."""
+    isos = {r.iso for r in capture.recordings}
+    return [None] if isos == {None} else sorted(isos, key=lambda v: -1.0 if v is None else v)
+
+
+def stated_black(recordings: list[Recording]) -> np.ndarray:
+    """Black level of the files, mosaic order, DN."""
+    return np.mean([r.black_level for r in recordings], axis=0)
+
+
+def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
+    """Black level, gain and read noise per channel of one gain setting, weighted least squares on the
+    curve."""
+    dark = [s for s in stacks if s.recording.kind in ("dark", "bias")]
+    black = stated_black([s.recording for s in stacks])
+    if dark:
+        shortest = min(dark, key=lambda s: s.recording.exposure_s or 0.0)
+        channel = channel_index(shortest.mean.shape)
+        black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
+    model: tuple[np.ndarray, np.ndarray] | None = None
+    for _ in range(2):
+        levels = [p for s in stacks if s.frames > 1 for p in _levels(s, black, model)]
+        levels = _mark_full(levels, *_low_line(levels), stacks[0].step)
+        lines = [_line([p for p in levels if p.channel == c and not p.full], stacks, c) for c in range(4)]
+        gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
+        model = gain, read
+        levels = _mark_full(levels, gain, read, stacks[0].step)
+    return Baseline(iso, black, gain, read, gain_error, read_error, tuple(levels))
+
+
+def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and read noise from the lower half of the signals, where no pixel is full."""
+    gain, read = np.ones(4), np.zeros(4)
+    for c in range(4):
+        mine = [p for p in levels if p.channel == c]
+        if len(mine) < 4:
+            gain[c] = 0.0
+            continue
+        x, v = np.array([p.signal for p in mine]), np.array([p.variance for p in mine])
+        low = x <= np.median(x)
+        slope, offset = np.polyfit(x[low], v[low], 1, w=1 / np.array([p.error for p in mine])[low])
+        gain[c], read[c] = max(slope, 0.0), np.sqrt(max(offset, 0.0))
+    return gain, read
+
+
+def _mark_full(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: float) -> list[Level]:
+    """Marks the levels from the first on whose variance, and that of all above, falls to less than 0.7."""
+    out = list(levels)
+    for c in range(4):
+        mine = sorted((n for n, p in enumerate(levels) if p.channel == c), key=lambda n: -levels[n].signal)
+        for n in mine:
+            p = levels[n]
+            if (
+                gain[c] <= 0
+                or p.variance > 0.7 * (read[c] ** 2 + step**2 / 12 + gain[c] * max(p.signal, 0))
+                or (p.signal < 20 * step)
+            ):
+                break
+            out[n] = p._replace(full=True)
+    return out
+
+
+def full_level(baseline: Baseline) -> float:
+    """Lowest signal at which the pixels are full, DN above black; infinite when none is."""
+    return min((p.signal for p in baseline.levels if p.full), default=np.inf)
+
+
+def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarray] | None) -> list[Level]:
+    """Bins of like signal. Without a model the variance comes from medians; with one, pixels far above it
+    (hot, telegraph) are left out one by one."""
+    channel = channel_index(stacked.mean.shape)
+    signal = _expected(stacked, black)
+    n = max(stacked.frames - 1, 1)
+    out = []
+    for c in range(4):
+        chosen = (channel == c) & stacked.usable
+        x, v = signal[chosen], stacked.variance[chosen]
+        if x.size < 64:
+            continue
+        root = np.sqrt(np.maximum(x, 0))
+        bins = 2 * _BINS if stacked.recording.kind == "scene" else 1
+        which = np.clip(((root - root.min()) / max(np.ptp(root), 1e-9) * bins).astype(int), 0, bins - 1)
+        for b in range(bins):
+            xb, vb = x[which == b], v[which == b]
+            if xb.size < 200:
+                continue
+            if model is None:
+                mean, number = float(np.median(vb) / (stats.chi2.median(n) / n)), vb.size / 2
+            else:
+                gain, read = model
+                expected = read[c] ** 2 + stacked.step**2 / 12 + gain[c] * np.maximum(xb, 0)
+                scale = max(np.median(vb / expected) / (stats.chi2.median(n) / n), 0.2)
+                kept = vb < scale * expected * stats.chi2.isf(1e-6, n) / n
+                mean, number = float(vb[kept].mean()), int(kept.sum())
+                xb = xb[kept]
+            error = max(mean, stacked.step**2 / 12) * np.sqrt(2 / (n * number))
+            out.append(Level(stacked.number, c, float(xb.mean()), mean, float(error), int(number)))
+    return out
+
+
+def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
+    """Signal of every pixel for the photon-transfer curve, DN: the reference, else the smoothed mean."""
+    recording = stacked.recording
+    if recording.kind == "flat" or recording.kind in ("dark", "bias"):
+        return smooth_mean(stacked) - mosaic_map(black, recording.size)
+    if recording.clean is not None:
+        clean = reference(recording)
+        return clean * (recording.white_level - mosaic_map(tuple(black), recording.size))
+    return _plane_blur(stacked.mean) - mosaic_map(tuple(black), recording.size)
+
+
+def reference(recording: Recording) -> np.ndarray:
+    """The recording's reference as one normalised frame; a noisy one is smoothed within its colour plane."""
+    clean = np.asarray(recording.clean, np.float32)
+    clean = clean.mean(0) if clean.ndim == 3 else clean
+    noisy = recording.reference == "burst_mean" and (recording.reference_frames or 0) < 32
+    return _plane_blur(clean) if noisy else clean
+
+
+def _plane_blur(image: np.ndarray) -> np.ndarray:
+    padded = np.pad(image, 2, mode="reflect")
+    h, w = image.shape
+    shifts = [padded[2 + dy : 2 + dy + h, 2 + dx : 2 + dx + w] for dy in (-2, 0, 2) for dx in (-2, 0, 2)]
+    return np.mean(shifts, axis=0)
+
+
+def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean of a flat (a surface of degree 4 per channel) or of a dark (a constant per channel), DN."""
+    mean, size = stacked.mean, stacked.mean.shape
+    channel = channel_index(size)
+    out = np.zeros(size, np.float32)
+    degree = _DEGREE if stacked.recording.kind == "flat" else 0
+    y, x = np.indices(size)
+    y, x = 2 * y / max(size[0] - 1, 1) - 1, 2 * x / max(size[1] - 1, 1) - 1
+    for c in range(4):
+        chosen = channel == c
+        if degree == 0:
+            out[chosen] = robust_mean(mean[chosen])
+            continue
+        basis = np.stack(
+            [
+                np.polynomial.legendre.legval(y[chosen], np.eye(degree + 1)[i])
+                * np.polynomial.legendre.legval(x[chosen], np.eye(degree + 1)[j])
+                for i in range(degree + 1)
+                for j in range(degree + 1 - i)
+            ],
+            1,
+        )
+        values = mean[chosen].astype(np.float64)
+        kept = np.ones(values.size, bool)
+        for _ in range(2):
+            beta = np.linalg.lstsq(basis[kept], values[kept], rcond=None)[0]
+            rest = values - basis @ beta
+            kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+        out[chosen] = basis @ beta
+    return out
+
+
+def _line(levels: list[Level], stacks: list[Stack], c: int) -> tuple[float, float, float, float]:
+    """Gain and read noise (DN) of one channel: variance = read^2 + step^2/12 + gain * signal."""
+    step = stacks[0].step
+    dark = [p for p in levels if p.signal < 1e-3 * max([q.signal for q in levels] + [1.0]) + 2 * step]
+    if not levels:
+        first = stacks[0].recording
+        span = first.white_level - np.mean(first.black_level)
+        shot = first.shot[c] * span if first.shot else 1.0
+        read = np.sqrt(first.read[c]) * span if first.read else max(np.std(stacks[0].mean), step)
+        return float(shot), float(read), 0.0, 0.0
+    x, v, e, n = (
+        np.array([getattr(p, name) for p in levels]) for name in ("signal", "variance", "error", "pixels")
+    )
+    x = np.maximum(x, 0)
+    if np.ptp(x) < 2 * step or len(levels) == len(dark):
+        gain = stacks[0].recording.shot
+        slope = (
+            gain[c] * (stacks[0].recording.white_level - np.mean(stacks[0].recording.black_level))
+            if gain
+            else 1.0
+        )
+        return (
+            float(slope),
+            float(np.sqrt(max(np.average(v, weights=n) - step**2 / 12, 1e-4 * step**2))),
+            0.0,
+            0.0,
+        )
+    relative = e / np.maximum(v, 1e-9)
+    fitted = v
+    for _ in range(6):
+        weight = 1 / (relative * np.maximum(fitted, 1e-3 * v.max() if v.max() > 0 else 1.0)) ** 2
+        basis = np.stack([np.ones_like(x), x], 1)
+        normal = basis.T @ (weight[:, None] * basis)
+        beta = np.linalg.solve(normal, basis.T @ (weight * v))
+        fitted = np.maximum(basis @ beta, step**2 / 12)
+    cov = np.linalg.inv(normal)
+    read2 = max(beta[0] - step**2 / 12, 1e-4 * step**2)
+    read = np.sqrt(read2)
+    return (
+        float(max(beta[1], 1e-6)),
+        float(read),
+        float(np.sqrt(cov[1, 1])),
+        float(np.sqrt(cov[0, 0]) / (2 * read)),
+    )
+
+
+def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
+    """The fields of one recording under the fitted baseline."""
+    recording, size = stacked.recording, stacked.mean.shape
+    channel = channel_index(size)
+    signal = np.maximum(_expected(stacked, baseline.black), 0)
+    gain, read = baseline.gain[channel], baseline.read_dn[channel]
+    variance = gain * signal + read**2 + stacked.step**2 / 12
+    clean = None if recording.clean is None else reference(recording)
+    static, mean = None, signal + baseline.black[channel]
+    if recording.kind in ("dark", "bias"):
+        mean = smooth_mean(stacked)
+        if stacked.frames > 1:
+            variance = _own_variance(stacked, channel, variance)
+        static = stacked.mean - mean
+    elif recording.kind == "flat":
+        mean = smooth_mean(stacked)
+        static = stacked.mean - mean
+    elif clean is not None and recording.reference != "burst_mean":
+        mean = _affine(stacked, clean, np.sqrt(variance), channel, signal < 0.9 * full_level(baseline))
+        static = stacked.mean - mean
+    sigma = np.sqrt(variance).astype(np.float32)
+    usable = stacked.usable & (signal < 0.9 * full_level(baseline))
+    scaled = np.float32(np.sqrt(stacked.frames)) * usable / sigma
+    contrasts = stacked.contrasts * (usable / sigma)
+    contrasts = contrasts.astype(np.float32)
+    return Fields(
+        recording.path or f"recording {stacked.number}",
+        recording.kind,
+        stacked.frames,
+        stacked.number,
+        group,
+        recording.exposure_s,
+        stacked.step,
+        mean.astype(np.float32),
+        signal.astype(np.float32),
+        sigma,
+        (gain * signal / variance).astype(np.float32),
+        usable,
+        contrasts,
+        None if static is None else (static * scaled).astype(np.float32),
+        clean,
+        baseline.gain,
+        baseline.black,
+    )
+
+
+def _own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray) -> np.ndarray:
+    """Darks are standardised by their own variance: rounding below a step and dark current are then
+    included."""
+    out = modelled.copy()
+    n = stacked.frames - 1
+    for c in range(4):
+        v = stacked.variance[channel == c]
+        limit = stats.chi2.isf(1e-6, n) / n * max(np.median(v) * n / stats.chi2.median(n), 1e-9)
+        out[channel == c] = max(v[v < limit].mean(), 1e-6)
+    return out
+
+
+def _affine(
+    stacked: Stack, clean: np.ndarray, sigma: np.ndarray, channel: np.ndarray, linear: np.ndarray
+) -> np.ndarray:
+    out = np.zeros(clean.shape)
+    for c in range(4):
+        chosen = (channel == c) & stacked.usable & linear
+        basis = np.stack([np.ones(chosen.sum()), clean[chosen]], 1) / sigma[chosen][:, None]
+        values = stacked.mean[chosen] / sigma[chosen]
+        kept = np.ones(values.size, bool)
+        for _ in range(2):
+            beta = np.linalg.lstsq(basis[kept], values[kept], rcond=None)[0]
+            rest = values - basis @ beta
+            kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+        out[channel == c] = beta[0] + beta[1] * clean[channel == c]
+    return out

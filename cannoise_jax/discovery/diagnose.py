@@ -1,0 +1,162 @@
+"""The seven verbs in a row: declare, calibrate, locate, name, fit, prove; `report` writes down what
+came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Key
+from scipy import stats
+
+from cannoise_jax.discovery import declare
+from cannoise_jax.discovery.battery import Prepared, prepare, split_frames
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.fit import Fitted, refit, stepwise
+from cannoise_jax.discovery.model import extended_model
+from cannoise_jax.discovery.prove import Proof, nll_per_pixel, prove
+from cannoise_jax.discovery.twosample import Verdict, two_sample
+from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
+
+SIMULATORS = ("poisson-gaussian", "nlf")
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a run found. `report.document` turns it into the report, `model` is the extended simulator.
+
+    steps of `fitted` and `proofs` go together; before, after: two-sample verdicts (None where not measured);
+    nll: mean negative log-likelihood per pixel of the baseline on the second half, nats.
+    """
+
+    capture: CaptureSet
+    simulator: str
+    alpha: float
+    ids: tuple[str, ...]
+    testable: tuple[str, ...]
+    not_testable: tuple[tuple[str, str], ...]
+    first: Prepared
+    second: Prepared | None
+    fitted: Fitted
+    proofs: tuple[Proof, ...]
+    before: Verdict | None
+    after: Verdict | None
+    nll: float | None
+    model: SensorModel
+
+    @property
+    def findings(self) -> list[str]:
+        """Mechanisms found, in the order of acceptance."""
+        return [s.named.mechanism for s in self.fitted.steps]
+
+
+def diagnose(
+    capture: CaptureSet,
+    simulator: str = "poisson-gaussian",
+    key: Key[Array, ""] | None = None,
+    *,
+    alpha: float = 0.01,
+    without: tuple[str, ...] = (),
+    mechanisms: tuple[str, ...] | None = None,
+    compare: bool = True,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Finds where a simulator and recordings of a camera differ, names and fits what was left out, and shows
+    the gain on frames that took no part in finding it.
+
+    simulator: 'poisson-gaussian', calibrated from the recordings, or 'nlf', the files' shot and read as
+    stated. alpha: false-alarm rate of the whole run. without, mechanisms: ids that may not, or may alone, be
+    named. compare: also run the two-sample test. tell: called with one line per stage.
+    Raises BadInput for a simulator that cannot be judged, ValueError for unknown ids or an alpha out
+    of (0, 1).
+    """
+    if not 0 < alpha < 1:
+        raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
+    if simulator not in SIMULATORS:
+        raise BadInput(f"{simulator}: no such simulator: use {' or '.join(SIMULATORS)}")
+    key = jax.random.key(0) if key is None else key
+    ids = declare.registered(without, mechanisms)
+    judged = simulator == "nlf"
+    if judged and not any(r.shot and r.read for r in capture.recordings):
+        raise BadInput(
+            f"{capture.path or 'recordings'}: state no shot and read: use --simulator poisson-gaussian"
+        )
+    splits = [split_frames(r.count) for r in capture.recordings]
+    tell("calibrate: black level, gain and read noise")
+    first = prepare(capture, [a for a, _ in splits], judged)
+    tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
+    fitted = stepwise(first.fields, first.probes, frozenset(ids), float(np.log(alpha)), tell)
+    yes, no = declare.testable(fitted.first, first.probes, ids)
+    second = None
+    if any(b for _, b in splits):
+        tell("prove: on the other half of the frames")
+        second = prepare(capture, [b for _, b in splits], judged)
+    proofs = prove(fitted.steps, second) if second else tuple(Proof(None, None, 0.0, 0) for _ in fitted.steps)
+    before = after = None
+    nll = nll_per_pixel(second) if second else None
+    if compare and second is not None and min(first.fields[0].mean.shape) >= 64:
+        tell("prove: two-sample test, before and after")
+        before, after = _compare(key, first, second, fitted)
+    model = extended_model(
+        capture,
+        first,
+        [(s.named.mechanism, p.score or s.named.score) for s, p in zip(fitted.steps, proofs, strict=True)],
+    )
+    return Diagnosis(
+        capture, simulator, alpha, ids, yes, no, first, second, fitted, proofs, before, after, nll, model
+    )
+
+
+def _compare(key, first: Prepared, second: Prepared, fitted: Fitted) -> tuple[Verdict | None, Verdict | None]:
+    """The two-sample test with the baseline alone, and with everything found taken out of the residuals."""
+    names = {f.number for f in first.fields} & {f.number for f in second.fields}
+
+    def common(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+        return tuple(f for f in fields if f.number in names and f.frames > 1)
+
+    base_a, base_b = common(first.fields), common(second.fields)
+    if not base_a or not base_b:
+        return None, None
+    rest = second.fields
+    for step in fitted.steps:
+        rest = refit(step.named.probe.absorb(rest, step.named.score))
+    before = two_sample(key, base_a, base_b, base_a, base_b, first.span)
+    if not fitted.steps:
+        return before, before
+    after = two_sample(key, common(fitted.fields), common(rest), base_a, base_b, first.span)
+    return before, after
+
+
+def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
+    """Amplitude of a mechanism that this run would find with probability one half, and its unit."""
+    from cannoise_jax.vocabulary import VOCABULARY
+
+    log_alpha = np.log(diagnosis.alpha / diagnosis.fitted.first.tests)
+    threshold = float(stats.norm.isf(np.exp(log_alpha)))
+    best = np.inf
+    for probe in diagnosis.first.probes:
+        score = diagnosis.fitted.first.scores.get(probe.name)
+        if probe.mechanism == mechanism and score is not None and np.isfinite(score.shift):
+            best = min(best, score.shift * threshold ** (1 / score.power))
+    return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
+
+
+def mde(mechanism: str, capture: CaptureSet) -> Any:
+    """Minimum detectable effect of a capture set: the amplitude whose score statistic, black level, gain and
+    read noise unknown, is shifted by five null standard deviations over all frames together.
+
+    In closed form from the fitted baseline: shift = amplitude ** power / one-sigma amplitude ** power. None
+    where no probe of the mechanism applies or its amplitude is no strength (a period, a level).
+    """
+    prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
+    best = np.inf
+    for probe in prepared.probes:
+        if probe.mechanism == mechanism:
+            score = probe.score(prepared.fields)
+            if score is not None and np.isfinite(score.mde):
+                best = min(best, score.mde)
+    return float(best) if np.isfinite(best) else None

@@ -1,0 +1,91 @@
+"""What the statistics see: each recording as standardised residual fields, and how they are corrected.
+
+A recording of T frames becomes T - 1 orthonormal contrasts between frames (Helmert), in which everything that
+stays put cancels, and one static field, the mean over frames minus the fitted mean. Under Poisson-Gaussian
+noise all of them are independent and, divided by the fitted standard deviation, standard normal.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+class Fields(NamedTuple):
+    """One recording, reduced.
+
+    mean, sigma: model mean and temporal standard deviation, DN; signal: mean above black, DN;
+    shot: share of shot noise in sigma^2; usable: pixels that are never at a rail.
+    contrasts: standardised differences between frames; static: standardised mean residual over the frames
+    (None when its mean cannot be modelled); step: code step, DN; number: place of the recording in its
+    set; group: index of the gain setting.
+    """
+
+    name: str
+    kind: str
+    frames: int
+    number: int
+    group: int
+    exposure_s: float | None
+    step: float
+    mean: Float[np.ndarray, "h w"]
+    signal: Float[np.ndarray, "h w"]
+    sigma: Float[np.ndarray, "h w"]
+    shot: Float[np.ndarray, "h w"]
+    usable: Bool[np.ndarray, "h w"]
+    contrasts: Float[np.ndarray, "n h w"]
+    static: Float[np.ndarray, "h w"] | None
+    clean: Float[np.ndarray, "h w"] | None
+    gain: Float[np.ndarray, "4"]
+    black: Float[np.ndarray, "4"]
+
+    @property
+    def lit(self) -> bool:
+        """Whether light fell on the sensor."""
+        return self.kind in ("scene", "flat")
+
+    @property
+    def weight(self) -> Float[np.ndarray, "h w"]:
+        """1 / sigma where usable, else 0; DN^-1."""
+        return self.usable / self.sigma
+
+    @property
+    def relative(self) -> Float[np.ndarray, "h w"]:
+        """signal / sigma where usable, else 0: response of the standardised field to a relative change."""
+        return self.usable * self.signal / self.sigma
+
+
+def channel_index(size: tuple[int, int]) -> np.ndarray:
+    """Mosaic site 0..3 of every pixel."""
+    rows, columns = np.indices(size)
+    return 2 * (rows % 2) + columns % 2
+
+
+def helmert(frames: int) -> Float[np.ndarray, "n t"]:
+    """T - 1 orthonormal contrasts, each orthogonal to a constant."""
+    matrix = np.zeros((frames - 1, frames))
+    for k in range(1, frames):
+        matrix[k - 1, :k] = -1.0
+        matrix[k - 1, k] = k
+        matrix[k - 1] /= np.sqrt(k * (k + 1.0))
+    return matrix
+
+
+def frame_fields(field: Fields, static: bool = True) -> Float[np.ndarray, "t h w"]:
+    """Standardised residual of every frame: contrasts and, if asked and known, the static part, put together.
+
+    Without the static part the frames are rescaled to unit variance.
+    """
+    out = np.tensordot(helmert(field.frames).T.astype(np.float32), field.contrasts, axes=1)
+    if static and field.static is not None:
+        return out + field.static / np.float32(np.sqrt(field.frames))
+    return out * np.float32(np.sqrt(field.frames / max(field.frames - 1.0, 1.0)))
+
+
+def map_contrasts(field: Fields, function) -> Fields:
+    """The field with `function` applied to its contrasts and, as one more, to its static part."""
+    contrasts = function(field.contrasts)
+    static = None if field.static is None else function(field.static[None])[0]
+    return field._replace(contrasts=contrasts, static=static)

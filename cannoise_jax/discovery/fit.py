@@ -1,0 +1,82 @@
+"""Fit: forward, one mechanism at a time, the baseline refitted after each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.locate import Located, locate
+from cannoise_jax.discovery.name import Named, name
+from cannoise_jax.discovery.statistics.score import Probe
+
+MOST_STEPS = 8
+
+
+class Step(NamedTuple):
+    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its probe."""
+
+    named: Named
+    before: tuple[Fields, ...]
+    log_p: float
+
+
+class Fitted(NamedTuple):
+    """All accepted steps, the fields that are left, and the last pass of the battery."""
+
+    steps: tuple[Step, ...]
+    fields: tuple[Fields, ...]
+    last: Located
+    first: Located
+
+
+def refit(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+    """Brings the variance of every channel back to one after something was taken out."""
+    out = []
+    for f in fields:
+        if not len(f.contrasts):
+            out.append(f)
+            continue
+        channel = channel_index(f.mean.shape)
+        factor = np.ones(f.mean.shape, np.float32)
+        for c in range(4):
+            chosen = (channel == c) & f.usable
+            if chosen.any():
+                values = f.contrasts[:, chosen]
+                inner = np.abs(values) < 5
+                factor[channel == c] = 1 / np.sqrt(np.mean(values[inner] ** 2))
+        out.append(
+            f._replace(
+                contrasts=f.contrasts * factor,
+                sigma=f.sigma / factor,
+                static=None if f.static is None else f.static * factor,
+            )
+        )
+    return tuple(out)
+
+
+def stepwise(
+    fields: tuple[Fields, ...],
+    probes: tuple[Probe, ...],
+    allowed: frozenset[str],
+    log_alpha: float,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Fitted:
+    """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is
+    rejected."""
+    steps: list[Step] = []
+    active = list(probes)
+    first = located = locate(fields, tuple(active))
+    while len(steps) < MOST_STEPS:
+        named = name(located, tuple(active), allowed, log_alpha)
+        if named is None:
+            break
+        tell(f"step {len(steps) + 1}: {named.mechanism} ({named.probe.name})")
+        steps.append(Step(named, fields, located.log_p[named.probe.name]))
+        fields = refit(named.probe.absorb(fields, named.score))
+        gone = {named.probe.name, *named.probe.covers}
+        active = [p for p in active if p.name not in gone]
+        located = locate(fields, tuple(active), first.tests)
+    return Fitted(tuple(steps), fields, located, first)

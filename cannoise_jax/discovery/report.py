@@ -1,0 +1,217 @@
+"""Report: the document of a diagnosis, and its page."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.discovery.declare import kinds
+from cannoise_jax.discovery.diagnose import Diagnosis, detectable
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.prove import Proof
+from cannoise_jax.discovery.statistics.score import Score
+from cannoise_jax.vocabulary import VOCABULARY
+
+SCHEMA = "cannoise/diagnosis/1"
+_AXES = ("row", "column", "pixel", "channel", "block", "frame", "signal", "frequency", "code", "edge")
+_Z90 = 1.645
+
+
+def plain(value: Any) -> Any:
+    """The value in types that JSON has; NaN and infinity become null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, (np.integer, int)) and not isinstance(value, bool):
+        return int(value)
+    if isinstance(value, (np.floating, float)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    return value
+
+
+def document(
+    diagnosis: Diagnosis,
+    *,
+    key: int,
+    version: str,
+    seconds: float | None = None,
+    peak_memory_mb: float | None = None,
+) -> dict[str, Any]:
+    """The report as plain data, see the README for its fields. Findings descend in held-out gain."""
+    pairs = list(zip(diagnosis.fitted.steps, diagnosis.proofs, strict=True))
+    pairs.sort(key=lambda p: -(p[1].gain if p[1].gain is not None else -np.inf))
+    findings = [finding(diagnosis, step, proof) for step, proof in pairs]
+    named = {f["mechanism"] for f in findings}
+    listed = {c["mechanism"] for f in findings for c in f["candidates"] if f["outcome"] == "AMBIGUOUS"}
+    missing = []
+    for id in diagnosis.testable:
+        if id in named:
+            continue
+        limit = detectable(diagnosis, id)
+        smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}
+        missing.append(
+            {
+                "mechanism": id,
+                "smallest_detectable": smallest,
+                **({"ambiguous": True} if id in listed else {}),
+            }
+        )
+    inputs = []
+    for line, recording in zip(kinds(diagnosis.capture), diagnosis.capture.recordings, strict=True):
+        inputs.append({**line, "sha256": _digest(recording.path)})
+    verdict = "mismatch" if findings else "match" if diagnosis.testable else "not_testable"
+    gains = [p.gain for p in diagnosis.proofs if p.gain is not None]
+    pixels = max([p.pixels for p in diagnosis.proofs], default=0)
+    after_nll = diagnosis.nll
+    if diagnosis.nll is not None and pixels:
+        after_nll = diagnosis.nll - sum(gains) / pixels
+    return plain(
+        {
+            "schema": SCHEMA,
+            "version": version,
+            "key": key,
+            "alpha": diagnosis.alpha,
+            "simulator": diagnosis.simulator,
+            "inputs": inputs,
+            "verdict": verdict,
+            "testable": list(diagnosis.testable),
+            "not_testable": [{"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable],
+            "findings": findings,
+            "not_found": missing,
+            "before": _quality(diagnosis.before, diagnosis.nll),
+            "after": _quality(diagnosis.after, after_nll),
+            "seconds": seconds,
+            "peak_memory_mb": peak_memory_mb,
+        }
+    )
+
+
+def _digest(path: str | None) -> str | None:
+    if path is None or not Path(path).is_file():
+        return None
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 22):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _quality(verdict, nll: float | None) -> dict[str, Any]:
+    return {
+        "kl": verdict.kl if verdict else None,
+        "kl_floor": verdict.kl_floor if verdict else None,
+        "nll_nats_per_pixel": nll,
+        "two_sample_auc": verdict.auc if verdict else None,
+        "two_sample_auc_ci90": [verdict.low, verdict.high] if verdict else None,
+    }
+
+
+def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
+    """One finding: its fit on the frames that did not select it (on the others where there are none)."""
+    mechanism = step.named.mechanism
+    score = proof.score if proof.score is not None else step.named.score
+    term = VOCABULARY[mechanism]
+    outcome = (
+        "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
+    )
+    unit = term.unit if mechanism != "unknown" else _unit(score)
+    value = score.amplitude
+    interval = [
+        max(value - _Z90 * score.error, 0.0) if score.power == 2 else value - _Z90 * score.error,
+        value + _Z90 * score.error,
+    ]
+    per_pixel = None
+    if proof.gain is not None and proof.pixels:
+        per_pixel = {
+            "value": proof.gain / proof.pixels,
+            "ci90": [
+                (proof.gain - _Z90 * proof.error) / proof.pixels,
+                (proof.gain + _Z90 * proof.error) / proof.pixels,
+            ],
+        }
+    out: dict[str, Any] = {
+        "mechanism": mechanism,
+        "class": "sensor" if term.kind == "unknown" else term.kind,
+        "outcome": outcome,
+        "candidates": [{"mechanism": m, "probability": p} for m, p in step.named.candidates],
+        "where": _where(step.named.score),
+        "amplitude": {"value": value, "unit": unit, "ci90": interval},
+        "parameters": {
+            n: {"value": v, "unit": u, "ci90": [v - _Z90 * e, v + _Z90 * e]}
+            for n, (v, u, e) in score.parameters.items()
+        },
+        "p_value": math.exp(max(step.log_p, -700.0)),
+        "log_e_value": proof.gain,
+        "heldout_gain_nats": proof.gain,
+        "heldout_pixels": proof.pixels or None,
+        "heldout_gain_nats_per_pixel": per_pixel,
+    }
+    if mechanism == "unknown":
+        out["card"] = card(step)
+    out["sentence"] = sentence(out, step, proof)
+    return out
+
+
+def _unit(score: Score) -> str:
+    return next((u for _, u, _ in score.parameters.values()), "1")
+
+
+def _where(score: Score) -> dict[str, Any]:
+    where = dict(score.where)
+    if where.get("axis") not in _AXES:
+        where["axis"] = "pixel"
+    return where
+
+
+def card(step: Step) -> dict[str, Any]:
+    """Where an unnamed structure lives in the grammar, and the named mechanisms that came nearest."""
+    near = [m for m, _ in step.named.candidates if m != "unknown"][:1]
+    best = step.named.score
+    return {
+        "axes": dict(step.named.probe.axes),
+        "probe": step.named.probe.name,
+        "static_or_temporal": step.named.probe.axes.get("time"),
+        "gain_nats": best.gain,
+        "nearest": near[0] if near else None,
+        "why_rejected": f"it explains the data worse by more than {best.gain / 2:.1f} nats"
+        if near
+        else "no named mechanism of this run passes its own test on these recordings",
+    }
+
+
+def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
+    """What a camera engineer reads first."""
+    name = entry["mechanism"].replace("_", " ")
+    amount = f"{entry['amplitude']['value']:.3g} {entry['amplitude']['unit']}".replace(" 1", "")
+    low, high = entry["amplitude"]["ci90"]
+    if entry["outcome"] == "UNKNOWN_STRUCTURE":
+        axes = step.named.probe.axes
+        start = (
+            f"A structure without a name: it varies over {axes.get('varies_over', 'pixel')}, is "
+            f"{axes.get('time', 'redrawn')} in time, scales as {axes.get('scales', 'additive')}, "
+            f"law {axes.get('law', 'white')}; strength {amount}"
+        )
+    elif entry["outcome"] == "AMBIGUOUS":
+        others = " or ".join(
+            c["mechanism"].replace("_", " ")
+            for c in entry["candidates"]
+            if c["mechanism"] != "unknown" and c["probability"] > 0.01
+        )
+        start = f"These recordings cannot separate {others}; as {name} it is {amount}"
+    else:
+        start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}: {amount}"
+    proven = (
+        f"; on frames that took no part in finding it the fit gains {proof.gain:.0f} nats."
+        if proof.gain is not None and proof.gain > 0
+        else "; not confirmed: too few frames to set some aside."
+        if proof.gain is None
+        else "; not confirmed on the frames held back."
+    )
+    return f"{start} (90 %: {low:.3g} to {high:.3g}){proven}"

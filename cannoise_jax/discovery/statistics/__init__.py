@@ -1,0 +1,1 @@
+"""Score statistics, one module per signature: where a mechanism shows, how large, how surprising."""

@@ -1,0 +1,172 @@
+"""The lattice of codes: missing codes, a coarser step than stated, and values cut off at a rail."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, sidak
+from cannoise_jax.discovery.statistics.shape import unchanged
+
+_PERIODS = range(2, 129)
+
+
+class Codes(NamedTuple):
+    """Counts of codes, in units of the step: of broadly spread pixels, and of the darks; steps in DN."""
+
+    broad: np.ndarray
+    narrowest: float
+    dark: tuple[np.ndarray, ...]
+    lowest: tuple[int, ...]
+    step: float
+    detected: float
+    stated: float | None
+
+
+def comb_score(fields, *, probe: str, codes: Codes) -> Score | None:
+    """Every so-manieth code missing or favoured: power of the histogram at the harmonics of one period.
+
+    The spectrum of a histogram of noise of standard deviation s codes falls as exp(-2 pi^2 s^2 f^2): beyond
+    `lowest` it is counting noise, exponential with mean 1.
+    """
+    total = codes.broad.sum()
+    if codes.narrowest < 1.6 or total < 1e4:
+        return None
+    lowest = np.sqrt(np.log(np.sqrt(total) / 0.02) / (2 * np.pi**2)) / codes.narrowest
+    index = np.flatnonzero(codes.broad)
+    index, counts = index[0] + np.arange(index[-1] - index[0] + 1), codes.broad[index[0] : index[-1] + 1]
+    found: list[tuple[float, int, float, int]] = []
+    tried = 0
+    for period in _PERIODS:
+        folded = np.bincount(index % period, weights=counts, minlength=period)
+        power = np.abs(np.fft.rfft(folded)) ** 2 / total
+        harmonics = np.arange(power.size) / period
+        used = (harmonics > lowest) & (harmonics <= 0.5)
+        if not used.any():
+            continue
+        tried += 1
+        nyquist = used[-1] and harmonics[-1] == 0.5
+        chi2 = 2 * float(power[used].sum()) - (float(power[-1]) if nyquist else 0.0)
+        dof = 2 * int(used.sum()) - (1 if nyquist else 0)
+        log_p = chi2_log_sf(chi2, dof)
+        found.append((log_p, period, chi2, dof))
+    if not tried:
+        return None
+    strongest = max(found, key=lambda f: f[2] - 2 * f[3])
+    log_p = min(f[0] for f in found)
+    # A multiple of the period has the same harmonics and more: the smallest that has nearly all of the power.
+    bar = strongest[2] - 2 * strongest[3]
+    _, period, chi2, dof = next(f for f in found if f[2] - 2 * f[3] >= min(0.9 * bar, bar))
+    folded = np.bincount(index % period, weights=counts, minlength=period)
+    phase = int(np.argmin(folded))
+    shortfall = 1 - folded[phase] / max(total / period, 1)
+    return Score(
+        probe,
+        sidak(log_p, tried),
+        0.5 * max(chi2 - dof, 0.0),
+        float(np.log(tried) + dof / 2),
+        float(period),
+        0.0,
+        float("inf"),
+        1,
+        {
+            "period": (float(period), "code steps", 0.0),
+            "shortfall": (float(shortfall), "1", float(np.sqrt(period / total))),
+        },
+        {"axis": "code", "period": period, "phase": phase},
+    )
+
+
+def step_score(fields, *, probe: str, codes: Codes) -> Score | None:
+    """Codes more widely spaced than stated."""
+    if not codes.stated:
+        return None
+    ratio = codes.detected / codes.stated
+    found = ratio > 1.5
+    return Score(
+        probe,
+        -700.0 if found else 0.0,
+        1e6 if found else 0.0,
+        0.0,
+        codes.detected,
+        0.0,
+        codes.stated,
+        1,
+        {"step": (codes.detected, "DN", 0.0)},
+        {"axis": "code", "period": codes.detected},
+    )
+
+
+def clip_score(fields, *, probe: str, codes: Codes, black: float) -> Score | None:
+    """Values piled up at the lowest code of the darks."""
+    best: Score | None = None
+    for counts, lowest in zip(codes.dark, codes.lowest, strict=True):
+        used = np.flatnonzero(counts)
+        if used.size < 3 or counts[used[0] : used[0] + 2].sum() < 1:
+            continue
+        first, second = int(counts[used[0]]), int(counts[used[0] + 1]) if used[0] + 1 < counts.size else 0
+        log_p = (
+            float(stats.binom.logsf(first - 1, first + second, 0.5)) if first > second and first > 20 else 0.0
+        )
+        level = (used[0] + lowest) * codes.step - black
+        gain = max(first * np.log(max(2 * first / (first + second), 1e-9)), 0.0) if log_p < 0 else 0.0
+        gain = first * 1.0 if log_p < -30 else gain
+        score = Score(
+            probe,
+            max(log_p, -700.0),
+            float(gain),
+            5.0,
+            float(level),
+            0.5 * codes.step,
+            codes.step,
+            1,
+            {"level": (float(level), "DN", codes.step / np.sqrt(12))},
+            {"axis": "code", "period": None},
+        )
+        if best is None or score.log_p < best.log_p:
+            best = score
+    return best
+
+
+def probes(codes: Codes, black: float) -> tuple[Probe, ...]:
+    """The probes of this signature."""
+    axes = {"enters": "converter", "varies_over": "code", "time": "frozen", "scales": "none"}
+    shapes = (
+        "kurtosis",
+        "pixel_spread",
+        "skewness",
+        "variance_curve",
+        "black_level",
+        "black_channels",
+        "lags_any",
+        "telegraph",
+    )
+    return (
+        Probe(
+            "comb",
+            "missing_codes",
+            {**axes, "law": "comb"},
+            partial(comb_score, probe="comb", codes=codes),
+            unchanged,
+            ("comb",),
+        ),
+        Probe(
+            "coarse",
+            "quantization",
+            {**axes, "law": "lattice"},
+            partial(step_score, probe="coarse", codes=codes),
+            unchanged,
+            ("coarse", "comb"),
+        ),
+        Probe(
+            "pile_up",
+            "black_clipping",
+            {**axes, "law": "pile-up"},
+            partial(clip_score, probe="pile_up", codes=codes, black=black),
+            unchanged,
+            ("pile_up", *shapes),
+        ),
+    )

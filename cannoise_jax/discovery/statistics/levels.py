@@ -1,0 +1,331 @@
+"""Levels: black level, dark current, gain and read noise against what was stated, variance against signal."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from cannoise_jax.discovery.calibrate import Baseline
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.statistics.means import Described
+from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, normal_log_p
+from cannoise_jax.discovery.statistics.shape import unchanged
+
+_DARK = ("dark", "bias")
+
+
+def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, float]]:
+    """Of every dark: its level per channel, DN, and the standard error of one."""
+    out = []
+    for f in fields:
+        if f.kind in _DARK:
+            channel = channel_index(f.mean.shape)
+            level = np.array([float(f.mean[channel == c].mean()) for c in range(4)])
+            out.append((f, level, float(np.median(f.sigma)) / np.sqrt(f.frames * f.mean.size / 4)))
+    return out
+
+
+def frame_jitter(fields: tuple[Fields, ...]) -> float:
+    """Variance of the frame offsets of the darks beyond pixel noise, DN^2; 0 when there is none to be
+    seen."""
+    excess, number = 0.0, 0
+    for f in fields:
+        if f.kind in _DARK and len(f.contrasts):
+            u = np.einsum("nij,ij->n", f.contrasts, f.weight.astype(np.float32))
+            i = float(np.sum(f.weight.astype(np.float64) ** 2))
+            excess += float(np.sum((u / i) ** 2 - 1 / i))
+            number += len(u)
+    return max(excess / number, 0.0) if number else 0.0
+
+
+def channel_score(
+    fields: tuple[Fields, ...], *, probe: str, described: Described, common: bool, jitter: float
+):
+    """Black level against the stated one: what channels share (bookkeeping) or differ in (channel offset)."""
+    levels = dark_levels(fields)
+    if not levels:
+        return None
+    shortest = min((f.exposure_s or 0.0) for f, _, _ in levels)
+    chosen = [(f, level, e) for f, level, e in levels if (f.exposure_s or 0.0) == shortest]
+    weight = np.array([1 / e**2 for _, _, e in chosen])
+    error = float(1 / np.sqrt(weight.sum()))
+    difference = np.average([level for _, level, _ in chosen], axis=0, weights=weight) - described.black
+    frames = sum(f.frames for f, _, _ in chosen)
+    if common:
+        # A level stated to the nearest code may be off by half a code; the frame offsets scatter the mean.
+        slack = described.tolerance
+        spread = np.sqrt(error**2 / 4 + jitter / frames)
+        value = float(difference.mean())
+        z = np.sign(value) * max(abs(value) - slack, 0.0) / spread
+        return Score(
+            probe,
+            normal_log_p(z),
+            0.5 * z**2,
+            5.0,
+            abs(value),
+            float(spread),
+            float(spread),
+            1,
+            {"black_level_error": (value, "DN", float(spread))},
+            {"axis": "channel", "channel": "all"},
+            value,
+        )
+    contrast = difference - difference.mean()
+    slack = described.tolerance if np.ptp(described.black) > 0 else 0.0
+    reduced = np.sign(contrast) * np.maximum(np.abs(contrast) - slack, 0)
+    chi2 = float(np.sum((reduced / error) ** 2))
+    rms = float(np.sqrt(np.mean(contrast**2)))
+    spread = error / 2
+    return Score(
+        probe,
+        chi2_log_sf(chi2, 3),
+        chi2 / 2,
+        7.0,
+        float(np.sqrt(max(rms**2 - 0.75 * error**2, 0))),
+        spread,
+        spread,
+        1,
+        {f"offset_{c}": (float(contrast[c]), "DN", error) for c in range(4)},
+        {"axis": "channel", "channel": int(np.argmax(np.abs(contrast)))},
+        contrast,
+    )
+
+
+def dark_current_score(fields: tuple[Fields, ...], *, probe: str, jitter: float) -> Score | None:
+    """Level of the darks against their exposure."""
+    levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
+    if len({f.exposure_s for f, _, _ in levels}) < 2:
+        return None
+    t = np.array([f.exposure_s for f, _, _ in levels], float)
+    y = np.array([level.mean() for _, level, _ in levels])
+    v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
+    centre = np.average(t, weights=1 / v)
+    i = float(np.sum((t - centre) ** 2 / v))
+    slope = float(np.sum((t - centre) * y / v)) / i
+    gain = float(np.mean(fields[0].gain))
+    z = slope * np.sqrt(i)
+    # Frame offsets leave few degrees of freedom for their own variance.
+    error = float(1 / np.sqrt(i)) / gain
+    return Score(
+        probe,
+        normal_log_p(z, 1),
+        0.5 * z**2 if z > 0 else 0.0,
+        5.0,
+        max(slope / gain, 0.0),
+        error,
+        error,
+        1,
+        {"dark_current": (slope / gain, "e-/s", error)},
+        {"axis": "frame", "recordings": [f.name for f, _, _ in levels]},
+        slope,
+    )
+
+
+def stated_score(
+    fields, *, probe: str, kind: str, baselines: tuple[Baseline, ...], stated: tuple
+) -> Score | None:
+    """Fitted gain or read noise per channel against the stated one, log ratio."""
+    u = i = chi2 = 0.0
+    dof = 0
+    for baseline, (gain, read) in zip(baselines, stated, strict=True):
+        if gain is None:
+            continue
+        value, error, other = (
+            (baseline.gain, baseline.gain_error, gain)
+            if kind == "gain"
+            else (baseline.read_dn, baseline.read_error, read)
+        )
+        for c in range(4):
+            if error[c] <= 0 or other[c] <= 0:
+                continue
+            relative = error[c] / value[c]
+            difference = float(np.log(value[c] / other[c]))
+            chi2 += (difference / relative) ** 2
+            dof += 1
+            u += difference / relative**2
+            i += 1 / relative**2
+    if not dof:
+        return None
+    z = u / np.sqrt(i)
+    amplitude, spread = float(np.expm1(u / i)), float(1 / np.sqrt(i))
+    return Score(
+        probe,
+        normal_log_p(z),
+        0.5 * z**2,
+        5.0,
+        abs(amplitude),
+        spread,
+        spread,
+        1,
+        {"relative_error": (amplitude, "1", spread)},
+        {"axis": "signal", "range": [0.0, 1.0]},
+    )
+
+
+def curve_score(fields, *, probe: str, baselines: tuple[Baseline, ...], step: float) -> Score | None:
+    """Temporal variance against signal: what a straight line per channel leaves."""
+    chi2, dof, at, worst = 0.0, 0, 0.0, 0.0
+    for baseline in baselines:
+        for c in range(4):
+            levels = [p for p in baseline.levels if p.channel == c and p.signal > 4 * step and not p.full]
+            if len(levels) < 4:
+                continue
+            model = (
+                baseline.read_dn[c] ** 2
+                + step**2 / 12
+                + baseline.gain[c] * np.array([p.signal for p in levels])
+            )
+            z = (np.array([p.variance for p in levels]) / model - 1) / np.array(
+                [p.error / p.variance for p in levels]
+            )
+            chi2 += float(np.sum(z**2))
+            dof += len(levels) - 1
+            k = int(np.argmax(np.abs(z)))
+            if abs(z[k]) > abs(worst):
+                worst, at = float(z[k]), levels[k].signal
+    if dof < 2:
+        return None
+    gain = 0.5 * max(chi2 - dof, 0.0)
+    return Score(
+        probe,
+        chi2_log_sf(chi2, dof),
+        gain,
+        7.0,
+        float(np.sqrt(max(chi2 / dof - 1, 0))),
+        0.0,
+        1.0,
+        2,
+        {},
+        {"axis": "signal", "range": [float(at), float(at)], "sign": float(np.sign(worst))},
+    )
+
+
+def saturation_score(
+    fields, *, probe: str, baselines: tuple[Baseline, ...], step: float, span: float
+) -> Score | None:
+    """Collapse of the temporal variance at the highest signals, below the converter's own rail."""
+    full = [p for b in baselines for p in b.levels if p.full]
+    if not any(len(b.levels) >= 20 for b in baselines):
+        return None
+    z, value = 0.0, 1.0
+    if full:
+        baseline = baselines[0]
+        low = min(full, key=lambda p: p.signal)
+        model = [
+            baseline.read_dn[p.channel] ** 2 + step**2 / 12 + baseline.gain[p.channel] * p.signal
+            for p in full
+        ]
+        z = min((p.variance / m - 1) / np.sqrt(2 / p.pixels) for p, m in zip(full, model, strict=True))
+        value = low.signal / span
+    log_p = min(0.0, normal_log_p(z) + np.log(12)) if full else 0.0
+    gain = 0.5 * z**2 * max(len(full), 1)
+    return Score(
+        probe,
+        log_p,
+        gain,
+        7.0,
+        float(value),
+        0.02 * value,
+        1.0,
+        1,
+        {"full_well": (value, "1", 0.02 * value)},
+        {"axis": "signal", "range": [float(value), 1.0]},
+    )
+
+
+def probes(
+    described: Described,
+    baselines: tuple[Baseline, ...],
+    stated: tuple | None,
+    step: float,
+    span: float,
+    jitter: float,
+) -> tuple[Probe, ...]:
+    """The probes of this signature; `stated` gain and read noise per gain setting, None: not judged."""
+    frozen = {"time": "frozen", "enters": "readout"}
+    out = [
+        Probe(
+            "black_level",
+            "bookkeeping",
+            {**frozen, "varies_over": "channel", "scales": "additive", "law": "common"},
+            partial(channel_score, probe="black_level", described=described, common=True, jitter=jitter),
+            unchanged,
+            ("black_level",),
+        ),
+        Probe(
+            "black_channels",
+            "channel_offset",
+            {**frozen, "varies_over": "channel", "scales": "additive", "law": "contrast"},
+            partial(channel_score, probe="black_channels", described=described, common=False, jitter=jitter),
+            unchanged,
+            ("black_channels",),
+        ),
+        Probe(
+            "dark_level",
+            "dark_current",
+            {**frozen, "enters": "pixel", "varies_over": "frame", "scales": "exposure", "law": "mean"},
+            partial(dark_current_score, probe="dark_level", jitter=jitter),
+            unchanged,
+            ("dark_level",),
+        ),
+        Probe(
+            "variance_curve",
+            None,
+            {
+                "enters": "photons",
+                "varies_over": "signal",
+                "time": "redrawn",
+                "scales": "signal",
+                "law": "variance curve",
+            },
+            partial(curve_score, probe="variance_curve", baselines=baselines, step=step),
+            unchanged,
+            ("variance_curve",),
+        ),
+        Probe(
+            "saturation",
+            "saturation",
+            {
+                "enters": "pixel",
+                "varies_over": "signal",
+                "time": "frozen",
+                "scales": "signal",
+                "law": "ceiling",
+            },
+            partial(saturation_score, probe="saturation", baselines=baselines, step=step, span=span),
+            unchanged,
+            (
+                "saturation",
+                "variance_curve",
+                "skewness",
+                "curvature",
+                "kurtosis",
+                "reference_shift",
+                "reference_blur",
+                "reference_spread",
+                "scene_static",
+            ),
+        ),
+    ]
+    if stated is not None:
+        for kind, name in (("gain", "gain_error"), ("read", "read_noise_error")):
+            out.append(
+                Probe(
+                    f"stated_{kind}",
+                    name,
+                    {
+                        "enters": "readout",
+                        "varies_over": "signal",
+                        "time": "redrawn",
+                        "scales": "signal" if kind == "gain" else "additive",
+                        "law": "variance",
+                    },
+                    partial(
+                        stated_score, probe=f"stated_{kind}", kind=kind, baselines=baselines, stated=stated
+                    ),
+                    unchanged,
+                    (f"stated_{kind}",),
+                )
+            )
+    return tuple(out)

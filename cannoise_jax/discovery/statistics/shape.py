@@ -1,0 +1,407 @@
+"""Shape of the noise, pixel by pixel: heavy tails, noisy pixels, telegraph pixels, hot pixels, skewness."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from scipy import optimize, stats
+
+from cannoise_jax.discovery.fields import Fields, frame_fields
+from cannoise_jax.discovery.statistics.lines import pixel_sums
+from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, sidak
+
+_DARK = ("dark", "bias")
+_FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0)
+_SPREADS = (0.05, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
+_JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
+
+
+def _rounded_enough(field: Fields) -> bool:
+    """Whether rounding to the code step leaves the shape of the noise alone."""
+    return bool(np.median(field.sigma) > 0.65 * field.step)
+
+
+def _dark(fields: tuple[Fields, ...]) -> list[Fields]:
+    return [f for f in fields if f.kind in _DARK and len(f.contrasts) and _rounded_enough(f)]
+
+
+def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """Fourth moment beyond Poisson and rounding, weighted by the share of read noise; gain of Student's t."""
+    u = i = 0.0
+    pooled = []
+    for f in fields:
+        if f.static is None or not _rounded_enough(f):
+            continue
+        values = frame_fields(f)
+        w = (1 - np.clip(f.shot, 0, 1)) ** 2 * f.usable * (np.abs(f.static) < 7)
+        system = float(np.mean(f.gain))
+        base = (system**3 * f.signal - f.step**4 / 120) / f.sigma**4
+        z2 = values.astype(np.float64) ** 2
+        u += float(np.sum(w * (z2 * z2 - 6 * z2 + 3 - base)))
+        i += float(np.sum(w**2)) * f.frames * 24
+        if f.kind in _DARK:
+            pooled.append(values[:, w > 0.5].ravel())
+    if i == 0:
+        return None
+    z = u / float(np.sqrt(i))
+    kappa = u * 24 / i
+    error = 24 / float(np.sqrt(i))
+    gain, nu = _student_gain(np.concatenate(pooled)) if pooled and z > 0 else (0.5 * max(z, 0) ** 2, np.inf)
+    amplitude = 6 / (nu - 4) if 4 < nu < np.inf else max(kappa, 0.0)
+    skewness = 14.7 / np.sqrt(max(i / 24, 1.0))
+    corrected = z - skewness / 6 * (z**2 - 1) if 0 < z < 20 else z
+    return Score(
+        probe,
+        normal_log_p(corrected),
+        gain,
+        0.5 * float(np.log(i / 24)),
+        float(amplitude),
+        float(error),
+        float(error),
+        1,
+        {"excess_kurtosis": (float(amplitude), "1", float(error))},
+        {"axis": "signal", "range": [0.0, 0.0]},
+        kappa,
+    )
+
+
+def _student_gain(values: np.ndarray) -> tuple[float, float]:
+    """Log-likelihood gain of the best scaled Student t over the best normal, on a fine histogram; its
+    freedoms."""
+    edges = np.linspace(-40, 40, 4001)
+    counts = np.histogram(np.clip(values, -39.9, 39.9), edges)[0]
+    centre = (edges[1:] + edges[:-1]) / 2
+    used = counts > 0
+    counts, centre = counts[used], centre[used]
+    variance = float(np.sum(counts * centre**2) / counts.sum())
+    normal = float(np.sum(counts * stats.norm.logpdf(centre, scale=np.sqrt(variance))))
+    best, at = 0.0, np.inf
+    for nu in _FREEDOMS:
+        fit = optimize.minimize_scalar(
+            lambda s, n=nu: -float(np.sum(counts * stats.t.logpdf(centre, n, scale=s))),
+            bounds=(0.5, 1.1),
+            method="bounded",
+            options={"xatol": 2e-3},
+        )
+        if -fit.fun - normal > best:
+            best, at = -float(fit.fun) - normal, nu
+    return best, at
+
+
+def skew_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """Third moment beyond Poisson, weighted by the share of shot noise."""
+    u = i = squares = 0.0
+    for f in fields:
+        if f.static is None or not f.lit or not _rounded_enough(f):
+            continue
+        values = frame_fields(f).astype(np.float64)
+        system = float(np.mean(f.gain))
+        base = system**2 * f.signal / f.sigma**3
+        w = f.usable * base * (np.abs(f.static) < 7)
+        term = w * (values**3 - 3 * values - base)
+        u += float(np.sum(term))
+        squares += float(np.sum(term**2))
+        i += float(np.sum(w * base)) * f.frames
+    if i == 0:
+        return None
+    # Half a per cent of the expected skewness is the uncertainty of the fitted gain.
+    error = float(np.sqrt(squares + (0.005 * i) ** 2) / i)
+    relative = u / i
+    z = relative / error
+    return Score(
+        probe,
+        normal_log_p(z),
+        0.5 * z**2,
+        5.0,
+        abs(relative),
+        error,
+        error,
+        1,
+        {"relative_skewness": (relative, "1", error)},
+        {"axis": "signal", "range": [0.0, 1.0]},
+    )
+
+
+def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
+    """Temporal sum of squares of every pixel over all darks, and its degrees of freedom."""
+    chosen = _dark(fields)
+    freedom = sum(len(f.contrasts) for f in chosen)
+    if freedom < 2:
+        return None
+    return np.sum([np.sum(f.contrasts.astype(np.float64) ** 2, 0) for f in chosen], axis=0).ravel(), freedom
+
+
+def _dispersion_log_p(squares: np.ndarray, n: int) -> tuple[float, float]:
+    """Over-dispersion of the sums of squares against chi-square, far pixels capped; log p and z."""
+    cap = stats.chi2.isf(1e-4, n)
+    grid = np.linspace(0, cap, 4001)
+    density = stats.chi2.pdf(grid, n)
+    density[0] = 0 if not np.isfinite(density[0]) else density[0]
+    weight = density * (grid[1] - grid[0])
+    weight[-1] += stats.chi2.sf(cap, n)
+    weight /= weight.sum()
+    value = (grid - n) ** 2
+    mean = float(np.sum(weight * value))
+    variance = float(np.sum(weight * (value - mean) ** 2))
+    # The scale is fitted on the same pixels: what a common factor does to the mean is projected out.
+    linear = float(np.sum(weight * (value - mean) * (grid - n)) / np.sum(weight * (grid - n) ** 2))
+    third = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 3))
+    variance = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 2))
+    capped = np.minimum(squares, cap)
+    total = float(np.sum((capped - n) ** 2 - mean - linear * (capped - n)))
+    z = total / np.sqrt(variance * squares.size)
+    skewness = third / variance**1.5 / np.sqrt(squares.size)
+    corrected = z - skewness / 6 * (z**2 - 1) if 0 < z < 30 else z
+    return normal_log_p(corrected, 1), z
+
+
+def spread_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """A read noise of its own for every pixel (log-normal): marginal likelihood of the sums of squares."""
+    found = _sums_of_squares(fields)
+    if found is None:
+        return None
+    squares, n = found
+    log_p, z = _dispersion_log_p(squares, n)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(15)
+    counts, centre = _histogram(squares)
+    best, at = 0.0, 0.0
+    gains = []
+    for spread in _SPREADS:
+        width = np.sqrt(np.log1p(spread**2))
+        variance = np.exp(2 * (width * nodes - width**2))
+        log_terms = -n / 2 * np.log(variance) + 0.5 * centre[:, None] * (1 - 1 / variance)
+        top = log_terms.max(1, keepdims=True)
+        gains.append(
+            float(np.sum(counts * (top[:, 0] + np.log(np.exp(log_terms - top) @ (weights / weights.sum())))))
+        )
+    k = int(np.argmax(gains))
+    if gains[k] > 0:
+        best, at = gains[k], _parabola_peak(np.array(_SPREADS), np.array(gains), k)
+    # chi-square dispersion grows by 4 spread^2 n^2.
+    unit = 4 * n**2 / np.sqrt(_dispersion_variance(n) * squares.size) * squares.size
+    error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
+    return Score(
+        probe,
+        log_p,
+        best,
+        0.5 * float(np.log(squares.size)),
+        at,
+        float(error),
+        float(1 / np.sqrt(unit)),
+        2,
+        {"spread": (at, "1", float(error))},
+        {"axis": "pixel", "z": z},
+        at,
+    )
+
+
+def _dispersion_variance(n: int) -> float:
+    """Variance of (chi2_n - n)^2 with its linear part projected out."""
+    return 8.0 * n**2 + 48 * n - 8 * n * 0 - 32.0 * n
+
+
+def _parabola_peak(grid: np.ndarray, values: np.ndarray, k: int) -> float:
+    if k in (0, len(grid) - 1):
+        return float(grid[k])
+    x, y = np.log(grid[k - 1 : k + 2]), values[k - 1 : k + 2]
+    a, b, _ = np.polyfit(x - x[1], y, 2)
+    return float(np.exp(x[1] - b / (2 * a))) if a < 0 else float(grid[k])
+
+
+def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Counts and centres on a fine logarithmic grid: likelihoods are then sums over a few hundred bins."""
+    logs = np.log(np.maximum(squares, 1e-3))
+    counts, edges = np.histogram(logs, 600)
+    used = counts > 0
+    return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
+
+
+def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """A small share of pixels with extra fluctuation of exponentially spread size."""
+    found = _sums_of_squares(fields)
+    if found is None:
+        return None
+    squares, n = found
+    counts, centre = _histogram(squares)
+    extra = 1 + _JUMPS**2 / 4
+    single = -n / 2 * np.log(extra) + 0.5 * centre[:, None] * (1 - 1 / extra)
+    best, at, share = 0.0, 1.0, 0.0
+    widths = np.gradient(_JUMPS)
+    for mean in np.exp(np.linspace(np.log(0.7), np.log(30), 12)):
+        weight = np.exp(-_JUMPS / mean) * widths
+        top = single.max(1, keepdims=True)
+        mixed = (top[:, 0] + np.log(np.exp(single - top) @ (weight / weight.sum()))).clip(-50, 600)
+        f = 0.005
+        for _ in range(40):
+            responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
+            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
+        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
+        if gain > best:
+            best, at, share = gain, float(mean), f
+    limit = stats.chi2.isf(1e-5, n)
+    number, expected = int(np.sum(squares > limit)), squares.size * 1e-5
+    log_p = float(stats.poisson.logsf(number - 1, expected)) if number else 0.0
+    sigma = float(np.mean([np.median(f.sigma) for f in _dark(fields)]))
+    amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
+    error = amplitude / np.sqrt(max(share * squares.size, 1.0))
+    shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
+    return Score(
+        probe,
+        max(log_p, -700.0),
+        best,
+        float(np.log(squares.size)),
+        float(amplitude),
+        float(error),
+        float(shift),
+        2,
+        {
+            "fraction": (share, "1", float(np.sqrt(share / squares.size))),
+            "jump": (at * sigma, "DN", at * sigma / np.sqrt(max(share * squares.size, 1.0))),
+        },
+        {"axis": "pixel", "pixels": number},
+        (share, at),
+    )
+
+
+def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score | None:
+    """A few pixels far above the others in the darks, at the same places in every frame."""
+    sums = pixel_sums(fields, scaling, _DARK)
+    if sums is None:
+        return None
+    u = np.ravel(sums.score / np.sqrt(np.maximum(sums.information, 1e-30)))
+    spread = max(1.4826 * float(np.median(np.abs(u - np.median(u)))), 1.0)
+    number = int(np.sum(u > 4.6 * spread))
+    log_p = float(stats.poisson.logsf(number - 1, u.size * stats.norm.sf(4.6))) if number else 0.0
+    root = float(np.sqrt(np.median(sums.information)))
+    best, at, share = 0.0, 1.0, 0.0
+    counts, edges = np.histogram(np.clip(u, -20, 400), np.linspace(-20, 400, 8401))
+    used = counts > 0
+    counts, centre = counts[used], ((edges[1:] + edges[:-1]) / 2)[used]
+    for mean in np.exp(np.linspace(np.log(2), np.log(200), 14)):
+        # Density of normal + exponential over the normal density.
+        log_ratio = (
+            0.5 / mean**2
+            - centre / mean
+            - np.log(mean)
+            + stats.norm.logcdf(centre - 1 / mean)
+            - stats.norm.logpdf(centre)
+        )
+        log_ratio = np.clip(log_ratio, -50, 600)
+        f = 1e-3
+        for _ in range(40):
+            responsibility = f * np.exp(log_ratio) / (1 - f + f * np.exp(log_ratio))
+            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-7, 0.2))
+        gain = float(np.sum(counts * np.log1p(f * np.expm1(log_ratio))))
+        if gain > best:
+            best, at, share = gain, float(mean), f
+    seconds = (
+        float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in _DARK]))
+        if scaling == "thermal"
+        else 1.0
+    )
+    amplitude = at / root * np.sqrt(2 * share) * seconds
+    events = max(share * u.size, 1.0)
+    high = [int(k) for k in np.argsort(-u)[:8]]
+    width = fields[0].mean.shape[1]
+    return Score(
+        probe,
+        sidak(max(log_p, -700.0), 1),
+        best,
+        float(np.log(u.size)) + 2,
+        float(amplitude),
+        float(amplitude / np.sqrt(events)),
+        float(seconds / root / np.sqrt(np.sqrt(u.size / 2))),
+        2,
+        {"fraction": (share, "1", float(np.sqrt(share / u.size)))},
+        {"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
+        scaling,
+    )
+
+
+def mask_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Takes the pixels that stand out in the darks out of every field."""
+    out = np.zeros(fields[0].mean.shape, bool)
+    for scaling in ("additive", "thermal"):
+        sums = pixel_sums(fields, scaling, _DARK)
+        if sums is not None:
+            u = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
+            out |= np.abs(u) > 4.0
+    found = _sums_of_squares(fields)
+    if found is not None:
+        out |= (found[0] > stats.chi2.isf(1e-3, found[1])).reshape(out.shape)
+    keep = ~out
+    return tuple(
+        f._replace(
+            usable=f.usable & keep,
+            contrasts=f.contrasts * keep,
+            static=None if f.static is None else f.static * keep,
+        )
+        for f in fields
+    )
+
+
+def unchanged(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Nothing to take out of the fields: the probes that see the effect are set aside instead."""
+    return fields
+
+
+def probes() -> tuple[Probe, ...]:
+    """The probes of this signature."""
+    pixel = {"enters": "readout", "varies_over": "pixel", "scales": "additive"}
+    noisy = ("kurtosis", "pixel_spread", "telegraph", "cosmic", "skewness")
+    return (
+        Probe(
+            "kurtosis",
+            "heavy_tails",
+            {**pixel, "time": "redrawn", "law": "heavy tails"},
+            partial(kurtosis_score, probe="kurtosis"),
+            unchanged,
+            noisy,
+        ),
+        Probe(
+            "pixel_spread",
+            "pixel_read_noise_map",
+            {**pixel, "time": "frozen", "law": "log-normal variance"},
+            partial(spread_score, probe="pixel_spread"),
+            unchanged,
+            noisy,
+        ),
+        Probe(
+            "telegraph",
+            "rts",
+            {**pixel, "time": "telegraph", "law": "two levels"},
+            partial(telegraph_score, probe="telegraph"),
+            mask_absorb,
+            noisy,
+        ),
+        Probe(
+            "hot_additive",
+            "hot_pixels",
+            {**pixel, "time": "frozen", "law": "sparse"},
+            partial(hot_score, probe="hot_additive", scaling="additive"),
+            mask_absorb,
+            ("hot_thermal", "telegraph", "pixel_spread"),
+        ),
+        Probe(
+            "hot_thermal",
+            "hot_pixels",
+            {**pixel, "time": "frozen", "scales": "exposure", "law": "sparse"},
+            partial(hot_score, probe="hot_thermal", scaling="thermal"),
+            mask_absorb,
+            ("hot_additive", "telegraph", "pixel_spread"),
+        ),
+        Probe(
+            "skewness",
+            None,
+            {
+                "enters": "photons",
+                "varies_over": "pixel",
+                "time": "redrawn",
+                "scales": "signal",
+                "law": "skewed",
+            },
+            partial(skew_score, probe="skewness"),
+            unchanged,
+        ),
+    )

@@ -1,0 +1,373 @@
+"""Lines and slopes in the spectrum: interference, mains flicker and 1/f noise, on the unpacked mosaic.
+
+Whittle likelihood: under the baseline the power of every Fourier mode is exponential with mean 1.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from scipy import fft, optimize, special
+
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.statistics.lines import line_sums, response
+from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, quadratic_log_p, sidak
+
+EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+_PAD = 2
+
+
+def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
+    """Power of the row offsets per row frequency [n, H//2], mean 1, and the information per mode."""
+    sums = line_sums(field, field.contrasts, "row", scaling)
+    scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
+    h = scaled.shape[1]
+    power = np.abs(fft.rfft(scaled, axis=1))[:, 1 : (h - 1) // 2 + 1] ** 2 / h
+    return power, float(np.mean(sums.information))
+
+
+def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
+    """Power of the raster scan [n, N/2], mean 1, and the information per mode of an additive signal."""
+    w = field.weight.astype(np.float32)
+    x = (field.contrasts * w).reshape(len(field.contrasts), -1)
+    x = x - x.mean(1, keepdims=True)
+    total = float(np.sum(w.astype(np.float64) ** 2))
+    power = np.abs(fft.rfft(x, axis=1))[:, 1 : (x.shape[1] - 1) // 2 + 1] ** 2 / total
+    return power, total / w.size
+
+
+def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score | None:
+    """1/f^a noise along the raster scan, or from row to row."""
+    spectra = [
+        (raster_spectrum(f) if scan == "raster" else row_spectrum(f, "additive"))
+        for f in fields
+        if len(f.contrasts)
+    ]
+    if not spectra:
+        return None
+    power = np.array([p.sum(0) for p, _ in spectra])
+    dof = np.array([len(p) for p, _ in spectra], float)[:, None]
+    information = np.array([i for _, i in spectra])[:, None]
+    size = fields[0].mean.size if scan == "raster" else fields[0].mean.shape[0]
+    frequency = np.arange(1, power.shape[1] + 1) / size
+    best: tuple[float, float, float, float, float] | None = None
+    log_p = 0.0
+    shift = np.inf
+    for exponent in EXPONENTS:
+        shape = frequency**-exponent
+        shape = shape / (2 * shape.sum()) * (power.shape[1] * 2)
+        tau1 = information * shape
+        log_p = min(
+            log_p,
+            quadratic_log_p(
+                float(2 * (tau1 * power).sum()), np.ravel(tau1), np.repeat(2 * dof, power.shape[1], 1).ravel()
+            ),
+        )
+        sd = np.sqrt(np.sum(dof * tau1**2))
+        excess = np.sum(tau1 * (power - dof))
+        shift = min(shift, 1 / sd) if exponent == 1.0 or not np.isfinite(shift) else shift
+        if excess <= 0:
+            continue
+        start = np.log(excess / sd**2)
+        fit = optimize.minimize_scalar(
+            lambda v, t=tau1: -_whittle(np.exp(v) * t, power, dof),
+            bounds=(start - 4, start + 4),
+            method="bounded",
+            options={"xatol": 1e-3},
+        )
+        v = float(np.exp(fit.x))
+        error = 1 / np.sqrt(np.sum(dof * (tau1 / (1 + v * tau1)) ** 2))
+        if best is None or -fit.fun > best[0]:
+            best = (-float(fit.fun), v, exponent, float(error), 0.0)
+    log_p = sidak(log_p, 3)
+    gain, v, exponent, error, _ = best if best is not None else (0.0, 0.0, 1.0, 0.0, 0.0)
+    sigma = np.sqrt(v)
+    err = error / (2 * sigma) if sigma > 0 else np.sqrt(shift)
+    penalty = 0.5 * np.log(1e3) + np.log(3)
+    return Score(
+        probe,
+        log_p,
+        max(gain, 0),
+        float(penalty),
+        float(sigma),
+        float(err),
+        float(np.sqrt(shift)),
+        2,
+        {"sigma": (float(sigma), "DN", float(err)), "exponent": (exponent, "1", 0.25)},
+        {"axis": "frequency", "direction": scan},
+        (v, exponent),
+    )
+
+
+def _whittle(tau: np.ndarray, power: np.ndarray, dof: np.ndarray) -> float:
+    return float(np.sum(power * tau / (1 + tau) - dof * np.log1p(tau)))
+
+
+def slope_absorb(fields: tuple[Fields, ...], score: Score, *, scan: str) -> tuple[Fields, ...]:
+    """Whitens the low frequencies of every contrast."""
+    v, exponent = score.payload
+    return tuple(_whiten_slope(f, v, exponent, scan) for f in fields)
+
+
+def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields:
+    w = field.weight.astype(np.float32)
+    safe = np.where(w > 0, w, 1.0).astype(np.float32)
+
+    def function(x: np.ndarray) -> np.ndarray:
+        n = len(x)
+        if scan == "raster":
+            series, information = (x * w).reshape(n, -1), float(np.mean(w.astype(np.float64) ** 2))
+        else:
+            information_rows = np.sum(w.astype(np.float64) ** 2, axis=1)
+            series = np.einsum("nij,ij->ni", x, w) / np.sqrt(np.maximum(information_rows, 1e-30))
+            information = float(information_rows.mean())
+        size = series.shape[1]
+        frequency = np.maximum(np.arange(size // 2 + 1), 1) / size
+        shape = frequency**-exponent
+        shape = shape / (2 * shape[1:].sum()) * (2 * (len(shape) - 1))
+        keep = 1 / np.sqrt(1 + v * information * shape)
+        keep[0] = 1.0
+        spectrum = fft.rfft(series, axis=1)
+        removed = fft.irfft(spectrum * (1 - keep), size, axis=1)
+        if scan == "raster":
+            return x - (removed.reshape(x.shape) / safe) * (w > 0)
+        row = removed / np.sqrt(np.maximum(information_rows, 1e-30))
+        return x - row[:, :, None].astype(np.float32) * w
+
+    contrasts = function(field.contrasts).astype(np.float32)
+    static = None if field.static is None else function(field.static[None])[0].astype(np.float32)
+    return field._replace(contrasts=contrasts, static=static)
+
+
+def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
+    """Summed power of 2-D plane waves on the padded frequency grid, mean 1 per field: [pad H, pad W /
+    2 + 1]."""
+    w = field.weight.astype(np.float32)
+    total = np.sum(w.astype(np.float64) ** 2)
+    h, wd = w.shape
+    out = np.zeros((_PAD * h, _PAD * wd // 2 + 1))
+    for x in values:
+        y = x * w
+        y = y - y.sum() / total * w**2
+        out += np.abs(fft.rfft2(y, (_PAD * h, _PAD * wd))) ** 2
+    return out / total
+
+
+def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | None:
+    """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
+    (frozen)."""
+    total: np.ndarray | float = 0.0
+    count = 0
+    information = 0.0
+    for f in fields:
+        values = (
+            f.contrasts
+            if time == "redrawn"
+            else (f.static[None] if f.static is not None and not f.lit else None)
+        )
+        if values is None or not len(values):
+            continue
+        total = total + plane_power(f, values)
+        count += len(values)
+        information += (
+            len(values)
+            * float(np.sum(f.weight.astype(np.float64) ** 2))
+            * (f.frames if time == "frozen" else 1)
+        )
+    if count == 0:
+        return None
+    power = np.array(total)
+    h, w = fields[0].mean.shape
+    power[0, 0] = 0
+    # Less than a period in the frame is a drift, not interference, and its two phases are not independent.
+    power[:_PAD, :_PAD] = power[1 - _PAD :, :_PAD] = 0
+    where = np.unravel_index(np.argmax(power), power.shape)
+    peak = float(power[where])
+    fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
+    trials = h * w / 2 * 2.5
+    log_p = sidak(chi2_log_sf(2 * peak, 2 * count), trials)
+    # A wave of peak A in every frame adds A^2 I / 4 to the power of a field of information I.
+    excess = max(peak - count, 0.0)
+    amplitude = 2 * np.sqrt(excess / max(information, 1e-30))
+    mean_lambda = excess / count
+    gain = _rician_gain(peak, count, mean_lambda)
+    error = np.sqrt(2 / max(information, 1e-30))
+    log_shift = np.sqrt(count) * 4 / max(information, 1e-30)
+    direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
+    along = np.hypot(fx, fy)
+    return Score(
+        probe,
+        log_p,
+        gain,
+        float(np.log(trials)),
+        float(amplitude),
+        float(error),
+        float(np.sqrt(log_shift)),
+        2,
+        {
+            "amplitude": (float(amplitude), "DN", float(error)),
+            "frequency_y": (fy, "1/px", 0.2 / h),
+            "frequency_x": (fx, "1/px", 0.2 / w),
+        },
+        {"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
+        (fy, fx, time),
+    )
+
+
+def _rician_gain(peak: float, count: int, mean_lambda: float) -> float:
+    """Log-likelihood gain of waves of constant power in `count` fields whose summed power is `peak`."""
+    if mean_lambda <= 0:
+        return 0.0
+    total = count * mean_lambda
+    x = 2 * np.sqrt(peak * total)
+    order = count - 1
+    bessel = np.log(max(special.ive(order, x), 1e-300)) + x
+    return float(max(bessel - total - order / 2 * np.log(peak * total) + special.gammaln(count), 0.0))
+
+
+def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Projects the wave out of every field, and its near neighbours on the frequency grid."""
+    fy, fx, _ = score.payload
+    h, w = fields[0].mean.shape
+    y, x = np.indices((h, w))
+    out = []
+    for f in fields:
+        weight = f.weight.astype(np.float64)
+        basis = []
+        for dy in (-0.5 / h, 0.0, 0.5 / h):
+            for dx in (-0.5 / w, 0.0, 0.5 / w):
+                phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
+                basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
+        q = np.linalg.svd(np.array(basis), full_matrices=False)
+        q = q[2][q[1] > 1e-3 * q[1][0]].astype(np.float32)
+        both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
+        new = [v - ((v.reshape(len(v), -1) @ q.T) @ q).reshape(v.shape) for v in both]
+        out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
+    return tuple(out)
+
+
+def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Half the chi-square of both phases at every frequency k / 4h, their correlation accounted for."""
+    h = information.size
+    u = fft.rfft(score, 4 * h, axis=1)
+    double = fft.fft(information, 4 * h)[(2 * np.arange(2 * h + 1)) % (4 * h)]
+    total = information.sum()
+    aa, bb, ab = (total + double.real) / 2, (total - double.real) / 2, double.imag / 2
+    determinant = np.maximum(aa * bb - ab**2, 1e-3 * total**2)
+    chi2 = (bb * u.real**2 + aa * u.imag**2 - 2 * ab * u.real * u.imag) / determinant
+    return (chi2 / 2).sum(0)
+
+
+def flicker_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings."""
+    total: np.ndarray | float = 0.0
+    count, information = 0, 0.0
+    for f in fields:
+        if not f.lit or not len(f.contrasts):
+            continue
+        sums = line_sums(f, f.contrasts, "row", "relative")
+        h = sums.information.size
+        if h < 2:
+            continue
+        i = sums.information.sum()
+        total = total + _wave_power(sums.score, sums.information)
+        count += len(f.contrasts)
+        information += len(f.contrasts) * i
+    if not count:
+        return None
+    power = np.array(total)
+    power[:4] = 0  # less than one period in the frame: its two phases are not independent
+    k = int(np.argmax(power))
+    peak, h = float(power[k]), fields[0].mean.shape[0]
+    trials = h / 2 * 2.5
+    excess = max(peak - count, 0.0)
+    amplitude = 2 * np.sqrt(excess / information)
+    error = np.sqrt(2 / information)
+    gain = _rician_gain(peak, count, excess / count)
+    frequency = k / (4 * h)
+    return Score(
+        probe,
+        sidak(chi2_log_sf(2 * peak, 2 * count), trials),
+        gain,
+        float(np.log(trials)),
+        float(amplitude),
+        float(error),
+        float(np.sqrt(np.sqrt(count) * 4 / information)),
+        2,
+        {"amplitude": (float(amplitude), "1", float(error)), "frequency": (frequency, "1/row", 0.3 / h)},
+        {"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
+        frequency,
+    )
+
+
+def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Projects the row sinusoid, times the signal, out of every lit field."""
+    out = []
+    for f in fields:
+        if not f.lit:
+            out.append(f)
+            continue
+        h = f.mean.shape[0]
+        rows = np.arange(h)[:, None]
+        r = response(f, "relative")
+        basis = [
+            (g(2 * np.pi * (score.payload + d) * rows) * r).ravel()
+            for d in (-0.5 / h, 0, 0.5 / h)
+            for g in (np.cos, np.sin)
+        ]
+        s = np.linalg.svd(np.array(basis), full_matrices=False)
+        q = s[2][s[1] > 1e-3 * s[1][0]].astype(np.float32)
+        both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
+        new = [v - ((v.reshape(len(v), -1) @ q.T) @ q).reshape(v.shape) for v in both]
+        out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
+    return tuple(out)
+
+
+def probes() -> tuple[Probe, ...]:
+    """The probes of this signature."""
+    pink = {"enters": "readout", "time": "redrawn", "scales": "additive", "law": "1/f"}
+    line = {"enters": "readout", "varies_over": "raster time", "scales": "additive", "law": "sinusoid"}
+    return (
+        Probe(
+            "raster_slope",
+            "pink_noise",
+            {**pink, "varies_over": "raster time"},
+            partial(slope_score, probe="raster_slope", scan="raster"),
+            partial(slope_absorb, scan="raster"),
+        ),
+        Probe(
+            "row_slope",
+            "row_pink_noise",
+            {**pink, "varies_over": "row"},
+            partial(slope_score, probe="row_slope", scan="row"),
+            partial(slope_absorb, scan="row"),
+        ),
+        Probe(
+            "wave_redrawn",
+            "banding",
+            {**line, "time": "redrawn"},
+            partial(wave_score, probe="wave_redrawn", time="redrawn"),
+            wave_absorb,
+        ),
+        Probe(
+            "wave_frozen",
+            "banding",
+            {**line, "time": "frozen"},
+            partial(wave_score, probe="wave_frozen", time="frozen"),
+            wave_absorb,
+        ),
+        Probe(
+            "flicker",
+            "flicker",
+            {
+                "enters": "photons",
+                "varies_over": "row",
+                "time": "redrawn",
+                "scales": "relative",
+                "law": "sinusoid",
+            },
+            partial(flicker_score, probe="flicker"),
+            flicker_absorb,
+        ),
+    )
