@@ -9,7 +9,6 @@ that starts at an odd row or column to the next even one; colours and black leve
 from __future__ import annotations
 
 import logging
-import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -23,7 +22,7 @@ import tifffile
 from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 
 SUFFIXES = (
@@ -144,27 +143,21 @@ def _read_frame(number: int, *, path: str) -> np.ndarray:
 
 def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
     _check_directories(path, directories)
-    try:
-        with rawpy.imread(str(path)) as raw:
-            cfa, colours = _mosaic(path, raw)
-            sizes = raw.sizes
-            even = (lambda n: n) if cfa == "MONO" else (lambda n: n - n % 2)
-            return _Decoded(
-                sensor=np.array(raw.raw_image, np.uint16),
-                top=sizes.top_margin,
-                left=sizes.left_margin,
-                size=(even(sizes.height), even(sizes.width)),
-                cfa=cfa,
-                black=per_channel(np.array(raw.black_level_per_channel, np.float64)[colours]),
-                white=float(raw.white_level),
-                iso=raw.other.iso_speed or None,
-                exposure_s=raw.other.shutter_speed or None,
-            )
-    except (rawpy.LibRawError, ValueError) as error:
-        if isinstance(error, BadInput):
-            raise
-        reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
-        raise BadInput(f"{path}: not a readable camera raw file: {reason}") from error
+    with reading(path, "not a readable camera raw file"), rawpy.imread(str(path)) as raw:
+        cfa, colours = _mosaic(path, raw)
+        sizes = raw.sizes
+        even = (lambda n: n) if cfa == "MONO" else (lambda n: n - n % 2)
+        return _Decoded(
+            sensor=np.array(raw.raw_image, np.uint16),
+            top=sizes.top_margin,
+            left=sizes.left_margin,
+            size=(even(sizes.height), even(sizes.width)),
+            cfa=cfa,
+            black=per_channel(np.array(raw.black_level_per_channel, np.float64)[colours]),
+            white=float(raw.white_level),
+            iso=raw.other.iso_speed or None,
+            exposure_s=raw.other.shutter_speed or None,
+        )
 
 
 def _check_directories(path: str | Path, directories: list[_Directory]) -> None:
@@ -215,7 +208,7 @@ def _directories(path: str | Path) -> list[_Directory]:
                 for page in below(file.pages)
                 if isinstance(page, tifffile.TiffPage)
             ]
-    except (tifffile.TiffFileError, OSError, ValueError, KeyError, IndexError, struct.error, TypeError):
+    except Exception:  # not a TIFF, or one that only LibRaw understands
         return []
     return sorted(found, key=lambda d: not d.is_mosaic)
 

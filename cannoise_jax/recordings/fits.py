@@ -17,7 +17,7 @@ from astropy.io import fits
 from astropy.utils.exceptions import AstropyUserWarning
 
 from cannoise_jax.recordings.lazy import LazyArray
-from cannoise_jax.recordings.metadata import check_overrides, make_recording
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
 from cannoise_jax.recordings.packing import to_shifted_cfa
 from cannoise_jax.recordings.recording import BadInput, Recording
 
@@ -36,7 +36,7 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
     check_overrides(overrides)
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    with _opened(path) as file:
+    with reading(path, "not a readable FITS file"), _opened(path) as file:
         number = next((n for n, hdu in enumerate(file) if hdu.is_image and hdu.shape), None)
         if number is None:
             raise BadInput(f"{path}: holds no image")
@@ -46,18 +46,16 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
         shape = hdu.shape if len(hdu.shape) == 3 else (1, *hdu.shape)
         if len(shape) != 3 or str(header.get("CTYPE3", "")).strip().upper() == "RGB":
             raise BadInput(f"{path}: image has shape {hdu.shape}: expected one mosaic or a cube of them")
-    upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+        upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+        known = _known(header)
     read = partial(_read, str(path), number, len(hdu.shape), upside_down)
-    return make_recording(path, LazyArray(read, shape, np.dtype(np.uint16)), _known(header), overrides)
+    return make_recording(path, LazyArray(read, shape, np.dtype(np.uint16)), known, overrides)
 
 
 def _opened(path: str | Path) -> fits.HDUList:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", AstropyUserWarning)
-            return fits.open(path, memmap=False)
-    except (OSError, ValueError, TypeError, AstropyUserWarning) as error:
-        raise BadInput(f"{path}: not a readable FITS file: {' '.join(str(error).split())}") from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", AstropyUserWarning)
+        return fits.open(path, memmap=False)
 
 
 def _check_raw(path: str | Path, header: fits.Header) -> None:
@@ -78,11 +76,8 @@ def _check_raw(path: str | Path, header: fits.Header) -> None:
 
 def _read(path: str, number: int, axes: int, upside_down: bool, index: Any) -> np.ndarray:
     first, *rest = index if isinstance(index, tuple) else (index,)
-    with _opened(path) as file:
-        try:
-            frames = file[number].section[first] if axes == 3 else file[number].section[:, :][None][first]
-        except (OSError, ValueError, TypeError, IndexError) as error:
-            raise BadInput(f"{path}: cannot read the image: {' '.join(str(error).split())}") from error
+    with reading(path, "cannot read the image"), _opened(path) as file:
+        frames = file[number].section[first] if axes == 3 else file[number].section[:, :][None][first]
     frames = np.asarray(frames, np.uint16)
     return (frames[..., ::-1, :] if upside_down else frames)[(..., *_after_first(frames, rest))]
 

@@ -147,6 +147,19 @@ def quiet(library: str) -> Iterator[None]:
         log.setLevel(level)
 
 
+@contextlib.contextmanager
+def reading(path: str | Path, failure: str) -> Iterator[None]:
+    """Turns whatever a parser raises over broken bytes into BadInput in one line: path, failure, reason."""
+    try:
+        yield
+    except BadInput:
+        raise
+    except Exception as error:
+        texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
+        reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__
+        raise BadInput(f"{path}: {failure}: {reason}") from error
+
+
 def _check_frames(path: str | Path, frames: Frames) -> None:
     if len(frames.shape) != 3:
         raise BadInput(f"{path}: frames have shape {tuple(frames.shape)}: expected [frames, rows, columns]")

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from cannoise_jax.recordings.lazy import LazyArray
-from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording
+from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording, reading
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 
@@ -31,17 +31,14 @@ def read_recording(path: str | Path, **overrides: Any) -> Recording:
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    try:
-        with h5py.File(path, "r") as file:
-            if not isinstance(file.get("frames"), h5py.Dataset):
-                raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
-            known = {k: _plain(file.attrs[k]) for k in FIELDS if k in file.attrs}
-            if isinstance(file.get("clean"), h5py.Dataset):
-                clean = _view(path, file["clean"])
-                known["clean"] = clean if clean.ndim == 3 else np.asarray(file["clean"])
-            frames = _view(path, file["frames"])
-    except OSError as error:
-        raise BadInput(f"{path}: not a readable HDF5 file: {_reason(error)}") from error
+    with reading(path, "not a readable HDF5 file"), h5py.File(path, "r") as file:
+        if not isinstance(file.get("frames"), h5py.Dataset):
+            raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
+        known = {k: _plain(file.attrs[k]) for k in FIELDS if k in file.attrs}
+        if isinstance(file.get("clean"), h5py.Dataset):
+            clean = _view(path, file["clean"])
+            known["clean"] = clean if clean.ndim == 3 else np.asarray(file["clean"])
+        frames = _view(path, file["frames"])
     return make_recording(path, frames, known, overrides)
 
 
@@ -120,21 +117,15 @@ def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: 
 
 
 def _view(path: Path, dataset: h5py.Dataset) -> LazyArray:
-    read = partial(_read_dataset, str(path), dataset.name)
-    return LazyArray(read, tuple(dataset.shape), dataset.dtype)
+    dtype = dataset.dtype.newbyteorder("=")
+    read = partial(_read_dataset, str(path), dataset.name, dtype)
+    return LazyArray(read, tuple(dataset.shape), dtype)
 
 
-def _read_dataset(path: str, name: str, index: Any) -> np.ndarray:
-    try:
-        with h5py.File(path, "r") as file:
-            return file[name][index]
-    except (OSError, KeyError) as error:
-        raise BadInput(f"{path}: cannot read {name.lstrip('/')}: {_reason(error)}") from error
+def _read_dataset(path: str, name: str, dtype: np.dtype, index: Any) -> np.ndarray:
+    with reading(path, f"cannot read {name.lstrip('/')}"), h5py.File(path, "r") as file:
+        return np.asarray(file[name][index]).astype(dtype, copy=False)
 
 
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error.args[-1] if error.args else error).split())

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.io
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import check_overrides, make_recording
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
 from cannoise_jax.recordings.recording import (
     BadInput,
     CaptureSet,
@@ -140,12 +140,9 @@ def _read_image(
 
 
 def _read_mat(path: str) -> np.ndarray:
-    try:
-        with h5py.File(path, "r") as file:
-            name = "x" if "x" in file else next(iter(file))
-            values = np.asarray(file[name], np.float32)
-    except (OSError, StopIteration, TypeError) as error:
-        raise BadInput(f"{path}: not a readable MATLAB v7.3 image: {error}") from error
+    with reading(path, "not a readable MATLAB v7.3 image"), h5py.File(path, "r") as file:
+        name = "x" if "x" in file else next(iter(file))
+        values = np.asarray(file[name], np.float32)
     if values.ndim != 2:
         raise BadInput(f"{path}: image has shape {values.shape}: expected rows x columns")
     if not np.isfinite(values).all():
@@ -199,12 +196,8 @@ def _metadata(folder: Path) -> Any:
     paths = _files(folder, "METADATA")
     if not paths:
         return {}
-    try:
+    with reading(paths[0], "not a readable MATLAB v5 file"):
         return scipy.io.loadmat(paths[0], simplify_cells=True).get("metadata", {})
-    except Exception as error:
-        raise BadInput(
-            f"{paths[0]}: not a readable MATLAB v5 file: {' '.join(str(error).split())}"
-        ) from error
 
 
 def _walk(node: Any) -> Iterator[dict]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import struct
-import zipfile
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,10 @@ import numpy as np
 import tifffile
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet
+from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
-_TIFF_ERRORS = (tifffile.TiffFileError, OSError, ValueError, KeyError, IndexError, TypeError, struct.error)
 
 
 def read_numpy(path: str | Path, **overrides: Any) -> Recording:
@@ -50,15 +48,11 @@ def read_tiff(path: str | Path, **overrides: Any) -> Recording:
     check_overrides(overrides)
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    with quiet("tifffile"):
-        try:
-            with tifffile.TiffFile(path) as file:
-                shapes = {page.shape for page in file.pages}
-                types = {page.dtype for page in file.pages}
-                count = len(file.pages)
-                whole = _is_whole(file, Path(path).stat().st_size)
-        except _TIFF_ERRORS as error:
-            raise BadInput(f"{path}: not a readable TIFF file: {_line(error)}") from error
+    with reading(path, "not a readable TIFF file"), quiet("tifffile"), tifffile.TiffFile(path) as file:
+        shapes = {page.shape for page in file.pages}
+        types = {page.dtype for page in file.pages}
+        count = len(file.pages)
+        whole = _is_whole(file, Path(path).stat().st_size)
     if not whole:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
     size = next(iter(shapes))
@@ -81,10 +75,8 @@ def _side_car(path: str | Path) -> dict[str, Any]:
     beside = Path(path).with_suffix(".json")
     if not beside.is_file():
         return {}
-    try:
+    with reading(beside, "not a readable JSON file"):
         stated = json.loads(beside.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise BadInput(f"{beside}: not a readable JSON file: {_line(error)}") from error
     if not isinstance(stated, dict):
         raise BadInput(f"{beside}: expected an object with the fields of a recording")
     return {name: value for name, value in stated.items() if name in FIELDS}
@@ -93,28 +85,21 @@ def _side_car(path: str | Path) -> dict[str, Any]:
 def _loaded(path: str | Path) -> Any:
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    try:
+    with reading(path, "not a readable NumPy file"):
         loaded = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{path}: not a readable NumPy file: {_line(error)}") from error
     if isinstance(loaded, np.ndarray) != (Path(path).suffix.lower() == ".npy"):
         raise BadInput(f"{path}: the content does not fit the suffix")
     return loaded
 
 
 def _read_npz(path: str, name: str) -> np.ndarray:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return archive[name]
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{path}: cannot read {name}: {_line(error)}") from error
+    with reading(path, f"cannot read {name}"), np.load(path, allow_pickle=False) as archive:
+        return archive[name]
 
 
 def _read_page(number: int, *, path: str) -> np.ndarray:
-    try:
+    with reading(path, f"cannot read page {number}"):
         return tifffile.imread(path, key=number)
-    except Exception as error:  # decoders raise what they like
-        raise BadInput(f"{path}: cannot read page {number}: {_line(error)}") from error
 
 
 def _is_whole(file: tifffile.TiffFile, size: int) -> bool:
@@ -127,7 +112,3 @@ def _is_whole(file: tifffile.TiffFile, size: int) -> bool:
     pages = [page.aspage() for page in file.pages]
     ends = [sum(strip) for p in pages for strip in zip(p.dataoffsets, p.databytecounts, strict=False)]
     return following == 0 and max(ends, default=0) <= size
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
