@@ -7,7 +7,7 @@ at the same noise level function: what it loses there is what the model knows ab
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -60,7 +60,10 @@ def evaluate_model(
     evaluators: tuple[Evaluator, ...] = EVALUATORS,
     columns: Sequence[str] = MODELS,
 ) -> Results:
-    """Every model of `columns` on every patch: `{"cameras": {name: {model: numbers}}, "pooled": {...}}`.
+    """Every model of `columns` on every patch.
+
+    `{"settings": {name: {iso: row}}, "cameras": {name: row}, "pooled": row}` with rows `{model: numbers}`:
+    numbers are computed for every camera and ISO, a camera's are the mean over its patches, and so on up.
 
     sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise`, called on batches of
       `batch` patches (jit it); None leaves its two columns out.
@@ -75,16 +78,20 @@ def evaluate_model(
         for name, column in model_columns(sampler, patches, pair_key, recalibrated).items()
         if name in columns
     }
-    camera = np.asarray(patches.camera)
-    rows = {
-        name: {model: _numbers(patches, fake, camera == c, evaluators) for model, fake in noise.items()}
+    camera, iso = np.asarray(patches.camera), np.asarray(patches.iso)
+    settings = {
+        name: {
+            str(setting): {
+                model: _numbers(patches, fake, (camera == c) & (iso == setting), evaluators)
+                for model, fake in noise.items()
+            }
+            for setting in np.unique(iso[camera == c]).tolist()
+        }
         for c, name in enumerate(camera_names)
         if (camera == c).any()
     }
-    return {
-        "cameras": rows,
-        "pooled": {model: pooled([row[model] for row in rows.values()]) for model in noise},
-    }
+    cameras = {name: _pool(rows.values(), noise) for name, rows in settings.items()}
+    return {"cameras": cameras, "pooled": _pool(cameras.values(), noise), "settings": settings}
 
 
 def model_columns(
@@ -169,6 +176,11 @@ def _numbers(
     shot, read = (np.asarray(v)[here][:, None, None, :] for v in (patches.shot, patches.read))
     sigma = np.sqrt(shot * np.maximum(clean, 0) + read)
     return evaluate(Samples(real, fake[here], clean, sigma), evaluators)
+
+
+def _pool(rows: Iterable[Mapping[str, Mapping[str, float]]], models: Iterable[str]) -> dict[str, Any]:
+    rows = list(rows)
+    return {model: pooled([row[model] for row in rows]) for model in models}
 
 
 def excess(numbers: Mapping[str, float]) -> float:

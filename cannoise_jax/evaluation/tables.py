@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +27,31 @@ def results_table(results: Mapping[str, Any]) -> str:
 
     results: as `compare.evaluate_model` gives them. Structure is shown as generated (real).
     """
+    rows = {**results["cameras"], "pooled": results["pooled"]}
     blocks = [
-        _block(results, "KL(real || model), nats, mean over patches (finite-sample floor)", _kl_cell),
-        _block(results, "KL with one count added to every bin", lambda n: f"{n['kl_smoothed']:.4f}"),
-        _block(results, "standard deviation, model / real", lambda n: f"{n['std_ratio']:.3f}"),
-        _block(results, "row spectrum at low frequencies, white about 1 (real)", _pair("row_spectrum", 2)),
-        _block(results, "lag-1 correlation along rows (real)", _pair("lag1_horizontal", 3)),
-        _block(results, "lag-1 correlation across rows (real)", _pair("lag1_vertical", 3)),
-        _block(results, "excess kurtosis of the standardised noise (real)", _pair("excess_kurtosis", 2)),
+        _block(rows, "KL(real || model), nats, mean over patches (finite-sample floor)", _kl_cell),
+        _block(rows, "KL with one count added to every bin", lambda n: f"{n['kl_smoothed']:.4f}"),
+        _block(rows, "standard deviation, model / real", lambda n: f"{n['std_ratio']:.3f}"),
+        _block(rows, "row spectrum at low frequencies, white about 1 (real)", _pair("row_spectrum", 2)),
+        _block(rows, "lag-1 correlation along rows (real)", _pair("lag1_horizontal", 3)),
+        _block(rows, "lag-1 correlation across rows (real)", _pair("lag1_vertical", 3)),
+        _block(rows, "excess kurtosis of the standardised noise (real)", _pair("excess_kurtosis", 2)),
     ]
     return "\n\n".join(block for block in blocks if block)
 
 
+def settings_table(results: Mapping[str, Any]) -> str:
+    """KL with its floor for every camera and ISO, columns of models."""
+    rows = {
+        f"{camera} {iso}": numbers
+        for camera, by_iso in results["settings"].items()
+        for iso, numbers in by_iso.items()
+    }
+    return _block(rows, "KL(real || model) by camera and ISO, nats (finite-sample floor)", _kl_cell)
+
+
 def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extra: Any) -> None:
-    """Write `results.json` atomically: schema, cameras, pooled, seconds, and any `extra` keys.
+    """Write `results.json` atomically: schema, cameras, pooled, settings, seconds, and any `extra` keys.
 
     Raises ValueError for numbers that are not finite, which JSON cannot hold; then nothing is written.
     """
@@ -48,6 +59,7 @@ def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extr
         "schema": SCHEMA,
         "cameras": results["cameras"],
         "pooled": results["pooled"],
+        "settings": results.get("settings", {}),
         "seconds": seconds,
         **extra,
     }
@@ -62,18 +74,17 @@ def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extr
         raise
 
 
-def _block(results: Mapping[str, Any], title: str, cell) -> str:
+def _block(rows: Mapping[str, Row], title: str, cell: Callable[[Mapping[str, float]], str]) -> str:
     """One table; empty where the numbers were not computed."""
-    rows: dict[str, Row] = {**results["cameras"], "pooled": results["pooled"]}
     models = [name for name in HEADINGS if any(name in row for row in rows.values())]
     try:
         body = [
-            f"{camera:<8}" + "".join(f"{cell(row[m]) if m in row else '-':>{_WIDTH}}" for m in models)
+            f"{camera:<10}" + "".join(f"{cell(row[m]) if m in row else '-':>{_WIDTH}}" for m in models)
             for camera, row in rows.items()
         ]
     except KeyError:
         return ""
-    head = f"{'camera':<8}" + "".join(f"{HEADINGS[m]:>{_WIDTH}}" for m in models)
+    head = f"{'camera':<10}" + "".join(f"{HEADINGS[m]:>{_WIDTH}}" for m in models)
     return "\n".join([title, head, *body])
 
 

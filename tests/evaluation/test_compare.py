@@ -13,7 +13,7 @@ from PIL import Image
 
 from cannoise_jax.evaluation import baselines, compare
 from cannoise_jax.evaluation.figures import noise_figure
-from cannoise_jax.evaluation.tables import results_table, write_results
+from cannoise_jax.evaluation.tables import results_table, settings_table, write_results
 from cannoise_jax.physics.virtual import VirtualPatches
 
 NAMES = ("A", "B")
@@ -77,6 +77,19 @@ def test_models_rank_as_their_construction_says(results):
         assert kl["model_wrong_reference"] > 3 * kl["model"]
         best = row["poisson_gaussian_recalibrated"]
         assert best["kl"] == pytest.approx(best["kl_floor"], rel=0.4)
+
+
+def test_cameras_and_isos_add_up(patches):
+    """Numbers by ISO are those of the patches of that ISO; a camera's are their mean over patches."""
+    mixed = patches._replace(iso=np.where(np.arange(COUNT) % 3 == 0, 100, 400).astype(np.int32))
+    made = compare.evaluate_model(None, mixed, NAMES, jax.random.key(1), batch=16)
+    by_iso = made["settings"]["A"]
+    assert list(by_iso) == ["100", "400"]
+    counts = [by_iso[i]["gaussian"]["patches"] for i in by_iso]
+    assert counts == [4, 8]
+    mean = sum(n * by_iso[i]["gaussian"]["kl"] for i, n in zip(by_iso, counts, strict=True)) / 12
+    assert made["cameras"]["A"]["gaussian"]["kl"] == pytest.approx(mean)
+    assert "A 400" in settings_table(made)
 
 
 def test_same_key_same_results(patches, results):
