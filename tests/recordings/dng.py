@@ -55,7 +55,8 @@ def write_dng(
 ) -> Path:
     """raw: uint16 of the whole sensor. active: top, left, bottom, right of the visible area; `cfa` and
     `black` (mosaic order) start at its corner. nested: the mosaic in a sub-directory under a thumbnail.
-    cfa: any square pattern of R, G, B, so also 36 letters. samples: 3 makes a demosaiced (linear) DNG."""
+    cfa: any square pattern of R, G, B, so also 36 letters; none for a monochrome sensor.
+    samples: 3 makes a demosaiced (linear) DNG."""
     height, width = raw.shape[:2]
     side = round(len(cfa) ** 0.5)
     mosaic = {
@@ -64,14 +65,16 @@ def write_dng(
         257: (LONG, [height]),
         258: (SHORT, [16] * samples),
         259: (SHORT, [1]),
-        262: (SHORT, [32803 if samples == 1 else 34892]),
+        262: (SHORT, [32803 if samples == 1 and cfa else 34892]),
         277: (SHORT, [samples]),
         278: (LONG, [height]),
         279: (LONG, [raw.nbytes]),
         284: (SHORT, [1]),
         50717: (LONG, [white] * samples),
     }
-    if samples == 1:
+    if samples == 1 and not cfa:
+        mosaic[50714] = (RATIONAL, [black[0]])
+    elif samples == 1:
         mosaic |= {
             33421: (SHORT, [side, side]),
             33422: (BYTE, [_COLOUR[c] for c in cfa]),

@@ -140,6 +140,13 @@ def test_broken_files(tmp_path):
         read_camera_raw(tmp_path / "none.dng")
 
 
+def test_a_monochrome_sensor(tmp_path):
+    pixels = sensor("RGGB", size=(103, 159))  # odd sizes are fine without a colour cell
+    recording = read_camera_raw(write_dng(tmp_path / "a.dng", pixels, cfa="", noise_profile=(4e-4, 5e-7)))
+    assert recording.cfa == "MONO" and recording.black_level == (64,) * 4 and recording.shot == (4e-4,) * 4
+    np.testing.assert_array_equal(recording.frames[0], pixels)
+
+
 def test_the_callers_word_wins_over_the_tags(tmp_path):
     extra = {271: (ASCII, "Acme"), 272: (ASCII, "Acme Z"), 274: (SHORT, [6])}
     path = write_dng(tmp_path / "a.dng", sensor("RGGB"), extra=extra)
