@@ -22,7 +22,7 @@ def format_transfer(result: PhotonTransfer) -> str:
         for reason in sorted(reasons):
             missing.setdefault(reason, []).append(f"{name} ({unit})" if len(reasons) > 1 else name)
         notes += [f"{name}: {note}" for note in _notes(group)]
-    table = _aligned(lines)
+    table = aligned(lines)
     out = [f"{result.camera}{setting}: photon transfer (EMVA 1288 definitions), 90 % intervals", "", *table]
     if notes:
         out += ["", *dict.fromkeys(notes)]
@@ -59,7 +59,8 @@ def _notes(group: list[Quantity]) -> list[str]:
     return ["; ".join(f"{channel} {note}" for channel, note in notes.items())] if notes else []
 
 
-def _aligned(lines: list[list[str]]) -> list[str]:
+def aligned(lines: list[list[str]]) -> list[str]:
+    """Cells padded to columns."""
     count = max(len(line) for line in lines)
     # A line with one value for all channels does not widen the first channel's column.
     widths = [max(len(line[i]) for line in lines if len(line) == count or i < 2) for i in range(count)]

@@ -148,7 +148,7 @@ def _exponential_tail(x: np.ndarray, sigma: float, mean: float) -> np.ndarray:
 def _long_and_short(
     statistics: Sequence[FrameStatistics],
 ) -> tuple[FrameStatistics, FrameStatistics | None, float] | None:
-    """The longest dark, a dark of at most a tenth of its exposure if there is one, and the seconds between."""
+    """The longest dark, one of at most a tenth of its exposure if there is one, and the seconds between."""
     darks = darks_by_exposure(statistics)
     if not darks:
         return None

@@ -15,24 +15,34 @@ def circle(points: Complex[np.ndarray, "T"], noise: float) -> tuple[float, float
     """
     frames = len(points)
     scatter = float(np.sum(np.abs(points - points.mean()) ** 2)) / max(frames - 1, 1) - 2 * noise**2
-    if frames < 4 or scatter < 9 * 2 * noise**2:
-        square = max(scatter, 0.0)
-        share = noise**2 / max(square, noise**2 / 4)
-        # The mean taken out holds a random part of the wave.
-        spread = np.sqrt((2 * noise**2 * (1 + share) + square / max(frames, 2)) / (2 * max(frames - 1, 1)))
-        return float(np.sqrt(square)), float(spread)
-    centre, radius = 0j, float(np.sqrt(np.mean(np.abs(points) ** 2)))
-    design = np.empty((frames, 3))
-    for _ in range(30):
+    found = _fitted(points, noise) if frames >= 4 and scatter >= 9 * 2 * noise**2 else None
+    if found is not None:
+        return found
+    square = max(scatter, 0.0)
+    share = noise**2 / max(square, noise**2 / 4)
+    # The mean taken out holds a random part of the wave.
+    spread = (2 * noise**2 * (1 + share) + square / max(frames, 2)) / (2 * max(frames - 1, 1))
+    return float(np.sqrt(square)), float(np.sqrt(spread))
+
+
+def _fitted(points: Complex[np.ndarray, "T"], noise: float) -> tuple[float, float] | None:
+    """Least squares of the distances to a centre; None where the points do not fix a circle (phases that lie
+    on one side or on a line)."""
+    size = float(np.sqrt(np.mean(np.abs(points) ** 2)))
+    centre, radius = 0j, size
+    design = np.empty((len(points), 3))
+    for _ in range(50):
         away = points - centre
         distance = np.abs(away)
         direction = away / np.maximum(distance, 1e-30)
-        design = np.stack([direction.real, direction.imag, np.ones(frames)], -1)
+        design = np.stack([direction.real, direction.imag, np.ones(len(points))], -1)
         # Noise across the radius lengthens every distance.
         rest = distance - noise**2 / (2 * radius) - radius
         move, *_ = np.linalg.lstsq(design, rest, rcond=None)
-        centre, radius = centre + complex(move[0], move[1]), max(radius + float(move[2]), 1e-12)
+        centre, radius = centre + complex(move[0], move[1]), radius + float(move[2])
+        if not 0.1 * size < radius < 3 * size:
+            return None
         if np.abs(move).max() < 1e-6 * radius:
-            break
-    covariance = np.linalg.pinv(design.T @ design) * noise**2
-    return float(radius), float(np.sqrt(covariance[2, 2]))
+            error = noise * float(np.sqrt(np.linalg.pinv(design.T @ design)[2, 2]))
+            return (radius, error) if error < 0.3 * radius else None
+    return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -146,7 +146,8 @@ def coverage(case: Case, simulations: int, seed: int = 0) -> list[Row]:
 def simulate(case: Case, simulations: int, seed: int = 0) -> Iterator[list[Recording]]:
     """The recordings of every simulation of a case."""
     base = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "RGGB")
-    model = base.with_mechanism(case.mechanism, **case.truth)
+    truth: dict[str, Any] = dict(case.truth)
+    model = base.with_mechanism(case.mechanism, **truth)
     cleans = [_texture() if s.scene else np.full(SIZE, s.level, np.float32) for s in case.shots]
     root = jax.random.fold_in(jax.random.key(seed), sum(map(ord, case.mechanism)))
     for key in jax.random.split(root, simulations):

@@ -28,6 +28,7 @@ from cannoise_jax.physics.transfer_spatial import temporal_mean_square
 from cannoise_jax.recordings.recording import Recording
 
 _LEVELS = NotMeasurable("record flats of one steady light at three or more exposure times up to saturation")
+_HIGHEST = 0.48  # cycles per row: at 0.5 sine and cosine are one
 _REFERENCE = NotMeasurable("record repeated frames of a scene together with an independent reference")
 
 
@@ -52,11 +53,11 @@ def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     rows = relative_rows(flat)
     rest = rows - rows.mean(0)
     frames, height = rest.shape
-    grid = np.arange(1, 4 * height) / (8 * height)
+    grid = np.arange(2, int(_HIGHEST * 8 * height)) / (8 * height)
     power = np.array([_explained(rest, f) for f in grid])
     frequency, step = float(grid[np.argmax(power)]), 1 / (8 * height)
     for _ in range(5):
-        near = np.clip(frequency + step * np.linspace(-1, 1, 9), 1e-4, 0.5 - 1e-4)
+        near = np.clip(frequency + step * np.linspace(-1, 1, 9), 0.2 / height, _HIGHEST)
         frequency, step = float(near[np.argmax([_explained(rest, f) for f in near])]), step / 4
     total = float(np.sum((rest - rest.mean(1, keepdims=True)) ** 2))
     # Per frame: a constant and two amplitudes fitted to `height` rows; the averages cost one frame.

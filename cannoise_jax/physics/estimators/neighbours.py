@@ -42,7 +42,7 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
         seen.append(value)
         errors.append(error)
         reach.append(float(expected.mean()))
-    rho, stderr = np.sum(seen) / np.sum(reach), float(np.hypot(*errors)) / np.sum(reach)
+    rho, stderr = np.sum(seen) / np.sum(reach), float(np.linalg.norm(errors)) / np.sum(reach)
 
     def given(r: float) -> float:
         return _solved(lambda a: (1 - a) * a / 4 / ((1 - a) ** 2 + a**2 / 4), r, 0.6)

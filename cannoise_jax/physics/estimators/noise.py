@@ -163,7 +163,7 @@ def _standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], floa
     levels = [float(site(dark.mean, c)[site(keep, c)].mean()) for c in range(4)]
     middle = np.median([np.median(pixel_variance(dark, c)) for c in range(4)])
     sigma = float(np.sqrt(min(np.mean(squares), middle / _median_share(dark.dof))))
-    frames = np.stack([np.asarray(part, np.float64) for part in dark.recording.frames])
+    frames = np.concatenate([part.astype(np.float64) for part in chunks(dark.recording.frames)])
     columns = []
     for c in range(4):
         values = site(frames, c) - levels[c]

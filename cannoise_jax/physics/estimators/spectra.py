@@ -25,7 +25,6 @@ _MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
 _EXPONENTS = np.linspace(0.0, 2.0, 41)
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
 _DROP = float(stats.chi2.ppf(0.9, 1)) / 2
-_BINS = 48
 _HALF_90 = 1.6449
 
 
@@ -55,30 +54,25 @@ def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
 def pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma_dn and exponent (0.5 to 2) of 1/f noise along the raster scan, from repeated darks.
 
-    Periodogram of the scan, the pixels' averages over frames taken out, averaged over frames and in classes of
-    frequency; compared with its expectation for a finite scan (debiased Whittle likelihood, Sykulski et
-    al., Biometrika 106, 251, 2019). The strength of the white noise is fitted along.
+    Only what happens within rows is used, periodograms of single rows without their means, so that row noise
+    of any kind, which a scan repeats at every row, cannot pass for pink noise; the strength is that of the
+    whole scan, extrapolated by the exponent. Periodograms are averaged over rows and frames and compared with
+    their expectation for a short stretch of a long 1/f scan (debiased Whittle likelihood, Sykulski et al.,
+    Biometrika 106, 251, 2019). The strength of the white noise is fitted along.
     """
     dark = darkest(statistics)
     if dark is None:
         return REPEATED_DARKS
-    power = scan_power(dark)
-    count = dark.recording.size[0] * dark.recording.size[1]
-    edges = np.unique(np.round(np.geomspace(1, len(power), _BINS)).astype(int))
-    sizes = np.diff(edges)
-    seen = np.add.reduceat(power[: edges[-1]], edges[:-1]) / sizes
-    # Both the real and the imaginary part of every frequency and frame, less one frame for the averages.
-    dof = 2.0 * sizes * (dark.recording.count - 1)
-    dof[-1] -= 1 if edges[-1] == len(power) and count % 2 == 0 else 0
-    total = float(power.mean())
+    height, width = dark.recording.size
+    seen = row_power(dark)
+    # Both the real and the imaginary part of every row and frame, less one frame for the averages.
+    dof = np.full(len(seen), 2.0 * height * (dark.recording.count - 1))
+    dof[-1] /= 2 if width % 2 == 0 else 1
     exponents = _EXPONENTS[_EXPONENTS >= 0.5]
-    sigmas = _STRENGTHS * np.sqrt(total)
-    loglik = []
-    for exponent in exponents:
-        shape = expected_periodogram(count, float(exponent))[: edges[-1]]
-        pink = np.add.reduceat(shape, edges[:-1]) / sizes
-        loglik.append(_whittle(seen, dof, pink, sigmas))
-    return _profiles(np.array(loglik), sigmas, exponents)
+    sigmas = _STRENGTHS * np.sqrt(float(seen.mean()))
+    shapes, losses = zip(*(_expected_rows(height, width, float(a)) for a in exponents), strict=True)
+    dof = dof / np.max(losses, axis=0)
+    return _profiles(np.array([_whittle(seen, dof, shape, sigmas) for shape in shapes]), sigmas, exponents)
 
 
 def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -133,13 +127,30 @@ def residual_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
             yield frame - s.mean
 
 
+def row_power(s: FrameStatistics) -> Float[np.ndarray, "w/2"]:
+    """Periodogram of single rows without the average frame, DN^2, mean over rows and (T - 1) frames;
+    frequencies 1/W to 1/2."""
+    total: np.ndarray | float = 0.0
+    for frame in residual_frames(s):
+        total = total + np.sum(np.abs(np.fft.rfft(frame, axis=1)[:, 1:]) ** 2, 0)
+    return np.asarray(total) / s.mean.size / (s.recording.count - 1)
+
+
 @functools.lru_cache(maxsize=64)
-def expected_periodogram(count: int, exponent: float) -> Float[np.ndarray, "n/2"]:
-    """Expected periodogram, frequencies 1/n to 1/2, of `count` values of a 1/f^exponent sequence of unit rms
-    (half of a circle of twice the length, see `fields.colour`)."""
-    correlation = power_law_correlation(2 * count, exponent)[:count]
-    weighted = correlation * (1 - np.arange(count) / count)
-    return 2 * np.fft.rfft(weighted).real[1:] - correlation[0]
+def _expected_rows(height: int, width: int, exponent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Expected periodogram of a row of a 1/f^exponent scan of unit rms (half of a circle of twice the length,
+    see `fields.colour`), frequencies 1/W to 1/2, and by how much likeness of rows thins out their number."""
+    correlation = power_law_correlation(2 * height * width, exponent)
+    window = 1 - np.abs(np.arange(-width, width)) / width
+
+    def between(rows: int) -> np.ndarray:
+        lags = rows * width + np.arange(-width, width)
+        spectrum = np.fft.fft(np.fft.ifftshift(window * correlation[np.abs(lags)]))
+        return spectrum[2 : width + 1 : 2]
+
+    own = between(0).real
+    loss = 1 + 2 * sum(np.abs(between(m) / own) ** 2 for m in range(1, min(height, 9)))
+    return own, np.asarray(loss)
 
 
 def power_law_correlation(length: int, exponent: float) -> Float[np.ndarray, "n"]:

@@ -1,0 +1,164 @@
+"""From photon transfer and the estimators to a camera model: which mechanisms are there, and how strong.
+
+A mechanism enters the model when its 90 % interval leaves out zero and its strength is at least three
+standard errors. Where several explain the same data only one enters: pink or white row noise by whether rows
+far apart are alike; a spread of read noise over the pixels, or telegraph pixels, before heavy tails, for
+repeat frames show them directly. What belongs to the light, or is in the baseline already, is reported but
+does not enter.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from cannoise_jax.physics import registry
+from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
+from cannoise_jax.physics.estimators import ESTIMATORS
+from cannoise_jax.physics.estimators.pick import darkest, row_offsets
+from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law_correlation
+from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.transfer import PhotonTransfer
+from cannoise_jax.physics.transfer_baseline import Baseline
+from cannoise_jax.physics.transfer_frames import FrameStatistics
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.vocabulary import VOCABULARY
+
+Verdict = Literal["in the model", "not significant", "not measurable", "explained by", "reported only"]
+
+_IN_BASELINE = ("gain_error", "read_noise_error", "quantization")
+_STRONG = 3.0
+# The second enters only where the first does not.
+_RIVALS = (
+    ("row_pink_noise", "row_noise"),
+    ("pixel_read_noise_map", "heavy_tails"),
+    ("rts", "heavy_tails"),
+    ("hot_pixels", "amp_glow"),
+)
+
+
+class Finding(NamedTuple):
+    """What is known of one mechanism. because: the reason of the verdict, empty when it is in the model."""
+
+    mechanism: str
+    estimates: Estimates
+    verdict: Verdict
+    because: str = ""
+
+
+def find_mechanisms(statistics: Sequence[FrameStatistics], baseline: Baseline) -> tuple[Finding, ...]:
+    """All estimators on the recordings of one setting, in the order of the vocabulary."""
+    found: dict[str, Finding] = {}
+    for id in VOCABULARY:
+        if id in ESTIMATORS and id not in _IN_BASELINE:
+            found[id] = _judged(id, ESTIMATORS[id](statistics, baseline), statistics)
+    for first, second in _RIVALS:
+        if found[first].verdict == "in the model" and found[second].verdict == "in the model":
+            found[second] = found[second]._replace(verdict="explained by", because=first)
+    return tuple(found.values())
+
+
+def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding]) -> SensorModel:
+    """The camera model: the baseline of every measured ISO, and the mechanisms found at the first of them.
+
+    Raises BadInput where no setting has a baseline, with what to record.
+    """
+    measured = [(t, t.baseline) for t in transfers if isinstance(t.baseline, Baseline)]
+    if not measured:
+        missing = next(t.baseline for t in transfers if isinstance(t.baseline, NotMeasurable))
+        raise BadInput(f"{transfers[0].camera}: no baseline can be measured: {missing.record}")
+    (first, base), isos = measured[0], [t.iso for t, _ in measured]
+    model = SensorModel.poisson_gaussian(
+        np.array([b.gain for _, b in measured]),
+        np.array([b.read_noise_e for _, b in measured]),
+        base.black_level,
+        base.white_level,
+        first.cfa,
+        iso=tuple(iso if iso is not None else 100.0 for iso in isos),
+        code_step=base.code_step,
+        camera=first.camera,
+    )
+    for finding in findings:
+        if finding.verdict != "in the model" or isinstance(finding.estimates, NotMeasurable):
+            continue
+        record = registry.mechanism(finding.mechanism)
+        bounds = {p.name: (p.low, p.high) for p in record.parameters}
+        values: dict[str, Any] = {
+            name: float(np.clip(e.value, *bounds[name])) for name, e in finding.estimates.items()
+        }
+        law = dataclasses.replace(record.scaling, reference_iso=float(np.asarray(model.iso)[0]))
+        model = model.with_mechanism(finding.mechanism, scaling=law, **values)
+    return model
+
+
+def format_findings(findings: Sequence[Finding]) -> str:
+    """Plain text: one line per parameter, then what could not be measured."""
+    from cannoise_jax.physics.transfer_table import aligned, format_outcome
+
+    lines = [["mechanism", "parameter", "unit", "value [90 % interval]", ""]]
+    missing = []
+    for f in findings:
+        if isinstance(f.estimates, NotMeasurable):
+            missing.append(f"  {f.mechanism}: {f.estimates.record}")
+            continue
+        units = {p.name: p.unit for p in registry.mechanism(f.mechanism).parameters}
+        for k, (name, estimate) in enumerate(f.estimates.items()):
+            verdict = f"{f.verdict}{' ' if f.because else ''}{f.because}" if k == 0 else ""
+            lines.append(
+                [f.mechanism if k == 0 else "", name, units[name], format_outcome(estimate), verdict]
+            )
+    out = ["Mechanisms beyond Poisson-Gaussian", "", *aligned(lines)]
+    return "\n".join([*out, "", "Not measurable:", *missing] if missing else out)
+
+
+def _judged(id: str, estimates: Estimates, statistics: Sequence[FrameStatistics]) -> Finding:
+    if isinstance(estimates, NotMeasurable):
+        return Finding(id, estimates, "not measurable")
+    if VOCABULARY[id].kind != "sensor":
+        return Finding(id, estimates, "reported only", "(not of the sensor)")
+    if id == "channel_offset":
+        return Finding(id, estimates, "reported only", "(the measured black level is in the baseline)")
+    strength = next(iter(estimates.values()))
+    if not _strong(id, strength, statistics):
+        return Finding(id, estimates, "not significant")
+    if id == "row_pink_noise" and not _reaches_far(estimates["exponent"], statistics):
+        return Finding(
+            id, estimates, "not significant", "(rows are not alike over distance, as 1/f would be)"
+        )
+    if id == "heavy_tails" and strength.value > 0.135:
+        return Finding(id, estimates, "not significant", "(no heavier than a Gaussian)")
+    return Finding(id, estimates, "in the model")
+
+
+def _strong(id: str, strength: Estimate, statistics: Sequence[FrameStatistics]) -> bool:
+    if id in ("missing_codes", "saturation", "black_clipping"):
+        return True
+    if id == "heavy_tails":
+        strength = strength.shifted(-0.135)  # the shape that is a Gaussian
+    if id == "banding":
+        dark = darkest(statistics)
+        return dark is not None and strength.value > banding_threshold(dark)
+    return strength.significant and abs(strength.value) >= _STRONG * strength.stderr
+
+
+def _reaches_far(exponent: Estimate, statistics: Sequence[FrameStatistics]) -> bool:
+    """Whether rows two to six apart are at least half as alike as 1/f noise of this exponent makes them.
+
+    A correlation with the next row only, as some readouts have, also draws the exponent away from zero.
+    """
+    dark = darkest(statistics)
+    if dark is None or exponent.ci90[0] <= 0:
+        return False
+    rest = row_offsets(dark)
+    rest = rest - rest.mean(0)
+    height, power = rest.shape[1], np.mean(rest**2)
+    lags = range(2, min(7, height // 2))
+    seen = np.mean([np.mean(rest[:, k:] * rest[:, :-k]) / power for k in lags])
+    model = power_law_correlation(2 * height, exponent.value)
+    # Taking out frame means lowers all correlations alike.
+    level = (2 * np.sum((height - np.arange(height)) * model[:height]) / height - 1) / height
+    expected = np.mean([(model[k] - level) / (1 - level) for k in lags])
+    return bool(seen > 0.5 * expected)
