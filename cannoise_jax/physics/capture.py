@@ -129,7 +129,7 @@ MISREGISTRATION = Mechanism(
         Parameter("shift_px", "px", 0.2, 0.0, 16.0, "log", "length of the shift"),
         Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "identity", "direction, from the rows"),
     ),
-    equation=r"\mu(\mathbf r) \to \mu(\mathbf r + \boldsymbol\delta)",
+    equation=r"\mu(\mathrm{r}) \to \mu(\mathrm{r} + \delta)",
     sentence="Reference and frame do not lie on top of each other, so edges show up in the residual.",
     reference="Abdelhamed et al., A High-Quality Denoising Dataset for Smartphone Cameras, CVPR 2018, "
     "section 4",
@@ -165,7 +165,7 @@ SCENE_MOTION = Mechanism(
         ),
         Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "identity", "direction, from the rows"),
     ),
-    equation=r"\mu_t(\mathbf r) = \mu(\mathbf r + t\,\boldsymbol\delta)",
+    equation=r"\mu_t(\mathrm{r}) = \mu(\mathrm{r} + t\,\delta)",
     sentence="Something moves while the frames are taken: edges drift through the burst.",
     reference="Abdelhamed et al., A High-Quality Denoising Dataset for Smartphone Cameras, CVPR 2018, "
     "section 4",

@@ -123,7 +123,7 @@ MISSING_CODES = Mechanism(
     parameters=(
         Parameter("period", "code steps", 8.0, 2.0, 4096.0, "log", "one code in so many never occurs"),
     ),
-    equation=r"k \to k + [\,k \bmod p = 0\,]",
+    equation=r"k \to k + [\,k \ \mathrm{mod}\ p = 0\,]",
     sentence="The camera multiplied the codes after conversion, so the histogram has a comb of empty bins.",
     reference="IEEE 1241-2010, section 4 (missing codes of a converter)",
     needs=("pair",),

@@ -34,7 +34,7 @@ IN_CAMERA_DENOISING = Mechanism(
     acts_on="code",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 0.15, 0.0, 1.0, "logit", "weight of the four neighbours' mean"),),
-    equation=r"y \to (1-w)\,y + \tfrac{w}{4}\sum_{nn,\ same\ colour} y",
+    equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn,\ same\ colour}} y",
     sentence="The camera smoothed its raw data: noise is lower than physics allows, and pixels of one colour "
     "resemble their neighbours.",
     reference="Clark, Digital camera raw spatial filtering tests, clarkvision.com (spectra of dark frames)",
@@ -65,7 +65,7 @@ DEFECT_CORRECTION = Mechanism(
     acts_on="code",
     point=Point("digital", "code", "pixel", "frozen", distribution="sparse"),
     parameters=(Parameter("fraction", "1", 0.01, 1e-7, 1.0, "logit", "share of the pixels"),),
-    equation=r"y_{ij} \to \tfrac14\sum_{nn,\ same\ colour} y \ \mathrm{at\ listed\ pixels}",
+    equation=r"y_{ij} \to \frac{1}{4}\sum_{\mathrm{nn,\ same\ colour}} y \ \mathrm{at\ listed\ pixels}",
     sentence="Bad pixels and focus pixels are painted over with their neighbours' mean: too smooth to be "
     "true.",
     reference="Adobe Digital Negative specification 1.7, opcode FixBadPixelsList",
@@ -85,7 +85,7 @@ HOT_PIXEL_SUPPRESSION = Mechanism(
     acts_on="code",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "logit", "weight of the clamped value"),),
-    equation=r"y \to (1-w)\,y + w\,\min(y, \max_{8,\ same\ colour} y)",
+    equation=r"y \to (1-w)\,y + w\,\min(y, \mathrm{max}_{\mathrm{8\ of\ same\ colour}}\,y)",
     sentence="A pixel above all its neighbours is taken for a hot one and clamped to them: stars disappear, "
     "and equal neighbours abound.",
     reference="Shelley, Nikon coolpix and DSLR star eater tests, markshelley.co.uk",
@@ -125,7 +125,8 @@ DEMOSAICING = Mechanism(
     acts_on="code",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "logit", "weight of the interpolated value"),),
-    equation=r"y \to (1-w)\,y + \tfrac{w}{4}\sum_{nn} y \ \mathrm{on\ every\ second\ pixel\ of\ a\ colour}",
+    equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn}} y \ \mathrm{on\ every\ second\ pixel\ of\ a\ "
+    r"colour}",
     sentence="Half of the samples were never measured but interpolated: their noise is halved and copied "
     "from "
     "their neighbours, in a regular lattice.",

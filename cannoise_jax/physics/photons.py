@@ -83,8 +83,7 @@ def _shading_maps(key, values, context: Context):
 
 
 def _shading_score(z, values, maps, context):
-    template = maps["field"] - jnp.mean(maps["field"])
-    return scores.mean_score(z, -template)
+    return scores.mean_score(z, maps["field"] * context.mean_dn / jnp.sqrt(context.own_variance()))
 
 
 LENS_SHADING = dataclasses.replace(

@@ -151,7 +151,7 @@ COSMIC_RAYS = Mechanism(
         Parameter("rate", "1/(Mpx s)", 5000.0, 0.0, 1e9, "log", "events per megapixel and second"),
         Parameter("charge_e", "e-", 500.0, 1.0, 1e6, "log", "mean charge of an event"),
     ),
-    equation=r"e \to e + \sum_k q_k\,h(\mathbf r - \mathbf r_k)",
+    equation=r"e \to e + \sum_k q_k\,h(\mathrm{r} - \mathrm{r}_k)",
     sentence="A charged particle crosses the sensor: a bright short track in one frame that never returns.",
     reference="Groom, Cosmic rays and other nonsense in astronomical CCD imagers, Exp. Astron. 14, 45 (2002)",
     needs=("burst", "dark"),

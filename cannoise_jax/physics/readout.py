@@ -38,7 +38,7 @@ AMPLIFIER_MISMATCH = dataclasses.replace(
         id="amplifier_mismatch",
         strength="step_dn",
         parameters=(Parameter("step_dn", "DN", 1.0, -1e4, 1e4, "identity", "right minus left half"),),
-        equation=r"y_{ij} \to y_{ij} + \Delta\,(k_{ij} - \tfrac12)",
+        equation=r"y_{ij} \to y_{ij} + \Delta\,(k_{ij} - \frac{1}{2})",
         sentence="Two amplifiers read one half each, and their black levels differ: a step down the middle.",
         reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 6 (multiple "
         "amplifiers)",
@@ -104,13 +104,13 @@ MECHANISMS: tuple[Mechanism, ...] = (
         "Every row is read at its own instant, and what the supply does at that instant shifts the whole "
         "row.",
         _ELD, ("dark", "pair"), ("row_pink_noise", "row_fpn", "flicker", "banding", "pink_noise"),
-        r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal N(0,\sigma^2)",
+        r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
     ),
     _offsets(
         "column_noise", "column", "redrawn",
         "Every column has its own amplifier or converter, whose offset jitters from frame to frame.",
         _ELD, ("dark", "pair"), ("column_fpn", "column_gain", "smear"),
-        r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal N(0,\sigma^2)",
+        r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
     ),
     _offsets(
         "row_fpn", "row", "frozen",
@@ -154,7 +154,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         "The black level is set anew for every frame and never quite the same.",
         "Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 (dark shading)",
         ("dark", "burst"), ("illumination_drift", "temperature_drift"),
-        r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal N(0,\sigma^2)", default=0.2,
+        r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal{N}(0,\sigma^2)", default=0.2,
     ),
     _offsets(
         "channel_offset", "channel", "frozen",

@@ -169,7 +169,7 @@ class SensorModel:
         return dataclasses.replace(self, mechanisms=drawn)
 
     def sample(
-        self, key: Key[Array, ""], clean: Float[Array, "h w"], settings: Settings = DEFAULT
+        self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
     ) -> UInt16[Array, "t h w"]:
         """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
         setting beyond the calibrated range draws one `ExtrapolationWarning`."""

@@ -34,7 +34,7 @@ CROSSTALK = Mechanism(
     acts_on="charge",
     point=Point("pixel", "charge", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("fraction", "1", 0.02, 0.0, 0.8, "logit", "share of the charge given away"),),
-    equation=r"e_{ij} \to (1-\alpha)\,e_{ij} + \tfrac{\alpha}{4}\sum_{nn} e",
+    equation=r"e_{ij} \to (1-\alpha)\,e_{ij} + \frac{\alpha}{4}\sum_{\mathrm{nn}} e",
     sentence="Part of each pixel's signal shows up in its neighbours, colours mix, and the noise of "
     "neighbours "
     "is alike.",

@@ -1,0 +1,225 @@
+"""bin/simulate: raw recordings of a camera model, or the catalogue of mechanisms as one page.
+
+bin/simulate --sensor sensor.json --clean IMAGE|DIR|flat:0.2|dark --frames 8 --iso 800 --exposure 0.02
+--out DIR bin/simulate --catalogue --out catalogue.html
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.physics.poisson_gaussian import nlf_from_electrons
+from cannoise_jax.physics.scenes import mosaic
+from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.sensor_json import read_sensor
+from cannoise_jax.physics.settings import baseline_at
+from cannoise_jax.recordings.native import read_recording, write_recording
+from cannoise_jax.recordings.recording import BadInput, Kind, Recording, per_channel
+
+_PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+_SUFFIXES = (*_PICTURES, ".npy", ".h5")
+
+
+class Clean(NamedTuple):
+    """A noise-free mosaic, normalised, and the name under which its recording is stored."""
+
+    name: str
+    kind: Kind
+    values: Float[np.ndarray, "h w"]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Writes native recordings or the catalogue; returns 0, or 2 after one line on stderr."""
+    arguments = _parser().parse_args(argv)
+    logging.basicConfig(format="bin/simulate: %(message)s", level=logging.WARNING)
+    try:
+        if arguments.catalogue:
+            from cannoise_jax.physics.catalogue import write_catalogue
+
+            write_catalogue(arguments.out)
+            print(f"{arguments.out}: the catalogue of mechanisms")
+            return 0
+        for path, recording in _recordings(arguments):
+            size = "{} x {}".format(*recording.size)
+            print(f"{path}: {recording.count} frames of {size}, {recording.cfa}, {recording.camera}")
+    except BadInput as error:
+        print(f"bin/simulate: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="bin/simulate", description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--sensor", metavar="FILE", help="a sensor.json, or preset:NAME")
+    add("--clean", metavar="SCENE", help="a picture, .npy or .h5 file, a folder of them, flat:LEVEL, or dark")
+    add(
+        "--out",
+        metavar="PATH",
+        type=Path,
+        required=True,
+        help="folder for the recordings, or the page's file",
+    )
+    add("--frames", type=int, default=1, help="frames per recording (default 1)")
+    add("--iso", type=float, help="default: the first calibrated ISO")
+    add("--exposure", type=float, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
+    add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
+    add("--size", type=_size, default=(512, 512), metavar="HxW", help="of flats and darks (default 512x512)")
+    add("--seed", type=int, default=0, help="of the noise (default 0)")
+    add("--unit", type=int, help="another unit of the camera, by number: other frozen patterns")
+    add("--catalogue", action="store_true", help="write the page that explains every mechanism")
+    return parser
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        height, width = (int(v) for v in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size: write HEIGHTxWIDTH, as 512x512") from None
+    if not (2 <= height <= 2**15 and 2 <= width <= 2**15):
+        raise argparse.ArgumentTypeError(f"{text}: sides must be 2 to 32768 pixels")
+    return height, width
+
+
+def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording]]:
+    """Draws and writes one recording per clean mosaic."""
+    if not arguments.sensor or not arguments.clean:
+        raise BadInput("give --sensor and --clean, or --catalogue")
+    if arguments.frames < 1:
+        raise BadInput(f"--frames {arguments.frames}: at least 1 is needed")
+    if not arguments.exposure >= 0:
+        raise BadInput(f"--exposure {arguments.exposure}: a time in seconds, 0 or more")
+    model = _sensor(arguments.sensor)
+    if arguments.unit is not None:
+        model = model.with_unit(jax.random.key(arguments.unit))
+    iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
+    if not iso > 0:
+        raise BadInput(f"--iso {iso:g}: must be above 0")
+    settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
+    scenes = _scenes(arguments.clean, model.cfa, arguments.size)
+    try:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{arguments.out}: no folder can be made here ({error.strerror})") from error
+    key = jax.random.key(arguments.seed)
+    for number, clean in enumerate(scenes):
+        path = arguments.out / f"{clean.name}.h5"
+        recording = record(model, jax.random.fold_in(key, number), clean, settings)
+        write_recording(path, recording)
+        yield path, recording
+
+
+def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings) -> Recording:
+    """A recording of one clean mosaic: frames, and in `clean`, `shot` and `read` what the baseline
+    expects."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frames = np.asarray(model.sample(key, clean.values, settings))
+    for warning in caught:
+        logging.warning("%s", warning.message)
+    gain, read_noise = (np.asarray(v) for v in baseline_at(model, settings.iso))
+    shot, read = nlf_from_electrons(gain, read_noise, jnp.asarray(model.white_level) - model.black_level)
+    return Recording(
+        frames=frames,
+        cfa=model.cfa,
+        black_level=per_channel(np.asarray(model.black_level)),
+        white_level=float(np.asarray(model.white_level)),
+        camera=model.camera,
+        kind=clean.kind,
+        clean=clean.values,
+        iso=settings.iso,
+        exposure_s=settings.exposure_s,
+        temperature_c=settings.temperature_c,
+        shot=per_channel(np.asarray(shot)),
+        read=per_channel(np.asarray(read)),
+        code_step=float(np.asarray(model.code_step)),
+        reference="independent" if clean.kind == "scene" else None,
+    )
+
+
+def _sensor(name: str) -> SensorModel:
+    if name.startswith("preset:"):
+        return SensorModel.preset(name.removeprefix("preset:"))
+    return read_sensor(name)
+
+
+def _scenes(text: str, cfa: str, size: tuple[int, int]) -> list[Clean]:
+    """The clean mosaics that `--clean` names, all read and checked before anything is written."""
+    if text == "dark":
+        return [Clean("dark", "dark", np.zeros(size, np.float32))]
+    if text.startswith("flat:"):
+        try:
+            level = float(text.removeprefix("flat:"))
+        except ValueError:
+            level = float("nan")
+        if not 0 <= level <= 1:
+            raise BadInput(f"--clean {text}: write flat:LEVEL with a level from 0 to 1, as flat:0.2")
+        return [Clean(f"flat_{level:g}", "flat", np.full(size, level, np.float32))]
+    path = Path(text)
+    if path.is_dir():
+        files = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES)
+        if not files:
+            raise BadInput(f"{path}: holds no clean pictures: put {', '.join(_SUFFIXES)} files there")
+        named = [_scene(p, cfa) for p in files]
+        if len({c.name for c in named}) < len(named):
+            raise BadInput(f"{path}: two pictures share a name: their recordings would overwrite each other")
+        return named
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file: name a picture, a folder, flat:LEVEL or dark")
+    return [_scene(path, cfa)]
+
+
+def _scene(path: Path, cfa: str) -> Clean:
+    """One clean mosaic of a file: linear values 0 to 1 as [H, W] or RGB [H, W, 3] in .npy; the `clean` of a
+    native recording; a picture of 8 bits, taken for sRGB, or of 16 bits, taken for linear."""
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise BadInput(f"{path}: not a clean picture: use {', '.join(_SUFFIXES)}")
+    if suffix == ".h5":
+        recording = read_recording(path)
+        if recording.clean is None:
+            raise BadInput(f"{path}: holds no clean image: use a recording with one")
+        if recording.cfa != cfa:
+            raise BadInput(f"{path}: is {recording.cfa} and the sensor {cfa}: use a scene of the same mosaic")
+        values = np.asarray(recording.clean[0] if recording.clean.ndim == 3 else recording.clean)
+    else:
+        values = _array(path, suffix)
+    if values.ndim == 3 and values.shape[2] in (3, 4):
+        values = mosaic(values[..., :3], cfa)
+    if values.ndim != 2 or min(values.shape) < 2:
+        raise BadInput(f"{path}: has shape {values.shape}: use [H, W], or [H, W, 3] in colour")
+    if not np.isfinite(values).all() or values.min() < -0.05 or values.max() > 1.5:
+        raise BadInput(f"{path}: values must be finite and from 0 (black) to 1 (white)")
+    return Clean(path.stem, "scene", np.ascontiguousarray(values, np.float32))
+
+
+def _array(path: Path, suffix: str) -> np.ndarray:
+    try:
+        if suffix == ".npy":
+            return np.asarray(np.load(path, allow_pickle=False), np.float32)
+        from skimage.io import imread
+
+        picture = imread(path)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise BadInput(f"{path}: cannot be read as a picture: {str(error).splitlines()[0]}") from error
+    if picture.dtype == np.uint8:
+        encoded = picture.astype(np.float32) / 255
+        return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    if picture.dtype == np.uint16:
+        return picture.astype(np.float32) / 65535
+    return np.asarray(picture, np.float32)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

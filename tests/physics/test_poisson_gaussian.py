@@ -1,0 +1,130 @@
+"""The sampler's counts are Poisson: exact quantiles, moments and tails, and independent draws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from cannoise_jax.physics import tukey_lambda
+from cannoise_jax.physics.poisson_gaussian import (
+    centred_uniform,
+    electrons_from_nlf,
+    nlf_from_electrons,
+    nlf_sigma,
+    poisson_quantile,
+    sample_nlf,
+    sample_normal,
+    sample_poisson,
+    sample_poisson_gaussian,
+    uniform_open,
+)
+
+MEANS = (0.01, 0.3, 1.0, 4.0, 11.9, 12.1, 20.0, 75.0, 1e3, 1e4, 1e5)
+GRID = 2**20
+# Every probability that a 20-bit uniform number can have: the distribution itself, not a sample of it.
+CENTRED = (np.arange(GRID) + 0.5) / GRID * 2 - 1
+quantiles = jax.jit(poisson_quantile)
+
+
+def counts_at(mean: float) -> np.ndarray:
+    return np.asarray(quantiles(jnp.asarray(CENTRED, jnp.float32), jnp.float32(mean)), np.float64)
+
+
+@pytest.mark.parametrize("mean", MEANS)
+def test_quantiles_are_exact_but_for_rare_steps(mean):
+    ours, exact = counts_at(mean), stats.poisson.ppf((CENTRED + 1) / 2, mean)
+    assert np.abs(ours - exact).max() <= 1
+    # float32 rounds a quantile across a whole number the more often the larger it is.
+    assert np.mean(ours != exact) < max(5e-4, 6e-8 * mean)
+
+
+@pytest.mark.parametrize("mean", MEANS)
+def test_moments_and_tails(mean):
+    counts = counts_at(mean)
+    centred = counts - counts.mean()
+    variance = np.mean(centred**2)
+    assert counts.mean() == pytest.approx(mean, rel=1e-4, abs=1e-5)
+    assert variance == pytest.approx(mean, rel=1e-3)
+    if mean >= 0.3:  # below, a grid of 2^20 probabilities cuts off what matters for the third moment
+        assert np.mean(centred**3) / variance**1.5 == pytest.approx(mean**-0.5, rel=0.01, abs=2e-5)
+    for chance in (1e-2, 1e-3, 1e-4):
+        high, low = stats.poisson.isf(chance, mean), stats.poisson.ppf(chance, mean)
+        assert np.mean(counts > high) == pytest.approx(stats.poisson.sf(high, mean), rel=0.05, abs=2 / GRID)
+        assert np.mean(counts <= low) == pytest.approx(stats.poisson.cdf(low, mean), rel=0.12, abs=2 / GRID)
+
+
+@pytest.mark.parametrize("mean", [0.05, 2.0, 11.0, 13.0, 300.0])
+def test_draws_pass_a_chi_square_test(mean):
+    counts = np.asarray(sample_poisson(jax.random.key(4), jnp.full(200_000, mean, jnp.float32)))
+    low, high = int(stats.poisson.ppf(1e-4, mean)), int(stats.poisson.isf(1e-4, mean))
+    edges = np.arange(low, high + 1)
+    seen = np.array([(counts <= low).sum(), *[(counts == k).sum() for k in edges[1:]], (counts > high).sum()])
+    expected = np.diff(np.concatenate([[0], stats.poisson.cdf(edges, mean), [1]])) * counts.size
+    keep = expected > 5
+    statistic = np.sum((seen[keep] - expected[keep]) ** 2 / expected[keep])
+    assert stats.chi2.sf(statistic, keep.sum() - 1) > 1e-4
+
+
+def test_zero_and_negative_means_give_no_counts():
+    assert np.all(np.asarray(sample_poisson(jax.random.key(0), jnp.array([0.0, -3.0] * 500))) == 0)
+
+
+def test_uniforms_are_open_and_symmetric():
+    v = np.asarray(centred_uniform(jax.random.key(1), (400_000,)))
+    assert np.abs(v).max() < 1 and abs(v.mean()) < 5 / np.sqrt(3 * v.size)
+    u = np.asarray(uniform_open(jax.random.key(1), (400_000,)))
+    assert u.min() > 0 and u.max() < 1
+    assert stats.kstest(u, "uniform").pvalue > 1e-4
+    assert stats.kstest(np.asarray(sample_normal(jax.random.key(2), (100_000,))), "norm").pvalue > 1e-4
+    extremes = jnp.array([-(1 - 2.0**-23), 1 - 2.0**-24], jnp.float32)
+    assert np.all(np.isfinite(np.asarray(poisson_quantile(extremes, jnp.float32(50.0)))))
+
+
+def test_shot_and_read_noise_add_up_and_are_independent():
+    mean = jnp.broadcast_to(jnp.array([[3.0], [40.0], [900.0]]), (3, 100_000))
+    gain, read = jnp.array([[0.5], [1.0], [2.0]]), jnp.array([[4.0], [2.0], [1.0]])
+    y = np.asarray(sample_poisson_gaussian(jax.random.key(8), mean, gain, read), np.float64)
+    for row, k, s, mu in zip(y, (0.5, 1.0, 2.0), (4.0, 2.0, 1.0), (3.0, 40.0, 900.0), strict=True):
+        variance = k**2 * (mu + s**2)
+        assert row.mean() == pytest.approx(k * mu, abs=5 * np.sqrt(variance / row.size))
+        assert row.var() == pytest.approx(variance, rel=0.03)
+        third = np.mean((row - row.mean()) ** 3)
+        assert third == pytest.approx(k**3 * mu, abs=5 * np.sqrt(15 * variance**3 / row.size))
+
+
+def test_noise_level_function_and_electrons_are_inverse():
+    shot, read = np.array([1e-4, 3e-3]), np.array([1e-6, 2e-4])
+    gain, noise = electrons_from_nlf(shot, read, 959.0)
+    np.testing.assert_allclose(gain, shot * 959, rtol=1e-6)
+    back = nlf_from_electrons(gain, noise, 959.0)
+    np.testing.assert_allclose(back[0], shot, rtol=1e-6)
+    np.testing.assert_allclose(back[1], read, rtol=1e-5)
+
+
+def test_normalised_noise_has_the_stated_variance():
+    clean = jnp.full((4, 50_000), jnp.array([[0.0], [0.01], [0.2], [0.9]]))
+    noise = np.asarray(sample_nlf(jax.random.key(3), clean, jnp.float32(2e-3), jnp.float32(1e-4)))
+    sigma = np.asarray(nlf_sigma(clean[:, 0], jnp.float32(2e-3), jnp.float32(1e-4)))
+    np.testing.assert_allclose(noise.std(axis=1), sigma, rtol=0.03)
+    assert np.all(np.abs(noise.mean(axis=1)) < 5 * sigma / np.sqrt(50_000))
+
+
+@pytest.mark.parametrize("shape", [-0.2, -0.05, 0.0, 0.02, 0.1, 0.2])
+def test_tukey_lambda_is_scipys(shape):
+    law = stats.tukeylambda(shape)
+    p = np.linspace(0.001, 0.999, 201)
+    ours = np.asarray(tukey_lambda.quantile(jnp.asarray(2 * p - 1, jnp.float32), shape))
+    np.testing.assert_allclose(ours, law.ppf(p), rtol=2e-4, atol=2e-5)
+    variance, excess = (float(v) for v in law.stats(moments="vk"))
+    assert float(tukey_lambda.variance(shape)) == pytest.approx(variance, rel=1e-4)
+    assert float(tukey_lambda.excess_kurtosis(shape)) == pytest.approx(excess, rel=0.01, abs=3e-3)
+    assert tukey_lambda.shape_of_kurtosis(excess) == pytest.approx(shape, abs=2e-3)
+
+
+def test_tukey_lambda_limits():
+    assert np.isinf(float(tukey_lambda.excess_kurtosis(-0.3)))
+    assert np.isinf(float(tukey_lambda.variance(-0.6)))
+    with pytest.raises(ValueError, match="below what read noise can have"):
+        tukey_lambda.shape_of_kurtosis(-1.5)
+    assert np.isfinite(float(jax.grad(lambda s: tukey_lambda.standard_quantile(0.9, s))(0.03)))
