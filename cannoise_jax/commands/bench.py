@@ -1,13 +1,16 @@
-"""bin/bench simulate|likelihood: how fast the sensor model samples, how exact the likelihood is.
+"""bin/bench simulate|coverage|likelihood|train: speeds, and how exact what the physics says is.
 
 simulate     megapixels per second of SensorModel.sample beside getframes on the effects that both have.
-likelihood   errors of its integrals against brute force, and coverage of its 90 % intervals.
+coverage     how often the 90 % intervals of every mechanism's estimator hold the truth.
+likelihood   errors of the likelihood's integrals against brute force, and coverage of its 90 % intervals.
+train        patches per second of the training step on random patches.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import runpy
 import sys
 import time
 from collections.abc import Callable
@@ -17,6 +20,7 @@ import jax
 import numpy as np
 
 from cannoise_jax.physics import likelihood_accuracy as accuracy
+from cannoise_jax.physics.estimators.coverage import CASES, coverage, format_rows
 from cannoise_jax.physics.likelihood import CodeGrid
 from cannoise_jax.physics.likelihood_shot import Shot, shot_error
 from cannoise_jax.physics.sensor import SensorModel, Settings
@@ -52,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
-    commands = parser.add_subparsers(required=True, metavar="simulate|likelihood")
+    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|likelihood|train")
     simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
     simulate.add_argument(
         "--sizes", type=int, nargs="+", default=[256, 1024, 2048], help="frame sides, pixels"
@@ -63,6 +67,17 @@ def _parser() -> argparse.ArgumentParser:
         "--repeats", type=int, default=5, help="timed calls each, taken in turn; best counts"
     )
     simulate.set_defaults(run=_run_simulate)
+    covered = commands.add_parser("coverage", help="coverage of the 90 % intervals of every estimator")
+    covered.add_argument("--simulations", type=int, default=300, help="of each case (default 300)")
+    covered.add_argument("--mechanisms", nargs="+", metavar="ID", help="only these (default: all)")
+    covered.add_argument("--seed", type=int, default=0)
+    covered.set_defaults(run=_run_coverage)
+    train = commands.add_parser("train", help="speed of the training step")
+    train.add_argument("--width", type=float, default=1 / 16, help="of every channel count (default 1/16)")
+    train.add_argument("--batch", type=int, default=16)
+    train.add_argument("--patch", type=int, default=32, help="side of the packed patches (default 32)")
+    train.add_argument("--steps", type=int, default=10, help="timed, after two that are not (default 10)")
+    train.set_defaults(run=_run_train)
     exact = commands.add_parser("likelihood", help="errors and interval coverage of the likelihood")
     exact.add_argument("--simulations", type=int, default=300, help="for the coverage (default 300)")
     exact.add_argument("--seed", type=int, default=0)
@@ -75,8 +90,7 @@ def _run_simulate(arguments: argparse.Namespace) -> None:
         raise BadInput("simulate: sizes from 2, frames and repeats from 1")
     if not all(0 <= e * GAIN < WHITE - BLACK for e in arguments.electrons):
         raise BadInput(f"simulate: --electrons from 0 to {(WHITE - BLACK) / GAIN:g}, the white level")
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    print(f"{jax.default_backend()}, {os.cpu_count()} cores, load {load:.1f}; best of {arguments.repeats}")
+    print(f"{jax.default_backend()}, {os.cpu_count()} cores, load {load():.1f}; best of {arguments.repeats}")
     print(f"calls of {arguments.frames} frames, taken in turn; one warm-up call each is not counted; Mpx/s.")
     print(f"{'effects':<34}{'side':>6}{'e-':>7}{'ours':>9}{'getframes':>11}{'its float32':>13}{'ratio':>8}")
     for effects in ("shot, read, rounding, clipping", "+ PRNU, dark current, hot pixels"):
@@ -166,6 +180,63 @@ def _peer_calls(side: int, electrons: float, frames: int, more: bool) -> list[Ca
             quick.expose(rate, EXPOSURE_S, include_truth=False, workspace=scratch, out=out)
 
     return [by_manual, reusing]
+
+
+def _run_coverage(arguments: argparse.Namespace) -> None:
+    known = {case.mechanism for case in CASES}
+    wanted = set(arguments.mechanisms or known)
+    if wanted - known:
+        raise BadInput(
+            f"coverage: no case for {', '.join(sorted(wanted - known))}; known: {', '.join(sorted(known))}"
+        )
+    if arguments.simulations < 1:
+        raise BadInput("coverage: --simulations from 1")
+    rows = []
+    for case in (c for c in CASES if c.mechanism in wanted):
+        rows += coverage(case, arguments.simulations, arguments.seed)
+        print(f"{case.mechanism} {case.note}", file=sys.stderr, flush=True)
+    print(format_rows(rows))
+
+
+def _run_train(arguments: argparse.Namespace) -> None:
+    if min(arguments.batch, arguments.steps) < 1 or arguments.patch < 16 or arguments.patch % 16:
+        raise BadInput("train: --batch and --steps from 1, --patch a multiple of 16")
+    rate = train_speed(arguments.width, arguments.batch, arguments.patch, arguments.steps)
+    side = arguments.patch
+    print(
+        f"{rate:.1f} patches of {side} x {side} x 4 per second: width {arguments.width:g}, "
+        f"batch {arguments.batch}, {jax.default_backend()}, {os.cpu_count()} cores, load {load():.1f}"
+    )
+
+
+def train_speed(width: float, batch: int, patch: int, steps: int) -> float:
+    """Patches per second of the training step of configs/default.py; two steps before are not timed."""
+    from cannoise_jax.commands import train
+    from cannoise_jax.training.state import init_state
+    from cannoise_jax.training.step import make_train_step
+
+    config = runpy.run_path(train._default_config())["get_config"]()
+    config.update({"width": width, "batch_size": batch, "patch": patch})
+    rng = np.random.default_rng(0)
+    names = ("clean", "noisy", "anchor", "positive", "negative")
+    shape = (batch, patch, patch, 4)
+    data: dict[str, np.ndarray] = {name: rng.uniform(0, 1, shape).astype(np.float32) for name in names}
+    data |= {name: np.full((batch, 4), 1e-3, np.float32) for name in ("shot", "read")}
+    data["camera"] = np.arange(batch, dtype=np.int32) % 2
+    state, step = init_state(config, 2), make_train_step(config, cameras=2)
+    for _ in range(2):
+        state, _ = step(state, data)
+    jax.block_until_ready(state)
+    start = time.perf_counter()
+    for _ in range(steps):
+        state, _ = step(state, data)
+    jax.block_until_ready(state)
+    return steps * batch / (time.perf_counter() - start)
+
+
+def load() -> float:
+    """Processes that wanted a core in the last minute; nan where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
 
 
 def _run_likelihood(arguments: argparse.Namespace) -> None:

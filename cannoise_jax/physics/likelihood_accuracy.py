@@ -135,18 +135,18 @@ def _joint(theta, codes, signal):
 def coverage(
     simulations: int,
     seed: int = 0,
-    size: tuple[int, int] = (96, 64),
+    size: tuple[int, int] = (64, 48),
     truth: tuple[float, float, float, float] = (64.0, 1.5, 8.0, 3.0),
 ) -> tuple[Coverage, ...]:
     """Coverage of the 90 % intervals of black level (DN), gain (DN/e-), read noise and row noise (DN).
 
-    Each simulation draws frames of `size` with Poisson shot noise at 30 to 400 e- by NumPy and maximises the
+    Each simulation draws frames of `size` with Poisson shot noise at 30 to 120 e- by NumPy and maximises the
     joint likelihood with the row offsets integrated out.
     """
     names = ("black_level", "gain", "read_noise", "row_noise")
     black, gain, read, row = truth
     rng = np.random.default_rng(seed)
-    electrons = np.linspace(30, 400, size[1]) * np.ones(size)
+    electrons = np.linspace(30, 120, size[1]) * np.ones(size)
     signal = (electrons * gain).astype(np.float32)
     known = np.array([black, np.log(gain), np.log(read), np.log(row)])
     inside, found = np.zeros(4), []
@@ -154,7 +154,7 @@ def coverage(
         analogue = black + gain * rng.poisson(electrons) + read * rng.normal(size=size)
         codes = np.clip(np.round(analogue + row * rng.normal(size=(size[0], 1))), 0, 4095).astype(np.float32)
         value = partial(_objective, codes=codes, signal=signal)
-        best = maximise(value, known + 0.1, codes.size)
+        best = maximise(value, known + 0.05, codes.size)
         found.append(best.values)
         bounds = [best.interval(k) for k in range(4)]
         inside += [low <= v <= high for (low, high), v in zip(bounds, known, strict=True)]
