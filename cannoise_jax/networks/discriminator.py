@@ -33,7 +33,7 @@ class Discriminator(nn.Module):
     the last layer: no biases, affine instance norms after d2 and d3; that last norm adds 2); stride 1 and
     padding 1 on the last layer, so 64x64 gives 7x7 scores (the printed h/16 would need stride 2).
     spectral, norm ("none", "channel", "instance"): of d2, d3 and, spectral only, the last layer.
-    hidden: channels of the pointwise branch; 0: none. rows, moments: show the noise's row means; its size and square.
+    hidden: channels of the pointwise branch; 0: none. rows: show row means. moments: show size and square.
 
     `noise`: normalised units. `latent`: of the camera, or None; to be given always or never.
     Returns (scores, features): the score map, and d3 (the table's D_f) at an eighth of the size.

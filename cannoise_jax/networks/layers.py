@@ -94,7 +94,8 @@ class Conv(nn.Module):
     """A convolution, or a transposed one (4x4, stride 2, padding 1), optionally spectrally normalised.
 
     spectral: divides by the kernel's largest singular value; the vectors live in the collection `spectral`
-    and move only when that is mutable and `train` is true. twice: a gradient of this layer will be
+    and move only when that is mutable and `train` is true; without that collection the kernel is taken as
+    normalised already (see `fold_spectral_norm`). twice: a gradient of this layer will be
     differentiated again.
     """
 
@@ -116,7 +117,7 @@ class Conv(nn.Module):
             y = conv_transpose2d(x, kernel)
         else:
             y = conv2d(x, kernel, self.stride, self.padding, twice=self.twice)
-        if self.spectral:
+        if self.spectral and (self.is_initializing() or self.has_variable("spectral", "u")):
             # Scaling the output is the same as scaling the kernel, and far less to write.
             y = y / self._sigma(kernel, train)
         if self.use_bias:
@@ -168,3 +169,23 @@ class Block(nn.Module):
 def scaled(width: float, channels: int) -> int:
     """The paper's channel count at this width, at least 4."""
     return max(4, round(width * channels))
+
+
+def fold_spectral_norm(variables: dict[str, Any]) -> dict[str, Any]:
+    """The same network with every kernel divided by its singular value, and no `spectral` collection.
+
+    Applied by the same module, it gives what the unfolded variables give with `train=False`.
+    """
+
+    def fold(params, spectral):
+        folded = dict(params)
+        for name, state in spectral.items():
+            if name in ("u", "v"):
+                continue
+            folded[name] = fold(params[name], state)
+        if "u" in spectral:
+            kernel = params["kernel"]
+            folded["kernel"] = kernel / spectral_norm(kernel, spectral["u"], spectral["v"], iterate=False)[0]
+        return folded
+
+    return {"params": fold(variables["params"], variables.get("spectral", {}))}

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from cannoise_jax.physics.single_image import high_pass, local_mean
+
 # Signal levels at which the noise level is read off, normalised units; log(m + TOE) is about uniform over
 # them.
 LEVELS = np.array([0.0, 0.02, 0.06, 0.15, 0.4], np.float32)
@@ -20,21 +22,6 @@ TOE = 0.01
 FLOOR = 1e-5
 """Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""
 TAILS = (2.5, 3.5, 5.0)
-
-
-def high_pass(x: Float[Array, "b h w c"]) -> Float[Array, "b h-2 w-2 c"]:
-    """Second difference along both axes within each channel, scaled to keep the variance of white noise.
-
-    Zero for any bilinear scene, and uncorrelated with the 3x3 mean of white noise.
-    """
-    x = x[:, :-2] - 2 * x[:, 1:-1] + x[:, 2:]
-    return (x[:, :, :-2] - 2 * x[:, :, 1:-1] + x[:, :, 2:]) / 6
-
-
-def local_mean(x: Float[Array, "b h w c"]) -> Float[Array, "b h-2 w-2 c"]:
-    """Mean of the 3x3 neighbourhood within each channel."""
-    x = x[:, :-2] + x[:, 1:-1] + x[:, 2:]
-    return (x[:, :, :-2] + x[:, :, 1:-1] + x[:, :, 2:]) / 9
 
 
 def _level_weights(mean):

@@ -1,0 +1,242 @@
+"""Camera-aware noise for a clean image: `sample_noise`, and the model that it takes.
+
+A model is one pytree: the folded parameters of G and E and, for every camera it was trained on, reference
+patches and noise level functions are its leaves; everything static is its structure. So it passes through
+`jax.jit`, `jax.vmap` and `jax.grad` like any array.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from flax.traverse_util import flatten_dict, unflatten_dict
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.networks.encoder import unit_length
+from cannoise_jax.networks.layers import fold_spectral_norm
+from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
+from cannoise_jax.physics.single_image import estimate_nlf
+from cannoise_jax.recordings.recording import BadInput
+
+SMALLEST = 16
+"""Least height and width of clean and reference images, packed pixels."""
+MODEL_FILE = "model.npz"
+_FORMAT = "cannoise/model/1"
+_MULTIPLE, _MARGIN = 32, 32
+"""G works on multiples of 32; a reflected margin keeps the zero padding of its layers out of the image."""
+
+
+@struct.dataclass
+class Setting:
+    """One ISO setting of a camera of the training set. shot, read: `[4]`, packed order, normalised units."""
+
+    shot: Float[Array, "4"]
+    read: Float[Array, "4"]
+
+
+@struct.dataclass
+class Camera:
+    """A camera of the training set: noisy patches for the encoder and, by ISO, noise level functions."""
+
+    reference: Float[Array, "n h w 4"]
+    settings: dict[str, Setting]
+
+
+@struct.dataclass
+class Model:
+    """What `sample_noise` needs. generator, encoder: variables, spectral norms folded; encoder: {} for none.
+
+    generator_module, encoder_module, initial_noise: static; the last a name or a function as in
+    `physics.initial_noise`.
+    """
+
+    generator: dict[str, Any]
+    encoder: dict[str, Any]
+    cameras: dict[str, Camera]
+    generator_module: Generator = struct.field(pytree_node=False)
+    encoder_module: Encoder | None = struct.field(pytree_node=False)
+    initial_noise: str | InitialNoise = struct.field(pytree_node=False, default="poisson_gaussian")
+
+
+def make_model(
+    generator_module: Generator,
+    generator: dict[str, Any],
+    encoder_module: Encoder | None,
+    encoder: dict[str, Any],
+    cameras: dict[str, Camera] | None = None,
+    initial_noise: str | InitialNoise = "poisson_gaussian",
+) -> Model:
+    """A model from modules and their variables (`params` and `spectral`), as training leaves them."""
+    return Model(
+        fold_spectral_norm(generator),
+        fold_spectral_norm(encoder) if encoder_module else {},
+        cameras or {},
+        generator_module,
+        encoder_module,
+        initial_noise,
+    )
+
+
+def sample_noise(
+    params: Model,
+    key: Key[Array, ""],
+    clean: Float[Array, "*b h w 4"],
+    noisy_ref: Float[Array, "*n y x 4"],
+    nlf: tuple[Any, Any] | None = None,
+) -> Float[Array, "*b h w 4"]:
+    """Noise as the camera of `noisy_ref` would put on `clean`: float32, normalised units, not clipped.
+
+    clean, noisy_ref: packed R, Gr, Gb, B, normalised; h, w, y, x at least 16, h and w even. Several
+    references are of one camera and setting: their latents are averaged. nlf: (shot, read) of the setting
+    wanted, one value or four in packed order, or `[*b, 4]`; without it, that of `noisy_ref`, estimated from
+    its pixels. A noisy image is `clip(clean + noise, 0, 1)`. Pure; use `jax.vmap` for one reference per clean
+    image.
+
+    Raises ValueError for images of other shapes.
+    """
+    clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
+    _check(clean, "clean")
+    _check(noisy_ref, "noisy_ref")
+    height, width = clean.shape[-3:-1]
+    if height % 2 or width % 2:
+        raise ValueError(f"clean must have even height and width, got {height}x{width}")
+    shot, read = estimate_nlf(noisy_ref) if nlf is None else nlf
+    images = clean.reshape(-1, height, width, 4)
+    per_image = (*clean.shape[:-3], 4)
+    shot, read = (
+        jnp.broadcast_to(jnp.asarray(v, jnp.float32), per_image).reshape(-1, 4) for v in (shot, read)
+    )
+    latent = jnp.repeat(_latent(params, noisy_ref), images.shape[0], 0)
+    noise_key, row_key = jax.random.split(key)
+    padded = _pad(images)
+    n_init, sigma = initial_noise(params.initial_noise)(noise_key, padded, shot, read)
+    noise: Any = params.generator_module.apply(
+        params.generator, padded, n_init, latent, sigma, train=False, rngs={"noise": row_key}
+    )
+    return noise[:, _MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width].reshape(clean.shape)
+
+
+def _check(image, name):
+    if image.ndim < 3 or image.shape[-1] != 4:
+        raise ValueError(f"{name} must be packed, [..., h, w, 4], got shape {image.shape}")
+    if min(image.shape[-3:-1]) < SMALLEST:
+        raise ValueError(f"{name} must be at least {SMALLEST}x{SMALLEST}, got shape {image.shape}")
+
+
+def _latent(params, noisy_ref):
+    """The mean latent of all references, as long as each of them, `[1, L]`."""
+    if params.encoder_module is None:
+        return jnp.zeros((1, 1))
+    images = noisy_ref.reshape(-1, *noisy_ref.shape[-3:])
+    latent = jnp.mean(params.encoder_module.apply(params.encoder, images, train=False), 0, keepdims=True)
+    scale = None if params.encoder_module.literal else params.encoder_module.latent_scale
+    return latent if scale is None else scale * unit_length(latent)
+
+
+def _pad(images):
+    """The image reflected all around, up to multiples of 32."""
+    _, height, width, _ = images.shape
+    rest = ((-(size + 2 * _MARGIN)) % _MULTIPLE for size in (height, width))
+    sides = [(_MARGIN, _MARGIN + r) for r in rest]
+    return jnp.pad(images, ((0, 0), *sides, (0, 0)), mode="symmetric")
+
+
+def save_model(path: str | Path, model: Model) -> None:
+    """Writes a model as one file of plain arrays with a description in JSON, complete or not at all.
+
+    Raises ValueError for an initial noise that is a function: a file holds names only. Raises BadInput when
+    the file cannot be written.
+    """
+    if not isinstance(model.initial_noise, str):
+        raise ValueError("initial noise that is a function cannot be saved: build the model with make_model")
+    description = {
+        "format": _FORMAT,
+        "generator": _fields(model.generator_module),
+        "encoder": _fields(model.encoder_module) if model.encoder_module else None,
+        "initial_noise": model.initial_noise,
+        "cameras": {name: sorted(camera.settings, key=float) for name, camera in model.cameras.items()},
+    }
+    arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
+    for part in ("generator", "encoder"):
+        for name, leaf in flatten_dict(getattr(model, part), sep="/").items():
+            arrays[f"{part}/{name}"] = np.asarray(leaf)
+    for i, (name, isos) in enumerate(description["cameras"].items()):
+        arrays[f"cameras/{i}/reference"] = np.asarray(model.cameras[name].reference, np.float32)
+        for j, iso in enumerate(isos):
+            setting = model.cameras[name].settings[iso]
+            arrays[f"cameras/{i}/{j}"] = np.stack([np.asarray(setting.shot), np.asarray(setting.read)])
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    try:
+        try:
+            partial.write_bytes(content.getbuffer())
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def load_model(workdir: str | Path) -> Model:
+    """The model of a training folder, or of a file that `save_model` wrote.
+
+    Raises BadInput when there is none or it cannot be read; nothing is unpickled.
+    """
+    path = Path(workdir)
+    if path.is_dir():
+        path = path / MODEL_FILE
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file: train a model first, or name the folder of a trained one")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        return _model(arrays)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise BadInput(f"{path}: not a readable model: train it again or name another") from error
+
+
+def _model(arrays):
+    description = json.loads(str(arrays.pop("description")))
+    if description["format"] != _FORMAT:
+        raise ValueError(description["format"])
+    parts: dict[str, dict[str, Any]] = {"generator": {}, "encoder": {}}
+    for name, value in arrays.items():
+        part, _, rest = name.partition("/")
+        if part in parts:
+            parts[part][rest] = jnp.asarray(value)
+    cameras = {
+        name: Camera(
+            jnp.asarray(arrays[f"cameras/{i}/reference"]),
+            {iso: Setting(*jnp.asarray(arrays[f"cameras/{i}/{j}"])) for j, iso in enumerate(isos)},
+        )
+        for i, (name, isos) in enumerate(description["cameras"].items())
+    }
+    return Model(
+        unflatten_dict(parts["generator"], sep="/"),
+        unflatten_dict(parts["encoder"], sep="/"),
+        cameras,
+        Generator(**description["generator"]),
+        Encoder(**description["encoder"]) if description["encoder"] else None,
+        description["initial_noise"],
+    )
+
+
+def _fields(module):
+    return {
+        field.name: getattr(module, field.name)
+        for field in dataclasses.fields(module)
+        if field.name not in ("parent", "name")
+    }

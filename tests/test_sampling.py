@@ -1,0 +1,195 @@
+"""Sampling: any shape, jit, vmap, grad; no seams; the model file; what is refused."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.physics.initial_noise import gaussian
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.sampling import Camera, Model, Setting, load_model, make_model, sample_noise, save_model
+
+WIDTH = 1 / 64
+SHOT, READ = 2e-3, 1e-5
+NLF = (SHOT, READ)
+FAST = {"xla_backend_optimization_level": 0}
+"""Compiles four times faster; the tests run each program a few times only."""
+sample = jax.jit(sample_noise, compiler_options=FAST)
+
+
+def drawn(shapes, size):
+    """Variables of these shapes as after some training: no layer is at its zero start any more."""
+    rng = np.random.default_rng(0)
+    return jax.tree.map(lambda leaf: jnp.asarray(size * rng.normal(size=leaf.shape), jnp.float32), shapes)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    # No spectral norms and no jitted init: both only cost compile time here.
+    generator, encoder = Generator(WIDTH, hidden=8, spectral=False), Encoder(WIDTH, hidden=8)
+    image, latent, key = jnp.ones((1, 32, 32, 4)), jnp.ones((1, 8)), jax.random.key(0)
+    g = jax.eval_shape(
+        lambda: generator.init({"params": key, "noise": key}, image, image, latent, image, train=False)
+    )
+    e = jax.eval_shape(lambda: encoder.init(key, image, train=False))
+    cameras = {
+        "A/1": Camera(scene(64, 64)[None], {"100": Setting(jnp.full(4, SHOT), jnp.full(4, READ))}),
+        "B": Camera(scene(32, 32)[None], {}),
+    }
+    return make_model(generator, drawn(g, 0.15), encoder, drawn(e, 0.15), cameras)
+
+
+def scene(height, width):
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    return jnp.asarray(np.repeat(0.1 + 0.05 * np.sin(x / 9 + y / 15)[..., None], 4, -1))
+
+
+def noisy(key, height=64, width=64):
+    clean = scene(height, width)
+    return clean + jnp.sqrt(SHOT * clean + READ) * jax.random.normal(key, clean.shape)
+
+
+def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
+    last = jax.tree.map(jnp.zeros_like, model.generator["params"]["pixels"]["out"])
+    params = model.generator["params"]
+    params = params | {"pixels": params["pixels"] | {"out": last}}
+    model = model.replace(generator={"params": params})
+    clean = jnp.full((2, 96, 96, 4), 0.2)
+    noise = jax.jit(sample_noise)(model, jax.random.key(1), clean, noisy(jax.random.key(2)), NLF)
+    assert noise.dtype == jnp.float32 and noise.shape == clean.shape
+    n = noise.size
+    expected = SHOT * 0.2 + READ
+    assert abs(float(jnp.var(noise)) / expected - 1) < 5 * (2 / n) ** 0.5
+    assert abs(float(jnp.mean(noise))) < 5 * (expected / n) ** 0.5
+
+
+@pytest.mark.parametrize("size", [(16, 16), (18, 30), (100, 34)])
+def test_any_even_size_leading_axes_and_type(model, size):
+    clean = scene(*size)
+    reference = noisy(jax.random.key(2), 17, 23)
+    noise = sample(model, jax.random.key(1), clean, reference, NLF)
+    assert noise.shape == clean.shape and bool(jnp.all(jnp.isfinite(noise)))
+    if size == (16, 16):
+        half = sample(model, jax.random.key(1), np.asarray(clean, np.float64), reference, NLF)
+        np.testing.assert_array_equal(noise, half)
+        whole = jnp.broadcast_to(clean, (2, 1, *clean.shape))
+        assert sample(model, jax.random.key(1), whole, reference[None, None], NLF).shape == whole.shape
+
+
+def test_jit_vmap_and_grad(model):
+    clean, reference = jnp.stack([scene(16, 16)] * 2), noisy(jax.random.key(2))[:32, :32]
+    keys = jax.random.split(jax.random.key(1), 2)
+    each = jax.jit(jax.vmap(sample_noise, (None, 0, 0, None, None)), compiler_options=FAST)
+    noise = each(model, keys, clean, reference, NLF)
+    for i in range(2):
+        np.testing.assert_allclose(noise[i], sample(model, keys[i], clean[i], reference, NLF), atol=1e-5)
+    assert float(jnp.std(noise[0] - noise[1])) > 0
+
+    def energy(clean):
+        return jnp.mean(jnp.square(sample_noise(model, keys[0], clean, reference)))
+
+    slope = jax.jit(jax.grad(energy), compiler_options=FAST)(clean[0])
+    assert bool(jnp.all(jnp.isfinite(slope))) and float(jnp.max(jnp.abs(slope))) > 0
+
+
+def test_the_key_alone_decides(model):
+    clean, reference = scene(16, 16), noisy(jax.random.key(2))[:32, :32]
+    first, again, other = (sample(model, jax.random.key(k), clean, reference, NLF) for k in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_latents_of_several_references_are_averaged(model):
+    one, two = noisy(jax.random.key(2)), 3 * noisy(jax.random.key(3))
+    encode = jax.jit(lambda x: model.encoder_module.apply(model.encoder, x, train=False))
+    a, b = encode(one[None])[0], encode(two[None])[0]
+    wanted = (a + b) / jnp.linalg.norm(a + b)
+    clean = scene(16, 16)
+    both = sample(model, jax.random.key(1), clean, jnp.stack([one, two]), NLF)
+    swapped = sample(model, jax.random.key(1), clean, jnp.stack([two, one]), NLF)
+    np.testing.assert_allclose(both, swapped, atol=1e-6)
+
+    from cannoise_jax import sampling
+
+    np.testing.assert_allclose(sampling._latent(model, jnp.stack([one, two]))[0], wanted, atol=1e-5)
+
+
+def test_no_seam_in_row_and_column_means(model):
+    """Means over many draws of a flat scene are as flat at the border and at every cell as inside."""
+    clean = jnp.full((40, 66, 4), 0.1)
+    reference = noisy(jax.random.key(2))[:32, :32]
+    keys = jax.random.split(jax.random.key(5), 200)
+    draw = jax.jit(lambda k: sample_noise(model, k, clean, reference, NLF))
+    draws = np.stack([np.asarray(draw(k)) for k in keys])
+    for axis in (1, 2):
+        means = draws.mean(axis=2 if axis == 1 else 1)  # draw, position, channel
+        mean, spread = means.mean(0), means.std(0, ddof=1)
+        error = spread / np.sqrt(len(keys))
+        inside = slice(8, -8)
+        z = (mean - mean[inside].mean(0)) / error
+        assert np.abs(z).max() < 4.8, (axis, np.abs(z).max())
+        assert np.all(np.abs(spread / spread[inside].mean(0) - 1) < 0.3)
+
+
+def test_the_noise_level_function_is_the_references_without_nlf(model):
+    reference = jnp.stack([noisy(k) for k in jax.random.split(jax.random.key(7), 4)])
+    clean = scene(32, 32)
+    given = sample(model, jax.random.key(1), clean, reference, NLF)
+    estimated = sample(model, jax.random.key(1), clean, reference)
+    ratio = float(jnp.std(estimated) / jnp.std(given))
+    assert 0.93 < ratio < 1.07
+    louder = sample(model, jax.random.key(1), clean, reference, (jnp.full(4, 4 * SHOT), 4 * READ))
+    assert float(jnp.std(louder) / jnp.std(given)) > 1.5
+
+
+def test_a_model_survives_its_file(model, tmp_path):
+    save_model(tmp_path / "model.npz", model)
+    again = load_model(tmp_path)
+    assert jax.tree.structure(again) == jax.tree.structure(model)
+    for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(model), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert [p.name for p in tmp_path.iterdir()] == ["model.npz"]
+
+
+def test_a_function_as_initial_noise_samples_but_is_not_saved(model, tmp_path):
+    own = model.replace(initial_noise=gaussian)
+    assert sample(own, jax.random.key(1), scene(16, 16), scene(32, 32), NLF).shape == (16, 16, 4)
+    with pytest.raises(ValueError, match="function"):
+        save_model(tmp_path / "model.npz", own)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no archive at all"])
+def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path, content):
+    (tmp_path / "model.npz").write_bytes(content)
+    with pytest.raises(BadInput, match=r"model\.npz: not a readable model") as error:
+        load_model(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_pickle_is_not_unpickled(tmp_path):
+    np.savez(tmp_path / "model.npz", description=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(BadInput):
+        load_model(tmp_path)
+
+
+def test_a_folder_without_a_model_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="no such file"):
+        load_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("clean", "reference", "message"),
+    [
+        ((16, 16, 3), (16, 16, 4), "clean must be packed"),
+        ((14, 16, 4), (16, 16, 4), "clean must be at least 16x16"),
+        ((17, 16, 4), (16, 16, 4), "even"),
+        ((16, 16, 4), (8, 16, 4), "noisy_ref must be at least 16x16"),
+    ],
+)
+def test_other_shapes_are_refused(model, clean, reference, message):
+    with pytest.raises(ValueError, match=message):
+        sample_noise(model, jax.random.key(0), jnp.zeros(clean), jnp.zeros(reference), NLF)
