@@ -24,7 +24,8 @@ def get_config() -> ConfigDict:
             "clip": True,  # noise as clipped recordings show it, before the critic; paper: unsaid
             "critic_updates": 1,  # per generator update; paper: 1
             "critic_condition": "camera",  # what the critic is told: none (paper), camera, latent
-            "ema": 0.995,  # of the weights of G and E; paper: none, 0
+            "camera_scale": 4.0,  # size of the camera's name beside the critic's features
+            "ema": 0.999,  # of the weights of G and E; paper: none, 0
             "loss": {
                 "adversarial": 1.0,
                 "penalty": 10.0,

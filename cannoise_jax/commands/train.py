@@ -85,7 +85,8 @@ def _run(config: ConfigDict, workdir: Path, started: float) -> int:
     from cannoise_jax.evaluation.figures import noise_figure
     from cannoise_jax.evaluation.tables import results_table, write_results
     from cannoise_jax.training.data import load_data
-    from cannoise_jax.training.loop import NonFiniteLoss, check_workdir, compare, train
+    from cannoise_jax.training.loop import NonFiniteLoss, check_workdir, train
+    from cannoise_jax.training.result import compare, sampler_of, write_model
 
     check_workdir(config, workdir)
     print(f"{workdir}: reading the data", flush=True)
@@ -106,14 +107,15 @@ def _run(config: ConfigDict, workdir: Path, started: float) -> int:
     if not outcome.finished:
         print(f"stopped at step {outcome.step}: the same command resumes", flush=True)
         return 0
-    results = compare(config, outcome.sampler, data)
+    model = write_model(config, outcome.state, data, workdir)
+    results = compare(model, data, config.seed)
     print(f"\nHeld-out test scenes, checkpoint of step {outcome.step} (best on validation scenes)\n")
     print(results_table(results))
     seconds = time.monotonic() - started
     try:
         write_results(workdir / "results.json", results, round(seconds, 1))
         noise_figure(
-            workdir / "noise.png", outcome.sampler, data.test, data.cameras, jax.random.key(config.seed)
+            workdir / "noise.png", sampler_of(model), data.test, data.cameras, jax.random.key(config.seed), 16
         )
     except OSError as error:
         raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error

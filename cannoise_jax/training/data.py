@@ -24,6 +24,7 @@ from cannoise_jax.recordings.patches import PatchStore, open_patches, split_scen
 from cannoise_jax.recordings.pipeline import ArrayPatches, PatchSource
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.sidd import load_sidd, scene_id
+from cannoise_jax.sampling import Camera, Setting
 from cannoise_jax.training.recorded import recorded_patches
 
 Levels = dict[tuple[int, int], tuple[float, float]]
@@ -50,13 +51,17 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """train: patches to learn from. recalibrated: (shot, read) by (camera, ISO), fitted to them."""
+    """train: patches to learn from. recalibrated: (shot, read) by (camera, ISO), fitted to them.
+
+    examples: for each camera some of its noisy patches, and its noise level functions by ISO.
+    """
 
     train: PatchSource
     validation: HeldOut
     test: HeldOut
     cameras: tuple[str, ...]
     recalibrated: Levels
+    examples: dict[str, Camera]
 
 
 def load_data(config: ConfigDict, workdir: Path) -> TrainingData:
@@ -105,7 +110,20 @@ def _in_memory(train: HeldOut, validation: HeldOut, test: HeldOut, cameras: tupl
     source = ArrayPatches(train.clean, train.noisy, train.shot, train.read, train.camera, cameras)
     noise = clipped_noise(train.noisy - train.clean, train.clean)
     levels = calibrate_by_setting(train.clean, noise, train.camera, train.iso)
-    return TrainingData(source, validation, test, cameras, levels)
+    return TrainingData(source, validation, test, cameras, levels, _examples(train, cameras))
+
+
+def _examples(train: HeldOut, cameras: tuple[str, ...], count: int = 8) -> dict[str, Camera]:
+    made = {}
+    for c, name in enumerate(cameras):
+        own = np.flatnonzero(train.camera == c)
+        settings = {}
+        for iso in np.unique(train.iso[own]):
+            first = own[train.iso[own] == iso][0]
+            settings[str(iso)] = Setting(train.shot[first], train.read[first])
+        spread = own[np.unique(np.linspace(0, len(own) - 1, min(count, len(own))).astype(int))]
+        made[name] = Camera(train.noisy[spread], settings)
+    return made
 
 
 def _sidd(config: ConfigDict, workdir: Path) -> TrainingData:
@@ -127,6 +145,7 @@ def _sidd(config: ConfigDict, workdir: Path) -> TrainingData:
         _held_out(store, np.asarray(test.indices), data.held_out_patches),  # type: ignore[attr-defined]
         store.cameras,
         calibrate_by_setting(sample.clean, noise, sample.camera, sample.iso),
+        _examples(sample, store.cameras),
     )
 
 

@@ -17,13 +17,14 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
+from cannoise_jax.physics.initial_noise import initial_noise
 from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.metrics import MetricWriter, noise_panel
 from cannoise_jax.training.state import State, init_state, latent_of, make_networks
-from cannoise_jax.training.step import initial_noise, make_train_step
+from cannoise_jax.training.step import make_train_step
 
 
 class Progress(Protocol):
@@ -35,12 +36,11 @@ class Progress(Protocol):
 
 class Outcome(NamedTuple):
     """finished: False after a signal. state: the last one, or the best by validation KL when finished.
-    step: of that state. sampler: its averaged model, see `make_sampler`."""
+    step: of that state."""
 
     finished: bool
     state: State
     step: int
-    sampler: Callable[..., Any]
 
 
 class NonFiniteLoss(RuntimeError):
@@ -178,16 +178,10 @@ def train(
         best = checkpoints.best() if finished else None
         if best is not None and best != step:
             state, _ = checkpoints.restore(state, best)
-        return Outcome(finished, state, int(state.step), sampler(state))
+        return Outcome(finished, state, int(state.step))
     finally:
         writer.close()
         checkpoints.close()
-
-
-def compare(config: ConfigDict, sampler: Callable[..., Any], data: TrainingData) -> dict[str, Any]:
-    """Every noise model on the test scenes, which nothing before this has looked at."""
-    key = jax.random.key(config.seed)
-    return evaluate_model(sampler, data.test, data.cameras, key, recalibrated=data.recalibrated)
 
 
 def _save(checkpoints: Checkpoints, state: State, metrics, source, score: float | None) -> None:

@@ -146,7 +146,7 @@ def condition(config: ConfigDict, latent: Any, camera: Any, cameras: int) -> Any
     if config.critic_condition == "none":
         return None
     if config.critic_condition == "camera":
-        return jax.nn.one_hot(camera, cameras)
+        return config.camera_scale * jax.nn.one_hot(camera, cameras)
     if config.critic_condition == "latent":
         return jax.lax.stop_gradient(latent)
     raise ValueError(f"critic_condition must be none, camera or latent, got {config.critic_condition!r}")

@@ -12,10 +12,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float
 from ml_collections import ConfigDict
 
-from cannoise_jax.physics.poisson_gaussian import nlf_sigma, sample_normal
+from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
 from cannoise_jax.training import losses
 from cannoise_jax.training.state import (
     Networks,
@@ -27,34 +27,6 @@ from cannoise_jax.training.state import (
 )
 
 Batch = dict[str, Any]
-InitialNoise = Callable[..., tuple[Any, Any]]
-
-
-def poisson_gaussian(key: Key[Array, ""], clean: Float[Array, "b h w 4"], shot, read):
-    """Initial noise of variance shot * clean + read (paper eq. 2), and its standard deviation.
-
-    Normal draws, as in the reference release; shot and read `[b, 4]` in packed order, normalised units.
-    """
-    sigma = nlf_sigma(clean, shot[:, None, None], jnp.maximum(read[:, None, None], 1e-9))
-    return sigma * sample_normal(key, clean.shape), sigma
-
-
-def gaussian(key: Key[Array, ""], clean: Float[Array, "b h w 4"], shot, read):
-    """Initial noise of variance shot everywhere: the reference's Gaussian baseline."""
-    sigma = jnp.broadcast_to(jnp.sqrt(shot)[:, None, None], clean.shape)
-    return sigma * sample_normal(key, clean.shape), sigma
-
-
-INITIAL_NOISE: dict[str, InitialNoise] = {"poisson_gaussian": poisson_gaussian, "gaussian": gaussian}
-
-
-def initial_noise(choice: str | InitialNoise) -> InitialNoise:
-    """By name, or any `f(key, clean, shot, read) -> (noise, sigma)` as it stands."""
-    if callable(choice):
-        return choice
-    if choice not in INITIAL_NOISE:
-        raise ValueError(f"initial_noise must be {', '.join(INITIAL_NOISE)} or a function, got {choice!r}")
-    return INITIAL_NOISE[choice]
 
 
 def visible(noise: Float[Array, "..."], clean: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -150,7 +122,8 @@ def make_train_step(
         updates, optimiser = optimisers.generator.update(gradient, state.generator_optimiser)
         trained = optax.apply_updates(trained, updates)
         count = state.step.astype(jnp.float32)
-        decay = jnp.minimum(config.ema, (1 + count) / (10 + count))
+        # Until it is reached the average weighs step t as t^3, so that the start is soon forgotten.
+        decay = jnp.minimum(config.ema, count / (4 + count))
         return state._replace(
             step=state.step + 1,
             position=state.position + 1,

@@ -1,0 +1,66 @@
+"""What a run leaves behind: a model to sample from, and how it compares with the baselines on test scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+from ml_collections import ConfigDict
+
+from cannoise_jax.evaluation.compare import evaluate_model
+from cannoise_jax.sampling import MODEL_FILE, Model, make_model, sample_noise, save_model
+from cannoise_jax.training.data import TrainingData
+from cannoise_jax.training.state import State, make_networks
+
+
+def export_model(config: ConfigDict, state: State, data: TrainingData) -> Model:
+    """The averaged generator and encoder with the cameras' references, as `sample_noise` takes them."""
+    networks = make_networks(config)
+    return make_model(
+        networks.generator,
+        {"params": state.average["generator"], "spectral": state.generator["spectral"]},
+        networks.encoder,
+        {"params": state.average["encoder"], "spectral": state.encoder["spectral"]},
+        data.examples,
+        config.initial_noise,
+    )
+
+
+def write_model(config: ConfigDict, state: State, data: TrainingData, workdir: Path) -> Model:
+    """`export_model` into the workdir, where `load_model` looks for it. Raises BadInput for a full disk.
+
+    A model whose initial noise is a function of the caller's is not written: files hold names only.
+    """
+    model = export_model(config, state, data)
+    if isinstance(config.initial_noise, str):
+        save_model(workdir / MODEL_FILE, model)
+    return model
+
+
+def sampler_of(model: Model) -> Callable[..., Any]:
+    """`sample_noise` itself on batches with one reference an image, as `evaluation` takes it:
+    (key, clean, reference, shot, read) -> noise."""
+    return partial(_sample, model)
+
+
+@jax.jit
+def _sample(model, key, clean, reference, shot, read):
+    def one(key, clean, reference, shot, read):
+        return sample_noise(model, key, clean, reference, nlf=(shot, read))
+
+    return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, shot, read)
+
+
+def compare(model: Model, data: TrainingData, seed: int) -> dict[str, Any]:
+    """Every noise model on the test scenes, which nothing before this has looked at."""
+    return evaluate_model(
+        sampler_of(model),
+        data.test,
+        data.cameras,
+        jax.random.key(seed),
+        recalibrated=data.recalibrated,
+        batch=16,
+    )

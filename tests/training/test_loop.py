@@ -1,0 +1,181 @@
+"""Determinism, interruption and resumption, and everything that stops a run: on the tiny config."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+from pathlib import Path
+from runpy import run_path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.training import loop
+from cannoise_jax.training.checkpoint import Checkpoints
+from cannoise_jax.training.data import load_data
+from cannoise_jax.training.state import init_state
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+@pytest.fixture(scope="module")
+def config():
+    return run_path(str(CONFIGS / "ci.py"))["get_config"]()
+
+
+@pytest.fixture(scope="module")
+def data(config, tmp_path_factory):
+    return load_data(config, tmp_path_factory.mktemp("data"))
+
+
+class Watched:
+    """Progress that calls a function with the number of steps done."""
+
+    def __init__(self, batch, done, act):
+        self.batch, self.done, self.act = batch, done, act
+
+    def update(self, n=1):
+        self.done += n // self.batch
+        self.act(self.done)
+
+    def set_postfix(self, ordered_dict=None, refresh=True, **numbers):
+        pass
+
+
+def run(config, folder, data, act=lambda step: None):
+    return loop.train(config, folder, data, lambda done, total: Watched(config.batch_size, done, act))
+
+
+def digest(state):
+    """SHA-256 of all that was learned."""
+    whole = hashlib.sha256()
+    learned = (state.generator, state.encoder, state.critic, state.average, state.generator_optimiser)
+    for leaf in jax.tree.leaves(learned):
+        whole.update(np.asarray(leaf).tobytes())
+    return whole.hexdigest()
+
+
+@pytest.fixture(scope="module")
+def finished(config, data, tmp_path_factory):
+    """A workdir trained without interruption, and the digest of its last state."""
+    folder = tmp_path_factory.mktemp("first")
+    run(config, folder, data)
+    return folder, digest(newest_state(config, folder))
+
+
+def newest_state(config, folder):
+    checkpoints = Checkpoints(folder)
+    state, _ = checkpoints.restore(init_state(config, 5), checkpoints.newest())
+    checkpoints.close()
+    assert int(state.step) == config.steps
+    return state
+
+
+def test_the_same_config_gives_the_same_bits(config, data, finished, tmp_path):
+    jax.clear_caches()  # compiled anew, as in another process
+    run(config, tmp_path, data)
+    assert digest(newest_state(config, tmp_path)) == finished[1]
+
+
+def test_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp_path):
+    def interrupt(step):
+        if step == 4:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    stopped = run(config, tmp_path, data, interrupt)
+    assert not stopped.finished
+    assert stopped.step == 4 and stopped.step % config.checkpoint_every
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    seen = []
+    resumed = run(config, tmp_path, data, seen.append)
+    assert resumed.finished
+    assert seen == [5, 6]
+    assert digest(newest_state(config, tmp_path)) == finished[1]
+
+
+def test_another_seed_gives_other_bits(config, finished):
+    other = config.copy_and_resolve_references()
+    other.seed = 1
+    assert digest(init_state(other, 5)) != digest(init_state(config, 5))
+
+
+def test_a_workdir_keeps_numbers_and_pictures(finished):
+    folder, _ = finished
+    lines = (folder / "metrics.jsonl").read_text().splitlines()
+    assert sum("validation/model/pooled" in line for line in lines) == 2
+    assert sum("critic/wasserstein" in line for line in lines) == 6
+    assert list(folder.glob("events*"))
+    assert 1 <= len(list((folder / "checkpoints").glob("[0-9]*"))) <= 2
+
+
+def test_another_config_is_refused(config, data, finished):
+    other = config.copy_and_resolve_references()
+    other.loss.penalty = 5.0
+    with pytest.raises(BadInput, match=r"loss.penalty: 10.0 there, 5.0 here") as refused:
+        run(other, finished[0], data)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_loss_that_is_not_finite_stops_with_the_last_good_checkpoint(config, data, tmp_path, monkeypatch):
+    made = loop.make_train_step
+
+    def poisoned(*arguments):
+        step = made(*arguments)
+
+        def at_step_four(state, batch):
+            state, metrics = step(state, batch)
+            nan = jnp.nan if int(state.step) == 4 else 0
+            return state, {name: value + nan for name, value in metrics.items()}
+
+        return at_step_four
+
+    monkeypatch.setattr(loop, "make_train_step", poisoned)
+    with pytest.raises(loop.NonFiniteLoss, match=r"step 4: .* not finite.*checkpoints/3"):
+        run(config, tmp_path, data)
+    checkpoints = Checkpoints(tmp_path)
+    assert checkpoints.newest() == 3
+    checkpoints.close()
+
+
+def test_a_full_disk_is_one_line_and_keeps_what_was_saved(config, finished, monkeypatch):
+    checkpoints = Checkpoints(finished[0])
+    before = checkpoints.newest()
+    state = init_state(config, 5)._replace(step=jnp.asarray(99))
+
+    def full(*arguments, **named):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoints._manager, "save", full)
+    with pytest.raises(BadInput, match="No space left on device") as refused:
+        checkpoints.save(state, {})
+    assert "\n" not in str(refused.value)
+    assert checkpoints.newest() == before
+    checkpoints.close()
+
+
+def test_the_best_checkpoint_and_the_newest_are_kept(config, tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    state = init_state(config, 5)
+    for step, score in [(1, 0.5), (2, 0.1), (3, 0.3), (4, None)]:
+        checkpoints.save(state._replace(step=jnp.asarray(step)), {"next_index": step}, score)
+    assert checkpoints.best() == 2
+    assert checkpoints.newest() == 4
+    restored, iterator = checkpoints.restore(state, 2)
+    assert iterator == {"next_index": 2}
+    assert digest(restored) == digest(state)
+    assert (jax.random.key_data(restored.key) == jax.random.key_data(state.key)).all()
+    checkpoints.close()
+
+
+def test_a_checkpoint_of_another_size_is_refused_in_one_line(config, finished):
+    other = config.copy_and_resolve_references()
+    other.width = 1 / 16
+    checkpoints = Checkpoints(finished[0])
+    with pytest.raises(BadInput, match="cannot be restored") as refused:
+        checkpoints.restore(init_state(other, 5), checkpoints.newest())
+    assert "\n" not in str(refused.value)
+    checkpoints.close()

@@ -1,0 +1,116 @@
+"""The losses against plain NumPy in float64, their derivatives against finite differences."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.training import losses
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+RNG = np.random.default_rng(0)
+NOISE = RNG.normal(size=(3, 2, 4, 2))
+WEIGHTS = RNG.normal(size=(5, 16)) * 0.4
+
+
+def scores(weights, noise):
+    """Five scores a sample: tanh of projections of its noise."""
+    return jnp.tanh(noise.reshape(noise.shape[0], -1) @ weights.T)[:, :, None, None]
+
+
+def numpy_slopes(weights, noise):
+    """The gradient of the summed score, written out: sum_p (1 - tanh^2(w_p n)) w_p."""
+    flat = noise.reshape(noise.shape[0], -1)
+    return np.array([np.linalg.norm((1 - np.tanh(weights @ n) ** 2) @ weights) for n in flat])
+
+
+def numpy_penalty(weights, noise, target):
+    return np.mean((numpy_slopes(weights, noise) - target) ** 2)
+
+
+def test_critic_and_generator_losses_are_means_over_samples_and_positions():
+    real, fake = RNG.normal(size=(2, 3, 5, 1, 1))
+    np.testing.assert_allclose(losses.critic_loss(real, fake), fake.mean() - real.mean())
+    np.testing.assert_allclose(losses.generator_loss(fake), -fake.mean())
+
+
+def test_interpolation_has_one_weight_per_sample():
+    real, fake = RNG.normal(size=(2, *NOISE.shape))
+    weight = np.array([0.0, 1.0, 0.25])
+    mixed = losses.interpolate(real, fake, weight)
+    expected = [real[0], fake[1], 0.75 * real[2] + 0.25 * fake[2]]
+    np.testing.assert_allclose(mixed, np.stack(expected))
+
+
+def test_slopes_are_norms_per_sample_of_the_gradient_of_the_summed_score():
+    got = losses.slopes(lambda n: scores(WEIGHTS, n), jnp.asarray(NOISE))
+    np.testing.assert_allclose(got, numpy_slopes(WEIGHTS, NOISE), rtol=1e-12)
+
+
+@pytest.mark.parametrize("target", [1.0, 0.0])
+def test_gradient_penalty_and_its_derivative_by_the_critic(target):
+    def penalty(weights):
+        return losses.gradient_penalty(lambda n: scores(weights, n), jnp.asarray(NOISE), target)
+
+    value, gradient = jax.value_and_grad(penalty)(jnp.asarray(WEIGHTS))
+    np.testing.assert_allclose(value, numpy_penalty(WEIGHTS, NOISE, target), rtol=1e-12)
+    step = 1e-5
+    for place in [(0, 0), (2, 7), (4, 15)]:
+        shift = np.zeros_like(WEIGHTS)
+        shift[place] = step
+        slope = numpy_penalty(WEIGHTS + shift, NOISE, target) - numpy_penalty(WEIGHTS - shift, NOISE, target)
+        np.testing.assert_allclose(gradient[place], slope / (2 * step), rtol=1e-6, atol=1e-9)
+
+
+def test_gradient_penalty_of_a_flat_critic_is_one_and_differentiable():
+    def penalty(weights):
+        return losses.gradient_penalty(lambda n: scores(weights, n), jnp.asarray(NOISE))
+
+    value, gradient = jax.value_and_grad(penalty)(jnp.zeros_like(WEIGHTS))
+    assert value == 1
+    assert np.isfinite(gradient).all()
+
+
+def test_feature_matching_is_a_mean_and_its_target_is_constant():
+    fake, target = RNG.normal(size=(2, 2, 3, 3, 4))
+    value, (by_fake, by_target) = jax.value_and_grad(losses.feature_matching_loss, (0, 1))(fake, target)
+    np.testing.assert_allclose(value, np.abs(fake - target).mean())
+    np.testing.assert_allclose(by_fake, np.sign(fake - target) / fake.size)
+    assert not by_target.any()
+
+
+def numpy_triplet(anchor, positive, negative, margin):
+    near = np.sqrt(((anchor - positive) ** 2).sum(1))
+    far = np.sqrt(((anchor - negative) ** 2).sum(1))
+    return np.maximum(near - far + margin, 0).mean()
+
+
+def test_triplet_loss_and_its_derivative():
+    latents = RNG.normal(size=(3, 6, 4))
+    value, gradient = jax.value_and_grad(losses.triplet_loss)(*latents)
+    np.testing.assert_allclose(value, numpy_triplet(*latents, 0.2))
+    assert value > 0  # some triplets are active, some are not: both branches are seen
+    assert (np.sqrt(((latents[0] - latents[1]) ** 2).sum(1)) + 0.2
+            < np.sqrt(((latents[0] - latents[2]) ** 2).sum(1))).any()  # fmt: skip
+    step = 1e-6
+    for place in np.ndindex(gradient.shape):
+        up, down = latents[0].copy(), latents[0].copy()
+        up[place] += step
+        down[place] -= step
+        slope = (numpy_triplet(up, *latents[1:], 0.2) - numpy_triplet(down, *latents[1:], 0.2)) / (2 * step)
+        np.testing.assert_allclose(gradient[place], slope, atol=1e-8)
+
+
+def test_triplet_loss_at_distance_zero_has_a_finite_gradient():
+    same = np.ones((2, 3))
+    value, gradient = jax.value_and_grad(losses.triplet_loss, (0, 1, 2))(same, same, same)
+    assert value == pytest.approx(0.2)
+    assert all(np.isfinite(g).all() for g in gradient)

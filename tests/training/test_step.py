@@ -1,0 +1,112 @@
+"""What the training step draws, updates and leaves alone, and that every switch of the config is one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from runpy import run_path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.training.state import init_state
+from cannoise_jax.training.step import make_train_step
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+@pytest.fixture(scope="module")
+def config():
+    return run_path(str(CONFIGS / "ci.py"))["get_config"]()
+
+
+def make_batch(size=4, side=32, scale=0.02):
+    rng = np.random.default_rng(0)
+    clean = rng.uniform(0.05, 0.5, (size, side, side, 4)).astype(np.float32)
+    noisy = [clean + scale * rng.standard_normal(clean.shape).astype(np.float32) for _ in range(4)]
+    return {
+        "clean": clean,
+        **dict(zip(("noisy", "anchor", "positive", "negative"), noisy, strict=True)),
+        "shot": np.full((size, 4), 1e-3, np.float32),
+        "read": np.full((size, 4), 1e-6, np.float32),
+        "camera": np.arange(size, dtype=np.int32) % 2,
+    }
+
+
+@pytest.fixture(scope="module")
+def trained(config):
+    """The state before, after one step, and after two; and the metrics of the first."""
+    step, batch = make_train_step(config, 2), make_batch()
+    states = [init_state(config, 2)]
+    kept = jax.tree.map(jnp.copy, states[0])
+    first, metrics = step(states[0], batch)
+    copy = jax.tree.map(jnp.copy, first)
+    second, _ = step(first, batch)
+    return kept, copy, second, metrics
+
+
+def test_one_step_moves_every_network_and_counts(trained):
+    before, after, later, metrics = trained
+    assert [int(s.step) for s in trained[:3]] == [0, 1, 2]
+    assert int(later.position) == 2
+    for name in ("critic", "encoder"):
+        moved = jax.tree.map(lambda a, b: bool((a != b).any()), getattr(before, name), getattr(after, name))
+        assert all(jax.tree.leaves(moved)), name
+    out = after.generator["params"]["pixels"]["out"]["kernel"]
+    assert not before.generator["params"]["pixels"]["out"]["kernel"].any()
+    assert out.shape[-1] == 12
+    assert all(np.isfinite(value) for value in metrics.values())
+
+
+def test_training_starts_at_the_initial_noise(trained):
+    assert float(trained[3]["generator/spread"]) == pytest.approx(1, abs=0.02)
+
+
+def test_the_key_is_never_used_up(trained):
+    before, _, later, _ = trained
+    assert (jax.random.key_data(before.key) == jax.random.key_data(later.key)).all()
+
+
+SWITCHES = {
+    "no encoder": ({"encoder": False}, {"generator/triplet"}),
+    "no triplet": ({"loss.triplet": 0.0}, {"generator/triplet"}),
+    "literal": ({"literal": True, "critic_condition": "none"}, set()),
+    "latent": ({"critic_condition": "latent", "critic_updates": 2}, set()),
+    "gaussian": ({"initial_noise": "gaussian", "clip": False}, set()),
+}
+
+
+@pytest.mark.parametrize("name", SWITCHES)
+def test_switches(config, name):
+    changes, absent = SWITCHES[name]
+    changed = config.copy_and_resolve_references()
+    changed.update_from_flattened_dict(changes)
+    changed.loss.feature_matching = 1.0
+    if changed.literal:
+        changed.networks = {"generator": {}, "encoder": {}, "critic": {}}
+    state = jax.eval_shape(lambda: init_state(changed, 2))
+    batch = make_batch()
+    if not changed.loss.triplet:
+        del batch["positive"], batch["negative"]
+    after, metrics = jax.eval_shape(make_train_step(changed, 2), state, batch)
+    assert jax.tree.structure(after) == jax.tree.structure(state)
+    terms = {"generator/adversarial", "generator/feature_matching", "generator/triplet"}
+    assert terms & set(metrics) == terms - absent
+
+
+def test_feature_matching_is_off_by_weight(config):
+    state = jax.eval_shape(lambda: init_state(config, 2))
+    changed = config.copy_and_resolve_references()
+    changed.loss.feature_matching = 0.0
+    _, metrics = jax.eval_shape(make_train_step(changed, 2), state, make_batch())
+    assert "generator/feature_matching" not in metrics
+
+
+@pytest.mark.parametrize("field", ["critic_condition", "initial_noise"])
+def test_unknown_names_are_refused(config, field):
+    changed = config.copy_and_resolve_references()
+    changed[field] = "nothing"
+    with pytest.raises(ValueError, match=f"{field}.*nothing"):
+        jax.eval_shape(lambda: init_state(changed, 2))
+        make_train_step(changed, 2)
