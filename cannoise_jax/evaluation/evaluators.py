@@ -47,7 +47,12 @@ def kl_by_patch(samples: Samples) -> dict[str, float]:
 
     `kl_se` is the standard error of `kl` over the patches. `kl_pool` is the KL of one histogram over all
     patches together, whose floor is far lower: it sees finer, and only what all patches have in common.
+    Raises ValueError for noise that is not finite, which histograms would pass over in silence.
     """
+    for name, noise in (("real", samples.real), ("generated", samples.fake)):
+        wrong = noise.size - np.isfinite(noise).sum()
+        if wrong:
+            raise ValueError(f"{wrong} of {noise.size} values of the {name} noise are not finite")
     real = [kl.histogram(patch) for patch in samples.real]
     fake = [kl.histogram(patch) for patch in samples.fake]
     pairs = list(zip(real, fake, strict=True))

@@ -115,3 +115,10 @@ def test_pooled_is_the_mean_over_patches():
         "a": 1.75,
         "b": 5.0,
     }
+
+
+def test_noise_that_is_not_finite_has_no_score(white):
+    broken = white.copy()
+    broken[3, 2, 1, 0] = np.nan
+    with pytest.raises(ValueError, match="1 of .* generated noise are not finite"):
+        evaluate(samples(white, broken))
