@@ -1,0 +1,142 @@
+"""bin/sample: frames of clean images as a camera of the model, or of a recording, would record them."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.commands.sample import main
+from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.recordings.native import read_recording, write_recording
+from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.sampling import Camera, Setting, make_model, save_model
+
+SHOT, READ, BLACK, WHITE = 1e-3, 1e-5, 64.0, 1023.0
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """A generator that hands on its initial noise: its zero start, with the other layers drawn small."""
+    generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False)
+    encoder = Encoder(1 / 64, hidden=4)
+    image, latent, key = jnp.ones((1, 32, 32, 4)), jnp.ones((1, 8)), jax.random.key(0)
+    shapes = jax.eval_shape(lambda: generator.init(key, image, image, latent, image, train=False))
+    seen = jax.eval_shape(lambda: encoder.init(key, image, train=False))
+    g, e = (jax.tree.map(lambda leaf: jnp.full(leaf.shape, 0.01), tree) for tree in (shapes, seen))
+    g["params"]["pixels"]["out"] = jax.tree.map(jnp.zeros_like, g["params"]["pixels"]["out"])
+    cameras = {
+        "A": Camera(jnp.full((2, 32, 32, 4), 0.1), {"100": Setting(np.full(4, SHOT), np.full(4, READ))})
+    }
+    folder = tmp_path_factory.mktemp("model")
+    save_model(folder / "model.npz", make_model(generator, g, encoder, e, cameras))
+    return folder
+
+
+def run(model, clean, reference, out, *more):
+    flags = ["--model", model, "--clean", clean, "--reference", reference, "--out", out, *more]
+    return main([str(f) for f in flags])
+
+
+def write(path, **fields):
+    known = {"cfa": "GBRG", "black_level": (BLACK,) * 4, "white_level": WHITE, "camera": "B", "iso": 200.0}
+    frames = np.random.default_rng(0).normal(BLACK + 200, 8, (2, 64, 64)).astype(np.uint16)
+    write_recording(path, Recording(frames=frames, **(known | fields)))
+    return path
+
+
+LEVELS = ("--black-level", BLACK, "--white-level", WHITE)
+
+
+def test_a_camera_of_the_model_at_an_iso(model, tmp_path):
+    (tmp_path / "in").mkdir()
+    image = np.full((64, 66), 0.1, np.float32)  # 33 packed columns: the last one is left out
+    np.save(tmp_path / "in" / "a.npy", image)
+    np.save(tmp_path / "in" / "b.npy", image)
+    out = tmp_path / "out"
+    assert run(model, tmp_path / "in", "A", out, "--iso", 100, "--frames", 3, *LEVELS) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["a_A.h5", "b_A.h5"]
+    first, second = (read_recording(out / f"{n}_A.h5") for n in "ab")
+    assert first.frames.shape == (3, 64, 64) and first.camera == "A" and first.iso == 100
+    np.testing.assert_allclose(first.shot, SHOT)
+    frames = np.asarray(first.frames).astype(float)
+    noise = (frames - BLACK) / (WHITE - BLACK) - 0.1
+    variance = SHOT * 0.1 + READ + 1 / 12 / (WHITE - BLACK) ** 2
+    assert abs(noise.var() / variance - 1) < 5 * (2 / noise.size) ** 0.5
+    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.08
+    assert not np.array_equal(frames, np.asarray(second.frames))
+
+
+def test_a_recording_as_reference_sets_camera_levels_and_noise(model, tmp_path):
+    reference = write(tmp_path / "ref.h5")
+    clean = write(tmp_path / "scene.h5", camera="C", black_level=(10.0,) * 4, white_level=400.0)
+    assert run(model, clean, reference, tmp_path / "out") == 0
+    made = read_recording(tmp_path / "out" / "scene_B.h5")
+    assert (made.camera, made.cfa, made.iso, made.white_level) == ("B", "GBRG", 200, WHITE)
+    noise = np.asarray(made.frames)[0] - (BLACK + np.asarray(made.clean) * (WHITE - BLACK))
+    assert abs(np.std(noise) / 8 - 1) < 0.15  # the reference's noise, estimated from its pixels
+
+
+def test_the_seed_decides(model, tmp_path):
+    clean = write(tmp_path / "scene.h5")
+    for out, seed in (("one", 0), ("two", 0), ("three", 1)):
+        assert run(model, clean, "A", tmp_path / out, "--iso", 100, "--seed", seed) == 0
+    one, two, three = (
+        np.asarray(read_recording(tmp_path / out / "scene_A.h5").frames) for out in ("one", "two", "three")
+    )
+    assert np.array_equal(one, two) and not np.array_equal(one, three)
+
+
+def nan(folder):
+    image = np.zeros((64, 64), np.float32)
+    image[3, 4] = np.nan
+    np.save(folder / "nan.npy", image)
+    return folder / "nan.npy"
+
+
+def odd(folder):
+    np.save(folder / "odd.npy", np.zeros((63, 64), np.float32))
+    return folder / "odd.npy"
+
+
+def packed(folder):
+    np.save(folder / "packed.npy", np.zeros((32, 32, 4), np.float32))
+    return folder / "packed.npy"
+
+
+def good(folder):
+    np.save(folder / "good.npy", np.zeros((64, 64), np.float32))
+    return folder / "good.npy"
+
+
+@pytest.mark.parametrize(
+    ("clean", "more", "message"),
+    [
+        (nan, ("--iso", 100, *LEVELS), "NaN"),
+        (odd, ("--iso", 100, *LEVELS), "even sizes"),
+        (packed, ("--iso", 100, *LEVELS), "expected one clean mosaic"),
+        (good, ("--iso", 100), "levels unknown"),
+        (good, LEVELS, "known at ISO 100"),
+        (good, ("--iso", 3200, *LEVELS), "known at ISO 100"),
+        (good, ("--iso", 100, "--black-level", 9, "--white-level", 9), "expected black < white"),
+        (good, ("--iso", 100, *LEVELS, "--reference", "Z"), "neither a file nor a camera"),
+        (good, ("--iso", 100, *LEVELS, "--model", "nowhere"), "no such file"),
+        (lambda folder: folder / "absent", ("--iso", 100, *LEVELS), "no such file"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_line(model, tmp_path, capsys, clean, more, message):
+    out = tmp_path / "out"
+    assert run(model, clean(tmp_path), "A", out, *more) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("bin/sample: ") and message in error and error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_nothing_is_written_over(model, tmp_path, capsys):
+    clean = good(tmp_path)
+    kept = tmp_path / "out" / "good_A.h5"
+    kept.parent.mkdir()
+    kept.write_bytes(b"kept")
+    assert run(model, clean, "A", kept.parent, "--iso", 100, *LEVELS) == 2
+    assert "--overwrite" in capsys.readouterr().err and kept.read_bytes() == b"kept"
