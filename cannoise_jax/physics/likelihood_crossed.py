@@ -10,6 +10,7 @@ against the columns.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -75,6 +76,7 @@ def _small_matrix(terms: SharedTerms, weight: Float[Array, "h w"]) -> Float[Arra
     return full + jnp.eye(full.shape[0])
 
 
+@partial(jax.jit, static_argnames="correct")
 def crossed_gaussian(
     codes: Float[Array, "t h w"],
     mean: Float[Array, "*t h w"] | float,
@@ -136,24 +138,26 @@ def crossed_laplace(
     noise of a third of a step or more; on tiny frames of 12 x 3, 1e-4 at one step and 1e-3 at half a step.
     The gradient follows the mode: one implicit Newton step at the end is differentiated.
     """
-    unit = jnp.zeros(terms.row.shape[1] + terms.column.shape[1] + 1)
+    pixels, hoisted = jax.closure_convert(log_prob, jnp.zeros(size, jnp.float32))
+    fixed, fixed_terms = jax.lax.stop_gradient((hoisted, terms))
 
-    def derivatives(offset):
-        slope = jax.grad(lambda o: jnp.sum(log_prob(o)))
+    def derivatives(offset, hoisted):
+        slope = jax.grad(lambda o: jnp.sum(pixels(o, *hoisted)))
         first, second = jax.jvp(slope, (offset,), (jnp.ones_like(offset),))
         return first, jnp.maximum(-second, 0.0)
 
     def step(unit, _):
-        first, weight = derivatives(_spread(terms, unit))
-        small = _small_matrix(terms, weight + 1e-3 * jnp.mean(weight))
-        move = jnp.linalg.solve(small, _gather(terms, first) - unit)
+        first, weight = derivatives(_spread(fixed_terms, unit), fixed)
+        small = _small_matrix(fixed_terms, weight + 1e-3 * jnp.mean(weight))
+        move = jnp.linalg.solve(small, _gather(fixed_terms, first) - unit)
         return unit + jnp.clip(move, -2.0, 2.0), None
 
-    unit = jax.lax.stop_gradient(jax.lax.scan(jax.checkpoint(step), unit, None, length=newton_steps)[0])
-    first, weight = derivatives(_spread(terms, unit))
+    unit = jnp.zeros(terms.row.shape[1] + terms.column.shape[1] + 1)
+    unit = jax.lax.scan(step, unit, None, length=newton_steps)[0]
+    first, weight = derivatives(_spread(terms, unit), hoisted)
     small = jax.lax.stop_gradient(_small_matrix(terms, weight))
     unit = unit + jnp.linalg.solve(small, _gather(terms, first) - unit)
-    _, weight = derivatives(_spread(terms, unit))
+    _, weight = derivatives(_spread(terms, unit), hoisted)
     factor = jnp.linalg.cholesky(_small_matrix(terms, weight))
     fit = jnp.sum(log_prob(_spread(terms, unit)))
     return fit - jnp.sum(unit**2) / 2 - jnp.sum(jnp.log(jnp.diagonal(factor)))

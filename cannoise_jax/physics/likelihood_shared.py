@@ -43,25 +43,28 @@ def shared_log_prob(
     safe = jnp.maximum(sigma, 1e-6)
     points, log_weights = (jnp.asarray(x, jnp.float32) for x in _hermite(nodes))
 
-    def joint(unit):  # log of likelihood times standard normal prior, in units of sigma
-        return jnp.sum(log_prob((safe * unit)[:, None]), -1) - unit * unit / 2
+    # The mode is found at fixed parameters: without that their derivatives would run through every step.
+    pixels, hoisted = jax.closure_convert(log_prob, jnp.zeros((groups, 1), jnp.float32))
+    fixed, fixed_sigma = jax.lax.stop_gradient((hoisted, safe))
+
+    def joint(unit, sigma, hoisted):  # log of likelihood times standard normal prior, unit: offset / sigma
+        return jnp.sum(pixels((sigma * unit)[:, None], *hoisted), -1) - unit * unit / 2
 
     def slope(unit):
-        return jax.grad(lambda u: jnp.sum(joint(u)))(unit)
+        return jax.grad(lambda u: jnp.sum(joint(u, fixed_sigma, fixed)))(unit)
 
     def newton(unit, _):
         first, second = jax.jvp(slope, (unit,), (jnp.ones_like(unit),))
-        return jnp.clip(unit + jnp.clip(first / jnp.maximum(-second, 0.5), -1.0, 1.0), -30.0, 30.0), None
+        moved = unit + jnp.clip(first / jnp.maximum(-second, 0.5), -1.0, 1.0)
+        return jnp.clip(moved, -30.0, 30.0), second
 
-    start = jax.lax.stop_gradient(jnp.zeros(groups, jnp.float32))
-    mode, _ = jax.lax.scan(newton, start, None, length=newton_steps)
-    _, second = jax.jvp(slope, (mode,), (jnp.ones_like(mode),))
-    mode = jax.lax.stop_gradient(mode)
-    scale = jax.lax.stop_gradient(1 / jnp.sqrt(jnp.maximum(-second, 1.0)))
+    start = jnp.zeros(groups, jnp.float32)
+    mode, curvatures = jax.lax.scan(newton, start, None, length=newton_steps)
+    scale = 1 / jnp.sqrt(jnp.maximum(-curvatures[-1], 1.0))
 
     def at(node):
         point, log_weight = node
-        return joint(mode + scale * point) + log_weight
+        return joint(mode + scale * point, safe, hoisted) + log_weight
 
     terms = jax.lax.map(at, (points, log_weights))
     return jax.scipy.special.logsumexp(terms, axis=0) + jnp.log(scale) - 0.9189385332046727
