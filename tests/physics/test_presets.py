@@ -67,9 +67,9 @@ def test_one_iso_equals_the_whole_table_there(sony):
 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_gives_frames_between_its_rails_with_its_gain(name):
-    # The name and colour pattern are static under jit: with one of each, presets share compiled code.
-    model = dataclasses.replace(preset(name), camera="camera", cfa="RGGB")
-    iso = float(np.asarray(model.iso)[-1])
+    # Name and pattern are static under jit: with one of each, and one ISO, presets share compiled code.
+    iso = float(np.asarray(preset(name).iso)[-1])
+    model = dataclasses.replace(preset(name, iso), camera="camera", cfa="RGGB")
     gain = float(np.asarray(model.gain_dn_per_e)[-1, 0])
     span = float(model.white_level) - float(model.black_level[0])
     clean = np.full(SIZE, min(0.3, 400 * gain / span), np.float32)
