@@ -29,6 +29,7 @@ from cannoise_jax.physics.transfer_quantities import (
     pattern_quantities,
     saturation_quantities,
 )
+from cannoise_jax.physics.transfer_shape import shape_quantities
 from cannoise_jax.recordings.packing import PACKED_CHANNELS, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording, per_channel
 
@@ -89,6 +90,7 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
         quantities += saturation_quantities(name, c, lines[c], statistics, black)
     quantities.append(line_noise_quantity("row noise", dark, 0))
     quantities.append(line_noise_quantity("column noise", dark, 1))
+    quantities += shape_quantities(dark) if dark is not None else []
     unknown = "needs a known photon flux: record flats under a calibrated light"
     quantities.append(Quantity("quantum efficiency", "e-/photon", "all", NotMeasurable(unknown)))
     return PhotonTransfer(

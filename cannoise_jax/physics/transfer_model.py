@@ -99,10 +99,10 @@ def format_findings(findings: Sequence[Finding]) -> str:
     from cannoise_jax.physics.transfer_table import aligned, format_outcome
 
     lines = [["mechanism", "parameter", "unit", "value [90 % interval]", ""]]
-    missing = []
+    missing: dict[str, list[str]] = {}
     for f in findings:
         if isinstance(f.estimates, NotMeasurable):
-            missing.append(f"  {f.mechanism}: {f.estimates.record}")
+            missing.setdefault(f.estimates.record, []).append(f.mechanism)
             continue
         units = {p.name: p.unit for p in registry.mechanism(f.mechanism).parameters}
         for k, (name, estimate) in enumerate(f.estimates.items()):
@@ -110,8 +110,11 @@ def format_findings(findings: Sequence[Finding]) -> str:
             lines.append(
                 [f.mechanism if k == 0 else "", name, units[name], format_outcome(estimate), verdict]
             )
-    out = ["Mechanisms beyond Poisson-Gaussian", "", *aligned(lines)]
-    return "\n".join([*out, "", "Not measurable:", *missing] if missing else out)
+    out = ["Mechanisms beyond Poisson-Gaussian", ""]
+    out += [*aligned(lines), ""] if len(lines) > 1 else []
+    if missing:
+        out += ["Not measurable:", *(f"  {', '.join(ids)}: {why}" for why, ids in missing.items())]
+    return "\n".join(out).rstrip()
 
 
 def _judged(id: str, estimates: Estimates, statistics: Sequence[FrameStatistics]) -> Finding:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from cannoise_jax.physics.estimate import Estimate, NotMeasurable, Outcome
-from cannoise_jax.physics.transfer import PhotonTransfer, Quantity, channel_names
+from cannoise_jax.physics.transfer import PhotonTransfer, channel_names
+from cannoise_jax.physics.transfer_quantities import Quantity
+from cannoise_jax.physics.transfer_shape import dark_lines, lamp_notes
 
 
 def format_transfer(result: PhotonTransfer) -> str:
@@ -24,6 +26,10 @@ def format_transfer(result: PhotonTransfer) -> str:
         notes += [f"{name}: {note}" for note in _notes(group)]
     table = aligned(lines)
     out = [f"{result.camera}{setting}: photon transfer (EMVA 1288 definitions), 90 % intervals", "", *table]
+    darks = dark_lines(result.statistics)
+    if darks:
+        out += ["", "Darks over exposure, DN, all channels:", *aligned(darks)]
+    notes += lamp_notes(result.statistics)
     if notes:
         out += ["", *dict.fromkeys(notes)]
     if missing:
@@ -56,7 +62,7 @@ def _notes(group: list[Quantity]) -> list[str]:
     notes = {q.channel: q.note for q in group if q.note}
     if len(set(notes.values())) == 1 and len(notes) > 1:
         return [next(iter(notes.values()))]
-    return ["; ".join(f"{channel} {note}" for channel, note in notes.items())] if notes else []
+    return ["; ".join(note if c == "all" else f"{c} {note}" for c, note in notes.items())] if notes else []
 
 
 def aligned(lines: list[list[str]]) -> list[str]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy import optimize, special
 
 from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
-from cannoise_jax.physics.estimators.pick import darks_by_exposure, pooled_variance
+from cannoise_jax.physics.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer_dark import RECORD, Series, dark_currents, dark_series
 from cannoise_jax.physics.transfer_frames import FrameStatistics, site
 
@@ -42,14 +42,15 @@ def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     if pair is None or baseline is None:
         return _LONG
     long, short, seconds = pair
-    charge, error = _charge_map(long, short, baseline)
+    charge, variance = _charge_map(long, short, baseline)
     height, width = charge.shape
     rows, columns = (np.linspace(0, n, min(_GRID, n // 2) + 1).astype(int) for n in (height, width))
     sums = np.add.reduceat(np.add.reduceat(charge, rows[:-1], 0), columns[:-1], 1)
     pixels = np.outer(np.diff(rows), np.diff(columns))
     y = 0.5 * (rows[:-1] + rows[1:] - 1)
     x = 0.5 * (columns[:-1] + columns[1:] - 1)
-    means, sigma = sums / pixels, error / np.sqrt(pixels)
+    spread = np.add.reduceat(np.add.reduceat(variance, rows[:-1], 0), columns[:-1], 1)
+    means, sigma = sums / pixels, np.sqrt(spread) / pixels
     side = max(height, width)
 
     def model(p: np.ndarray) -> np.ndarray:
@@ -161,17 +162,16 @@ def _long_and_short(
 
 def _charge_map(
     long: FrameStatistics, short: FrameStatistics | None, baseline
-) -> tuple[Float[np.ndarray, "H W"], float]:
-    """Electrons that the long dark has more than the short one (or than black), and the error of a pixel."""
-    charge = np.empty(long.mean.shape)
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """Electrons that the long dark has more than the short one (or than black), and their variance."""
+    charge, variance = np.empty(long.mean.shape), np.zeros(long.mean.shape)
     for c in range(4):
         base = baseline.black_level[c] if short is None else site(short.mean, c)
         site(charge, c)[...] = (site(long.mean, c) - base) / baseline.gain[c]
-    variance = 0.0
-    for s in (long, short) if short is not None else (long,):
-        noise = pooled_variance(s)[0] if s.variance is not None else float(np.mean(baseline.read_noise)) ** 2
-        variance += noise / s.recording.count
-    return charge, float(np.sqrt(variance) / np.mean(baseline.gain))
+        for s in (long,) if short is None else (long, short):
+            noise = baseline.read_noise[c] ** 2 if s.variance is None else site(s.variance, c)
+            site(variance, c)[...] += noise / baseline.gain[c] ** 2 / s.recording.count
+    return charge, variance
 
 
 def _edge_point(around: float, height: int, width: int) -> tuple[float, float]:

@@ -79,9 +79,10 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """amplitude_dn (peak) and frequency (cycles per pixel of the scan) of the strongest line in the raster
     periodogram, summed over frames because the phase is new in each.
 
-    The frequency is refined until the power at it is largest; errors by the Cramer-Rao bound of a sinusoid of
-    unknown phase (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974). The largest of many powers is biased
-    upwards: an amplitude below `banding_threshold` is noise.
+    Row means are taken out, so row noise cannot pass for a line; waves slower than two rows are left to the
+    estimators of row noise. The frequency is refined until the power at it is largest; its error is the
+    Cramer-Rao bound of a sinusoid of unknown phase (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974). The
+    largest of many powers is biased upwards: an amplitude below `banding_threshold` is noise.
     """
     dark = darkest(statistics)
     if dark is None:
@@ -89,11 +90,13 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     power = scan_power(dark)
     frames, (height, width) = dark.recording.count, dark.recording.size
     count = height * width
-    peak = int(np.argmax(power)) + 1
-    frequency = _refined(dark, peak / count)
+    slowest = height // 2
+    frequency = _refined(dark, (slowest + int(np.argmax(power[slowest - 1 :]))) / count)
+    # Of a wave the row means hold the share `lost`; of white noise at its frequency they hold as much.
+    lost = (np.sin(np.pi * frequency * width) / (width * np.sin(np.pi * frequency))) ** 2
     floor = float(np.median(power)) / np.log(2)  # noise power per frequency around, exponential law
-    points = _coefficients(dark, np.array([frequency]), residual=False)[:, 0] * 2 / count
-    amplitude, stderr = circle(points, np.sqrt(2 * floor / count))
+    points = _coefficients(dark, np.array([frequency]), residual=False)[:, 0] * 2 / count / (1 - lost)
+    amplitude, stderr = circle(points, np.sqrt(2 * floor / count / (1 - lost)))
     strength = max(amplitude, stderr) ** 2
     by_bound = np.sqrt(24 * floor / (strength * count**3 * frames)) / (2 * np.pi)
     return {
@@ -112,8 +115,8 @@ def banding_threshold(s: FrameStatistics, chance: float = 1e-3) -> float:
 
 
 def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
-    """Periodogram |FFT|^2 / n of the raster scan without its average over frames, DN^2, mean over frames by
-    T - 1; frequencies 1/n to 1/2. White noise of variance v gives v."""
+    """Periodogram |FFT|^2 / n of the raster scan without its average over frames and its row means, DN^2, mean
+    over frames by T - 1; frequencies 1/n to 1/2. White noise of variance v gives v."""
     total: np.ndarray | float = 0.0
     for frame in residual_frames(s):
         total = total + np.abs(np.fft.rfft(frame.ravel())[1:]) ** 2
@@ -121,10 +124,11 @@ def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
 
 
 def residual_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
-    """Frames less the average of all frames, one at a time."""
+    """Frames less the average of all frames and less their row means, one at a time."""
     for part in chunks(s.recording.frames):
         for frame in part:
-            yield frame - s.mean
+            rest = frame - s.mean
+            yield rest - rest.mean(1, keepdims=True)
 
 
 def row_power(s: FrameStatistics) -> Float[np.ndarray, "w/2"]:
@@ -221,7 +225,7 @@ def _coefficients(
     height, width = s.recording.size
     across = np.exp(-2j * np.pi * np.outer(np.arange(width), frequencies))
     down = np.exp(-2j * np.pi * np.outer(np.arange(height) * width % 2**40, frequencies))
-    back = 0.0 if residual else s.mean - s.mean.mean()
+    back = 0.0 if residual else s.mean - s.mean.mean(1, keepdims=True)
     return np.array([np.einsum("hf,hf->f", (f + back) @ across, down) for f in residual_frames(s)])
 
 

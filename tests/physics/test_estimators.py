@@ -1,0 +1,139 @@
+"""Estimators: all of the core is there, intervals hold the truth, absence and missing recordings are said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.physics import registry
+from cannoise_jax.physics.estimate import NotMeasurable, root, variance_difference
+from cannoise_jax.physics.estimators import ESTIMATORS
+from cannoise_jax.physics.estimators.circle import circle
+from cannoise_jax.physics.estimators.coverage import CASES, Row, assumed_baseline, coverage, format_rows
+from cannoise_jax.physics.estimators.spectra import _expected_rows, power_law_correlation
+from cannoise_jax.physics.transfer_frames import frame_statistics
+from cannoise_jax.recordings import Recording
+from cannoise_jax.vocabulary import core_ids
+
+# A thin slice of `bin/bench coverage`: one mechanism of each kind of estimator.
+SLICE = (
+    "row_noise",
+    "dsnu",
+    "column_gain",
+    "nonlinearity",
+    "in_camera_denoising",
+    "hot_pixels",
+    "pink_noise",
+)
+
+
+def darks(frames, exposure_s=1.0, kind="dark"):
+    codes = np.clip(np.rint(frames), 0, 16383).astype(np.uint16)
+    return frame_statistics(
+        Recording(codes, "RGGB", (200.0,) * 4, 16383.0, kind=kind, exposure_s=exposure_s, code_step=1.0)
+    )
+
+
+def test_every_core_mechanism_has_an_estimator_and_a_case_for_its_parameters():
+    wanted = set(core_ids()) - {"bookkeeping"}
+    assert wanted <= set(ESTIMATORS)
+    assert {c.mechanism for c in CASES} == set(ESTIMATORS)
+    for case in CASES:
+        names = {p.name for p in registry.mechanism(case.mechanism).parameters}
+        assert set(case.truth) <= names, case.mechanism
+        assert set(case.truth) == names or case.mechanism in ("row_noise",), case.mechanism
+
+
+@pytest.mark.parametrize(
+    "case", [c for c in CASES if c.mechanism in SLICE and not c.note], ids=lambda c: c.mechanism
+)
+def test_intervals_hold_the_truth(case):
+    # Of 16 intervals at 90 % fewer than 10 hold the truth once in 5000; the draws are fixed.
+    for row in coverage(case, 16):
+        assert row.coverage >= 10 / 16, row
+        assert abs(row.mean - row.truth) < 4 * row.spread / np.sqrt(16) + 0.02 * abs(row.truth), row
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.mechanism}{c.note}")
+def test_intervals_are_calibrated(case):
+    for row in coverage(case, 300):
+        assert row.calibrated, format_rows([row])
+
+
+def test_white_noise_shows_no_mechanism():
+    rng = np.random.default_rng(1)
+    s = darks(rng.normal(200, 6, (12, 64, 96)))
+    wrong = []
+    for id in (
+        "row_noise",
+        "column_noise",
+        "row_fpn",
+        "column_fpn",
+        "dsnu",
+        "pixel_read_noise_map",
+        "offset_drift",
+    ):
+        estimates = ESTIMATORS[id]([s], assumed_baseline())
+        strength = next(iter(estimates.values()))
+        if strength.value > 3 * strength.stderr:
+            wrong.append(id)
+    assert not wrong
+    weight = ESTIMATORS["in_camera_denoising"]([s], assumed_baseline())["weight"]
+    assert abs(weight.value) < 3 * weight.stderr
+
+
+def test_missing_recordings_are_asked_for():
+    rng = np.random.default_rng(2)
+    single = darks(rng.normal(900, 6, (1, 16, 24)), kind="scene")
+    for id, estimator in ESTIMATORS.items():
+        outcome = estimator([single], assumed_baseline())
+        if id in ("quantization",):
+            continue
+        assert isinstance(outcome, NotMeasurable) and len(outcome.record) > 20, id
+
+
+def test_row_noise_does_not_pass_for_pink_noise():
+    rng = np.random.default_rng(3)
+    rows = 5 * rng.normal(size=(8, 64, 1))
+    found = ESTIMATORS["pink_noise"]([darks(rng.normal(200, 6, (8, 64, 96)) + rows)], assumed_baseline())
+    assert found["sigma_dn"].ci90[0] == 0.0
+
+
+def test_a_wave_is_measured_over_a_fixed_pattern_of_its_frequency():
+    rng = np.random.default_rng(4)
+    noise, hits = 0.05, 0
+    for _ in range(200):
+        points = 0.7 - 0.4j + 1.5 * np.exp(2j * np.pi * rng.random(8))
+        points = points + noise * (rng.normal(size=8) + 1j * rng.normal(size=8))
+        radius, stderr = circle(points, noise)
+        hits += abs(radius - 1.5) < 1.645 * stderr
+    assert 165 <= hits <= 195
+    line = np.array([1.0, -1.0, 0.9, -1.1, 1.05]) + 0j  # phases on a line fix no circle
+    radius, stderr = circle(line, 0.01)
+    assert 0.5 < radius < 2 and np.isfinite(stderr)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.8])
+def test_expected_spectrum_of_rows_is_that_of_simulated_scans(exponent):
+    rng = np.random.default_rng(5)
+    height, width, runs = 24, 32, 400
+    length = 2 * height * width
+    shape = np.fft.rfft(power_law_correlation(length, exponent)).real
+    scans = np.fft.irfft(np.fft.rfft(rng.normal(size=(runs, length))) * np.sqrt(np.maximum(shape, 0)), length)
+    rows = scans[:, : length // 2].reshape(runs, height, width)
+    power = np.mean(np.abs(np.fft.rfft(rows)[..., 1:]) ** 2, (0, 1)) / width
+    assert np.allclose(_expected_rows(height, width, exponent)[0], power, rtol=0.05)
+
+
+def test_root_never_gives_an_empty_interval():
+    below = variance_difference(0.5, 400, 1.0, 400)
+    assert below.ci90[1] < 0
+    estimate = root(below)
+    assert estimate.value == 0 and estimate.ci90[0] == 0 < estimate.ci90[1]
+
+
+def test_rows_say_when_they_are_not_calibrated():
+    row = Row("row_noise", "sigma_dn", 1.0, 1.0, 0.1, 0.1, 0.5, 100, False)
+    assert not row.calibrated and "OUTSIDE" in format_rows([row])
+    assert row._replace(coverage=0.9).calibrated
