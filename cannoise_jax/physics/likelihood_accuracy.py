@@ -67,6 +67,24 @@ class SharedError(NamedTuple):
     crossed_laplace: float
 
 
+@jax.jit
+def _nested(codes, mean, sigma, shared_sigma):
+    """Row offsets by quadrature: log-probability of each row."""
+    return shared_log_prob(
+        lambda offset: gaussian_log_prob(codes, mean + offset, sigma**2), shared_sigma, codes.shape[0]
+    )
+
+
+@jax.jit
+def _laplace(frames, mean, sigma, terms):
+    """Crossed offsets by Laplace's approximation: log-probability of each frame."""
+    return jax.vmap(
+        lambda codes: crossed_laplace(
+            lambda offset: gaussian_log_prob(codes, mean + offset, sigma**2), terms, codes.shape
+        )
+    )(frames)
+
+
 def shared_errors(sigma: float, shared_sigma: float, seed: int = 0) -> SharedError:
     """Largest error over 6 rows of 48 pixels (nested) and over 4 frames of 12 x 3 pixels (crossed), for
     codes of
@@ -74,23 +92,17 @@ def shared_errors(sigma: float, shared_sigma: float, seed: int = 0) -> SharedErr
     rng = np.random.default_rng(seed)
     mean = np.float32(rng.uniform(0, 1, (6, 48)))
     codes = np.round(mean + shared_sigma * rng.normal(size=(6, 1)) + sigma * rng.normal(size=mean.shape))
-    exact = brute_force_rows(codes, mean.astype(np.float64), np.float32(sigma), np.float32(shared_sigma))
-    nested = jax.jit(
-        lambda y: shared_log_prob(lambda o: gaussian_log_prob(y, mean + o, sigma**2), shared_sigma, 6)
-    )(codes.astype(np.float32))
+    exact = brute_force_rows(
+        codes, mean.astype(np.float64), float(np.float32(sigma)), float(np.float32(shared_sigma))
+    )
+    nested = _nested(codes.astype(np.float32), mean, sigma, shared_sigma)
     level = np.float32(rng.uniform(0, 1, (12, _COLUMNS)))
-    terms = white_terms(level.shape, shared_sigma, shared_sigma)
+    terms = white_terms((12, _COLUMNS), shared_sigma, shared_sigma)
     shared = shared_sigma * (rng.normal(size=(4, 12, 1)) + rng.normal(size=(4, 1, _COLUMNS)))
     frames = np.round(level + shared + sigma * rng.normal(size=(4, 12, _COLUMNS))).astype(np.float32)
     truth = [brute_force_crossed(f, level, sigma, shared_sigma, shared_sigma) for f in frames]
-    normal = crossed_gaussian(frames, level, sigma**2, terms)
-    laplace = jax.jit(
-        jax.vmap(
-            lambda y: crossed_laplace(
-                lambda o: gaussian_log_prob(y, level + o, sigma**2), terms, (12, _COLUMNS)
-            )
-        )
-    )(frames)
+    normal = crossed_gaussian(jnp.asarray(frames), jnp.asarray(level), sigma**2, terms)
+    laplace = _laplace(frames, level, sigma, terms)
 
     def worst(found, known, pixels):
         return float(np.max(np.abs(np.asarray(found, np.float64) - known))) / pixels
