@@ -12,13 +12,13 @@ def get_config() -> ConfigDict:
     return ConfigDict(
         {
             "seed": 0,
-            "steps": 2400,
+            "steps": 7000,
             "batch_size": 16,  # paper: 64
             "patch": 32,  # packed pixels; paper: 64
             "width": 1 / 16,  # of every channel count; paper: 1
             "literal": False,  # the paper's tables and raw units as printed; see networks/
             "encoder": True,  # False: a generator without camera awareness
-            "networks": {"generator": {}, "encoder": {}, "critic": {}},  # fields of the modules
+            "networks": {"generator": {"hidden": 16}, "encoder": {}, "critic": {"hidden": 16}},  # fields of the modules
             # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
             "initial_noise": "poisson_gaussian",
             "clip": True,  # noise as clipped recordings show it, before the critic; paper: unsaid
@@ -36,24 +36,24 @@ def get_config() -> ConfigDict:
                 "margin": 0.2,
             },
             "optimiser": {
-                "generator_rate": 1e-4,  # paper: 2e-4
+                "generator_rate": 2e-4
                 "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
-                "critic_rate": 5e-4,  # paper: 2e-4
+                "critic_rate": 2e-3,  # paper: 2e-4
                 "beta1": 0.5,
                 "beta2": 0.999,
                 "schedule": "cosine",  # paper: constant
                 "warmup": 100,  # steps; paper: 0
             },
-            "log_every": 20,
-            "evaluate_every": 400,
+            "log_every": 50,
+            "evaluate_every": 1000,
             "validation_patches": 200,
-            "checkpoint_every": 400,
+            "checkpoint_every": 500,
             "data": {
                 "source": "virtual",  # virtual, recordings (set by --recordings), sidd
                 "seed": 0,
-                "scenes": 40,
+                "scenes": 48,
                 "validation_scenes": 10,
-                "test_scenes": 24,
+                "test_scenes": 20,
                 "per_scene": 16,
                 # For recordings: folders, one a camera, and what overrides their files.
                 "recordings": (),

@@ -7,6 +7,7 @@ state bit for bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -96,7 +97,8 @@ def init_state(config: ConfigDict, cameras: int) -> State:
     networks, optimisers = make_networks(config), make_optimisers(config)
     keys = jax.random.split(jax.random.key(config.seed), 4)
 
-    @jax.jit
+    # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
+    @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
     def variables():
         image = jnp.ones((1, config.patch, config.patch, 4))
         encoder = networks.encoder.init(keys[1], image, train=False) if networks.encoder else {}
