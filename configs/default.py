@@ -18,7 +18,8 @@ def get_config() -> ConfigDict:
             "width": 1 / 16,  # of every channel count; paper: 1
             "literal": False,  # the paper's tables and raw units as printed; see networks/
             "encoder": True,  # False: a generator without camera awareness
-            "networks": {"generator": {"hidden": 16}, "encoder": {}, "critic": {"hidden": 16}},  # fields of the modules
+            # Fields of the modules.
+            "networks": {"generator": {"hidden": 16}, "encoder": {}, "critic": {"hidden": 16}},
             # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
             "initial_noise": "poisson_gaussian",
             "clip": True,  # noise as clipped recordings show it, before the critic; paper: unsaid
@@ -36,7 +37,7 @@ def get_config() -> ConfigDict:
                 "margin": 0.2,
             },
             "optimiser": {
-                "generator_rate": 2e-4
+                "generator_rate": 2e-4,
                 "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
                 "critic_rate": 2e-3,  # paper: 2e-4
                 "beta1": 0.5,
