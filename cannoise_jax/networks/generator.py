@@ -112,6 +112,7 @@ class Generator(nn.Module):
     spectral norm on every layer as released); all further fields are then unused.
     spectral, norm ("channel", "instance", "none"): of the U-Net. hidden: channels of the full-resolution
     branch. level_input: show log sigma to G. Without it G can know the camera from the latent only.
+    direct: also let the latent set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
 
     Returns noise in normalised units, not clipped. Height and width must be multiples of 32.
@@ -124,6 +125,7 @@ class Generator(nn.Module):
     hidden: int = 32
     level_input: bool = True
     row_noise: bool = True
+    direct: bool = False
 
     @nn.compact
     def __call__(
@@ -144,6 +146,10 @@ class Generator(nn.Module):
         features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
         x = jnp.concatenate([x, features], -1)
         maps = PixelBranch(self.hidden, 12, name="pixels")(x, latent, train=train)
+        if self.direct:
+            maps = (
+                maps + nn.Dense(12, kernel_init=nn.initializers.zeros, name="direct")(latent)[:, None, None]
+            )
         factor, shift, row = (jnp.tanh(m) for m in jnp.split(maps, 3, -1))
         noise = n_init * jnp.exp(factor) + sigma * shift
         if self.row_noise:
