@@ -61,20 +61,18 @@ def test_a_flat_gives_its_own_variance_and_nothing_is_negative():
 
 
 def test_real_recordings_against_frame_differences(real_data):
-    """The variance within one frame against that of the difference of two, where no scene can raise it.
+    """The variance within one frame against that of two frames' difference, where no scene can raise it.
 
     Biases, the shortest darks, flats: in longer darks hot pixels, the same in every frame, count as noise in
-    one frame. Row offsets (noise, and lamp flicker under a rolling shutter) are not part of the estimate: each
-    row of the difference is brought to zero.
+    one frame. Row offsets (noise, and lamp flicker under a rolling shutter) are not part of the estimate:
+    each row of the difference is brought to zero.
     """
     from cannoise_jax.recordings.load import load_recording
 
     found = {}
     for camera in ("asi120", "asi178"):
         folder = real_data / camera
-        for path in sorted(
-            [*folder.glob("bias*.h5"), *folder.glob("dark_0.1s.h5"), *folder.glob("flat*.h5")]
-        ):
+        for path in sorted([*folder.glob("bias*"), *folder.glob("dark_0.1s*"), *folder.glob("flat*")]):
             recording = load_recording(path)
             frames = np.asarray(recording.frames[1:3]).astype(np.float64)
             dark = recording.black_map()
