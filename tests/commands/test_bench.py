@@ -1,0 +1,58 @@
+"""bin/bench: one-line errors, the same camera on both sides, and a table that adds up."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.commands import bench
+from cannoise_jax.physics.sensor import Settings
+
+
+def test_bad_options_end_with_one_line(capsys):
+    assert bench.main(["simulate", "--sizes", "0"]) == 2
+    assert bench.main(["simulate", "--electrons", "1e9"]) == 2
+    assert bench.main(["likelihood", "--simulations", "0"]) == 2
+    assert bench.main(["coverage", "--mechanisms", "moonlight"]) == 2
+    assert bench.main(["train", "--patch", "7"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 5 and all(line.startswith("bin/bench: ") for line in lines)
+
+
+def test_both_simulators_are_given_the_same_camera():
+    getframes = pytest.importorskip("getframes")
+    side, electrons = 256, 40.0
+    clean = np.full((side, side), electrons * bench.GAIN / (bench.WHITE - bench.BLACK), np.float32)
+    ours = np.asarray(
+        bench.our_model(side, more=False).sample(jax.random.key(0), clean, Settings(exposure_s=1.0, frames=2))
+    ).astype(float)
+    camera = getframes.Camera(bench.peer_config(side, more=False), seed=1)
+    theirs = np.stack([camera.expose(np.full((side, side), electrons), 1.0).data for _ in range(2)]).astype(
+        float
+    )
+    error = theirs.std() / np.sqrt(theirs.size)
+    assert abs(ours.mean() - theirs.mean()) < 5 * np.sqrt(2) * error
+    assert abs(ours.var() / theirs.var() - 1) < 5 * np.sqrt(4 / theirs.size)
+
+
+def test_the_table_reports_both_and_their_ratio(capsys):
+    assert (
+        bench.main(["simulate", "--sizes", "256", "--electrons", "20", "--frames", "1", "--repeats", "1"])
+        == 0
+    )
+    out = capsys.readouterr().out
+    assert "warm-up" in out and "load" in out
+    rows = [line.split() for line in out.splitlines() if line.startswith(("shot", "+"))]
+    assert len(rows) == 2
+    if "not installed" not in out:
+        for row in rows:
+            ours, peer, fast, ratio = map(float, row[-4:])
+            assert ours > 0 and abs(ratio - ours / max(peer, fast)) < 0.05 * ratio + 0.01
+
+
+def test_coverage_of_a_named_mechanism_is_tabulated(capsys):
+    assert bench.main(["coverage", "--mechanisms", "quantization", "--simulations", "3"]) == 0
+    table = capsys.readouterr().out.splitlines()
+    assert table[0].split()[0] == "mechanism" and len(table) == 2
+    assert table[1].split()[:2] == ["quantization", "step_dn"] and "100.0 %" in table[1]
