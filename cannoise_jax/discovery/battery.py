@@ -43,11 +43,13 @@ def split_frames(count: int) -> tuple[list[int], list[int]]:
     return list(range(0, count, 2)), list(range(1, count, 2))
 
 
-def prepare(capture: CaptureSet, chosen: list[list[int]], judge_stated: bool) -> Prepared:
+def prepare(
+    capture: CaptureSet, chosen: list[list[int]], judge_stated: bool, drawn: CaptureSet | None = None
+) -> Prepared:
     """Reads the chosen frames of every recording once, fits the baseline and builds fields and probes.
 
     chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
-    read noise of the files are to be judged.
+    read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given.
     """
     step = code_step(capture)
     stacks = tuple(
@@ -59,27 +61,27 @@ def prepare(capture: CaptureSet, chosen: list[list[int]], judge_stated: bool) ->
     order = {baseline.iso: n for n, baseline in enumerate(baselines)}
     fields = tuple(standardise(s, baselines[order[s.recording.iso]], order[s.recording.iso]) for s in stacks)
     span = float(np.mean([r.white_level - np.mean(r.black_level) for r in capture.recordings]))
-    fields = tuple(_testable_static(f) for f in fields)
+    stated = None
+    if drawn is not None:
+        stated = drawn_parameters(drawn, baselines, step)
+    elif judge_stated:
+        stated = stated_parameters(capture, baselines)
     return Prepared(
         fields,
         baselines,
-        build_probes(capture, stacks, fields, baselines, chosen, judge_stated, step, span),
+        build_probes(capture, stacks, fields, baselines, chosen, stated, step, span, drawn is not None),
         stacks,
         step,
         span,
     )
 
 
-def _testable_static(field: Fields) -> Fields:
-    """One frame alone has no contrast: what is frozen and what is redrawn cannot be told apart."""
-    return field
-
-
-def build_probes(capture, stacks, fields, baselines, chosen, judge_stated, step, span) -> tuple[Probe, ...]:
+def build_probes(
+    capture, stacks, fields, baselines, chosen, stated, step, span, fitted_too
+) -> tuple[Probe, ...]:
     """All probes, with what they need to know about the files."""
     described = describe(capture, step)
     jitter = levels.frame_jitter(fields)
-    stated = stated_parameters(capture, baselines) if judge_stated else None
     lattice = collect_codes(capture, stacks, fields, chosen, step)
     return (
         *lines.probes(),
@@ -87,7 +89,7 @@ def build_probes(capture, stacks, fields, baselines, chosen, judge_stated, step,
         *covariance.probes(),
         *shape.probes(),
         *means.probes(described, span),
-        *levels.probes(described, baselines, stated, step, span, jitter),
+        *levels.probes(described, baselines, stated, step, span, jitter, fitted_too),
         *codes.probes(lattice, float(described.black.mean())),
     )
 
@@ -100,6 +102,19 @@ def describe(capture: CaptureSet, step: float) -> means.Described:
     greens = None if cfa == "MONO" else tuple(n for n, letter in enumerate(cfa) if letter == "G")
     on_lattice = np.allclose(black / step, np.round(black / step), atol=1e-4)
     return means.Described(black, greens, 0.5 * step if on_lattice else 0.0)  # type: ignore[arg-type]
+
+
+def drawn_parameters(drawn: CaptureSet, baselines: tuple[Baseline, ...], step: float) -> tuple:
+    """Gain (DN/e-) and read noise (DN) of a simulator per gain setting, fitted on its own draws."""
+    out: list[tuple] = []
+    for baseline in baselines:
+        chosen = [(n, r) for n, r in enumerate(drawn.recordings) if r.iso == baseline.iso and r.count > 1]
+        if not chosen:
+            out.append((None, None))
+            continue
+        fitted = fit_baseline([stack(r, n, list(range(r.count)), step) for n, r in chosen], baseline.iso)
+        out.append((fitted.gain, fitted.read_dn))
+    return tuple(out)
 
 
 def stated_parameters(capture: CaptureSet, baselines: tuple[Baseline, ...]) -> tuple:

@@ -339,8 +339,7 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     static, mean = None, signal + baseline.black[channel]
     if recording.kind in ("dark", "bias"):
         mean = smooth_mean(stacked)
-        if stacked.frames > 1:
-            variance = _own_variance(stacked, channel, variance)
+        variance = _own_variance(stacked, channel, variance, mean)
         static = stacked.mean - mean
     elif recording.kind == "flat":
         mean = smooth_mean(stacked)
@@ -350,6 +349,10 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
         static = stacked.mean - mean
     sigma = np.sqrt(variance).astype(np.float32)
     usable = stacked.usable & (signal < 0.9 * full_level(baseline))
+    # Near the rail the noise decides which pixels clip: the rest would be a biased sample.
+    usable &= mean + 5 * sigma < recording.white_level
+    if stacked.frames == 1:
+        static = None  # one frame cannot tell what stays from what is redrawn
     scaled = np.float32(np.sqrt(stacked.frames)) * usable / sigma
     contrasts = stacked.contrasts * (usable / sigma)
     contrasts = contrasts.astype(np.float32)
@@ -374,15 +377,17 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     )
 
 
-def _own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray) -> np.ndarray:
-    """Darks are standardised by their own variance: rounding below a step and dark current are then
-    included."""
+def _own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Darks are standardised by their own variance, in which rounding below a step and dark current are
+    included: the temporal one, of a single frame that over the pixels."""
     out = modelled.copy()
-    n = stacked.frames - 1
+    n = max(stacked.frames - 1, 1)
+    values = stacked.variance if stacked.frames > 1 else (stacked.mean - mean) ** 2
     for c in range(4):
-        v = stacked.variance[channel == c]
+        v = values[channel == c]
         limit = stats.chi2.isf(1e-6, n) / n * max(np.median(v) * n / stats.chi2.median(n), 1e-9)
-        out[channel == c] = max(v[v < limit].mean(), 1e-6)
+        kept = v[v < limit]
+        out[channel == c] = max(float(kept.mean()) if kept.size else 0.0, 1e-6)
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,9 +16,10 @@ from scipy import stats
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, prepare, split_frames
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.fit import Fitted, refit, stepwise
+from cannoise_jax.discovery.fit import Fitted, Step, refit, stepwise
 from cannoise_jax.discovery.model import extended_model
 from cannoise_jax.discovery.prove import Proof, nll_per_pixel, prove
+from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
 from cannoise_jax.discovery.twosample import Verdict, two_sample
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -56,7 +58,7 @@ class Diagnosis:
 
 def diagnose(
     capture: CaptureSet,
-    simulator: str = "poisson-gaussian",
+    simulator: str | Path | SensorModel | Draw = "poisson-gaussian",
     key: Key[Array, ""] | None = None,
     *,
     alpha: float = 0.01,
@@ -68,33 +70,43 @@ def diagnose(
     """Finds where a simulator and recordings of a camera differ, names and fits what was left out, and shows
     the gain on frames that took no part in finding it.
 
-    simulator: 'poisson-gaussian', calibrated from the recordings, or 'nlf', the files' shot and read as
-    stated. alpha: false-alarm rate of the whole run. without, mechanisms: ids that may not, or may alone, be
+    simulator: 'poisson-gaussian', calibrated from the recordings; 'nlf', the files' shot and read as stated; a
+    sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
+    alpha: false-alarm rate of the whole run. without, mechanisms: ids that may not, or may alone, be
     named. compare: also run the two-sample test. tell: called with one line per stage.
     Raises BadInput for a simulator that cannot be judged, ValueError for unknown ids or an alpha out
     of (0, 1).
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
-    if simulator not in SIMULATORS:
-        raise BadInput(f"{simulator}: no such simulator: use {' or '.join(SIMULATORS)}")
     key = jax.random.key(0) if key is None else key
     ids = declare.registered(without, mechanisms)
-    judged = simulator == "nlf"
-    if judged and not any(r.shot and r.read for r in capture.recordings):
+    judged = simulator != "poisson-gaussian"
+    label = str(simulator) if isinstance(simulator, (str, Path)) else "function"
+    if simulator == "nlf" and not any(r.shot and r.read for r in capture.recordings):
         raise BadInput(
             f"{capture.path or 'recordings'}: state no shot and read: use --simulator poisson-gaussian"
         )
     splits = [split_frames(r.count) for r in capture.recordings]
     tell("calibrate: black level, gain and read noise")
-    first = prepare(capture, [a for a, _ in splits], judged)
+    drawn = None
+    if simulator not in SIMULATORS:
+        label, draw, dark = open_simulator(simulator, capture)
+        tell("draw: frames of the simulator at the settings of the recordings")
+        drawn = simulate_like(capture, draw, jax.random.fold_in(key, 1), dark)
+        capture = as_simulated(capture, drawn)
+        splits = [split_frames(r.count) for r in capture.recordings]
+    first = prepare(capture, [a for a, _ in splits], judged, drawn)
+    own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
+    first = first._replace(fields=_take_out(first.fields, own))
     tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
     fitted = stepwise(first.fields, first.probes, frozenset(ids), float(np.log(alpha)), tell)
     yes, no = declare.testable(fitted.first, first.probes, ids)
     second = None
     if any(b for _, b in splits):
         tell("prove: on the other half of the frames")
-        second = prepare(capture, [b for _, b in splits], judged)
+        second = prepare(capture, [b for _, b in splits], judged, drawn)
+        second = second._replace(fields=_take_out(second.fields, own))
     proofs = prove(fitted.steps, second) if second else tuple(Proof(None, None, 0.0, 0) for _ in fitted.steps)
     before = after = None
     nll = nll_per_pixel(second) if second else None
@@ -107,8 +119,27 @@ def diagnose(
         [(s.named.mechanism, p.score or s.named.score) for s, p in zip(fitted.steps, proofs, strict=True)],
     )
     return Diagnosis(
-        capture, simulator, alpha, ids, yes, no, first, second, fitted, proofs, before, after, nll, model
+        capture, label, alpha, ids, yes, no, first, second, fitted, proofs, before, after, nll, model
     )
+
+
+def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
+    """The recordings that the simulator could draw."""
+    names = {(r.path, r.kind, r.exposure_s, r.iso) for r in drawn.recordings}
+    kept = tuple(r for r in capture.recordings if (r.path, r.kind, r.exposure_s, r.iso) in names)
+    return CaptureSet(capture.camera, kept, capture.path)
+
+
+def _own_effects(drawn: CaptureSet, ids: frozenset[str], log_alpha: float) -> tuple[Step, ...]:
+    """What the simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
+    prepared = prepare(drawn, [split_frames(r.count)[0] for r in drawn.recordings], False)
+    return stepwise(prepared.fields, prepared.probes, ids, log_alpha).steps
+
+
+def _take_out(fields: tuple[Fields, ...], steps: tuple[Step, ...]) -> tuple[Fields, ...]:
+    for step in steps:
+        fields = refit(step.named.probe.absorb(fields, step.named.score))
+    return fields
 
 
 def _compare(key, first: Prepared, second: Prepared, fitted: Fitted) -> tuple[Verdict | None, Verdict | None]:

@@ -7,6 +7,7 @@ noise all of them are independent and, divided by the fitted standard deviation,
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +83,17 @@ def frame_fields(field: Fields, static: bool = True) -> Float[np.ndarray, "t h w
     if static and field.static is not None:
         return out + field.static / np.float32(np.sqrt(field.frames))
     return out * np.float32(np.sqrt(field.frames / max(field.frames - 1.0, 1.0)))
+
+
+def each_frame(field: Fields) -> Iterator[Float[np.ndarray, "h w"]]:
+    """The standardised residuals of `frame_fields` one frame at a time."""
+    matrix = helmert(field.frames).astype(np.float32)
+    for t in range(field.frames):
+        frame = np.tensordot(matrix[:, t], field.contrasts, axes=1)
+        if field.static is not None:
+            yield frame + field.static / np.float32(np.sqrt(field.frames))
+        else:
+            yield frame * np.float32(np.sqrt(field.frames / max(field.frames - 1.0, 1.0)))
 
 
 def map_contrasts(field: Fields, function) -> Fields:

@@ -12,7 +12,7 @@ from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import Named, name
 from cannoise_jax.discovery.statistics.score import Probe
 
-MOST_STEPS = 8
+MOST_STEPS = 12
 
 
 class Step(NamedTuple):
@@ -32,12 +32,12 @@ class Fitted(NamedTuple):
     first: Located
 
 
-def refit(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[Fields, ...]:
     """Brings the variance of every channel back to one after something was taken out."""
     out = []
     for f in fields:
-        if not len(f.contrasts):
-            out.append(f)
+        if not len(f.contrasts) or any(f.contrasts is g.contrasts for g in before):
+            out.append(f)  # nothing was taken out of the contrasts, so the variance is what it was
             continue
         channel = channel_index(f.mean.shape)
         factor = np.ones(f.mean.shape, np.float32)
@@ -55,6 +55,17 @@ def refit(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
             )
         )
     return tuple(out)
+
+
+def _known(located: Located, before: tuple[Fields, ...], after: tuple[Fields, ...], probes: list[Probe]):
+    """Scores that stand because what they look at was not touched: those of contrasts when only static fields
+    changed."""
+    same = all(
+        a.contrasts is b.contrasts and a.usable is b.usable for a, b in zip(before, after, strict=True)
+    )
+    names = {p.name for p in probes if p.axes.get("time") in ("redrawn", "telegraph")} if same else set()
+    names -= {"kurtosis", "skewness"}
+    return {n: s for n, s in located.scores.items() if n in names}
 
 
 def stepwise(
@@ -75,8 +86,8 @@ def stepwise(
             break
         tell(f"step {len(steps) + 1}: {named.mechanism} ({named.probe.name})")
         steps.append(Step(named, fields, located.log_p[named.probe.name]))
-        fields = refit(named.probe.absorb(fields, named.score))
+        previous, fields = fields, refit(named.probe.absorb(fields, named.score), fields)
         gone = {named.probe.name, *named.probe.covers}
         active = [p for p in active if p.name not in gone]
-        located = locate(fields, tuple(active), first.tests)
+        located = locate(fields, tuple(active), first.tests, _known(located, previous, fields, active))
     return Fitted(tuple(steps), fields, located, first)

@@ -22,13 +22,19 @@ class Located(NamedTuple):
         )
 
 
-def locate(fields: tuple[Fields, ...], probes: tuple[Probe, ...], tests: int | None = None) -> Located:
+def locate(
+    fields: tuple[Fields, ...],
+    probes: tuple[Probe, ...],
+    tests: int | None = None,
+    known: dict[str, Score] | None = None,
+) -> Located:
     """Runs the battery. Every probe's p-value is calibrated for the search inside it; over the `tests` probes
     the smallest is judged by Sidak's bound, which holds for independent and for positively dependent scores.
+    known: scores that need not be computed again.
     """
     scores = {}
     for probe in probes:
-        score = probe.score(fields)
+        score = known[probe.name] if known and probe.name in known else probe.score(fields)
         if score is not None:
             scores[probe.name] = score
     number = tests or len(scores)

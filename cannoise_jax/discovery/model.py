@@ -106,7 +106,7 @@ def _add(model: SensorModel, mechanism: str, score: Score, prepared: Prepared) -
         parameter = "amplitude" if point.spectrum == "sinusoid" else "sigma"
         parameter += "" if point.combine == "multiply" else "_dn"
     elif mechanism == "dsnu" and score.probe == "pixel_thermal_static":
-        return model.with_mechanism("dsnu", sigma_dn=value, scaling=Scaling(exposure=1.0))
+        return model.with_mechanism("dsnu", sigma_dn=value, scaling=_thermal(prepared))
     elif mechanism == "heavy_tails":
         return model.with_mechanism("heavy_tails", tukey_lambda=_lambda_of(value))
     elif mechanism in ("rts", "hot_pixels", "amp_glow", "saturation"):
@@ -126,6 +126,11 @@ def _add(model: SensorModel, mechanism: str, score: Score, prepared: Prepared) -
         return model.with_mechanism(name, point=point, **known)
     except ValueError:
         return model.with_mechanism(name, point=point)
+
+
+def _thermal(prepared: Prepared) -> Scaling:
+    seconds = max(f.exposure_s or 0.0 for f in prepared.fields)
+    return Scaling(exposure=1.0, reference_exposure_s=seconds)
 
 
 def _raster_frequency(fy: float, fx: float, width: int) -> float:

@@ -19,6 +19,10 @@ from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.physics.likelihood import CodeGrid, gaussian_log_prob
 
 
+MOST_JOINT = 4
+"""Up to so many findings each is judged with all others in the model."""
+
+
 class Proof(NamedTuple):
     """One mechanism on the second half: its fit there, the gain of the first half's fit, nats, and its
     error."""
@@ -30,14 +34,18 @@ class Proof(NamedTuple):
 
 
 def prove(steps: tuple[Step, ...], other: Prepared) -> tuple[Proof, ...]:
-    """Every accepted mechanism on the other half of the frames, all others in the model."""
+    """Every accepted mechanism on the other half of the frames, all others in the model; of a long list, those
+    accepted before it, which have the larger effects."""
     probes = {p.name: p for p in other.probes}
     out = []
+    earlier = other.fields
     for n, step in enumerate(steps):
-        fields = other.fields
+        fields = earlier if len(steps) > MOST_JOINT else other.fields
         for m, second in enumerate(steps):
-            if m != n:
+            if m != n and len(steps) <= MOST_JOINT:
                 fields = refit(second.named.probe.absorb(fields, second.named.score))
+        if len(steps) > MOST_JOINT:
+            earlier = refit(step.named.probe.absorb(earlier, step.named.score))
         score = probes[step.named.probe.name].score(fields) if step.named.probe.name in probes else None
         pixels = int(sum(f.usable.sum() * f.frames for f in fields))
         if score is None or pixels == 0:

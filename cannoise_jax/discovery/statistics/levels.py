@@ -9,7 +9,7 @@ import numpy as np
 from cannoise_jax.discovery.calibrate import Baseline
 from cannoise_jax.discovery.fields import Fields, channel_index
 from cannoise_jax.discovery.statistics.means import Described
-from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, normal_log_p
+from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, normal_log_p, student_log_p
 from cannoise_jax.discovery.statistics.shape import unchanged
 
 _DARK = ("dark", "bias")
@@ -24,6 +24,13 @@ def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, fl
             level = np.array([float(f.mean[channel == c].mean()) for c in range(4)])
             out.append((f, level, float(np.median(f.sigma)) / np.sqrt(f.frames * f.mean.size / 4)))
     return out
+
+
+def jitter_freedom(fields: tuple[Fields, ...], jitter: float, error: float) -> float:
+    """Degrees of freedom of a standard error made of pixel noise, which is known, and of frame jitter."""
+    frames = sum(len(f.contrasts) for f in fields if f.kind in _DARK)
+    share = jitter / max(jitter + error, 1e-30)
+    return frames / max(share, 1e-3) ** 2
 
 
 def frame_jitter(fields: tuple[Fields, ...]) -> float:
@@ -60,7 +67,7 @@ def channel_score(
         z = np.sign(value) * max(abs(value) - slack, 0.0) / spread
         return Score(
             probe,
-            normal_log_p(z),
+            student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
             0.5 * z**2,
             5.0,
             abs(value),
@@ -109,7 +116,7 @@ def dark_current_score(fields: tuple[Fields, ...], *, probe: str, jitter: float)
     error = float(1 / np.sqrt(i)) / gain
     return Score(
         probe,
-        normal_log_p(z, 1),
+        student_log_p(z, jitter_freedom(fields, jitter, levels[0][2] ** 2 * levels[0][0].frames / 4), 1),
         0.5 * z**2 if z > 0 else 0.0,
         5.0,
         max(slope / gain, 0.0),
@@ -123,9 +130,10 @@ def dark_current_score(fields: tuple[Fields, ...], *, probe: str, jitter: float)
 
 
 def stated_score(
-    fields, *, probe: str, kind: str, baselines: tuple[Baseline, ...], stated: tuple
+    fields, *, probe: str, kind: str, baselines: tuple[Baseline, ...], stated: tuple, doubt: float
 ) -> Score | None:
-    """Fitted gain or read noise per channel against the stated one, log ratio."""
+    """Fitted gain or read noise per channel against the stated one, log ratio; doubt: variance of the
+    difference over that of the fit, above 1 where the stated value is itself a fit."""
     u = i = chi2 = 0.0
     dof = 0
     for baseline, (gain, read) in zip(baselines, stated, strict=True):
@@ -139,7 +147,7 @@ def stated_score(
         for c in range(4):
             if error[c] <= 0 or other[c] <= 0:
                 continue
-            relative = error[c] / value[c]
+            relative = np.sqrt(doubt) * error[c] / value[c]
             difference = float(np.log(value[c] / other[c]))
             chi2 += (difference / relative) ** 2
             dof += 1
@@ -241,6 +249,7 @@ def probes(
     step: float,
     span: float,
     jitter: float,
+    fitted_too: bool = False,
 ) -> tuple[Probe, ...]:
     """The probes of this signature; `stated` gain and read noise per gain setting, None: not judged."""
     frozen = {"time": "frozen", "enters": "readout"}
@@ -304,6 +313,8 @@ def probes(
                 "reference_shift",
                 "reference_blur",
                 "reference_spread",
+                "reference_scale",
+                "description_scale",
                 "scene_static",
             ),
         ),
@@ -322,7 +333,12 @@ def probes(
                         "law": "variance",
                     },
                     partial(
-                        stated_score, probe=f"stated_{kind}", kind=kind, baselines=baselines, stated=stated
+                        stated_score,
+                        probe=f"stated_{kind}",
+                        kind=kind,
+                        baselines=baselines,
+                        stated=stated,
+                        doubt=1.5 if fitted_too else 1.0,
                     ),
                     unchanged,
                     (f"stated_{kind}",),

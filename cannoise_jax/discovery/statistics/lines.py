@@ -208,7 +208,7 @@ def pixel_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
     # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map.
     limit = 30.0
     information = np.where(power < limit, np.ravel(sums.information), 0.0)
-    return _component_score(
+    score = _component_score(
         probe,
         power,
         information,
@@ -216,6 +216,14 @@ def pixel_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
         scaling,
         {"axis": "pixel"},
         scale_variance(fields, scaling, ALL_KINDS),
+    )
+    if scaling != "thermal":
+        return score
+    # Fitted per second; quoted at the longest exposure.
+    seconds = max(f.exposure_s or 0.0 for f in fields)
+    sigma, error = score.amplitude * seconds, score.error * seconds
+    return score._replace(
+        amplitude=sigma, error=error, shift=score.shift * seconds, parameters={"sigma": (sigma, "DN", error)}
     )
 
 
@@ -334,6 +342,7 @@ def probes() -> tuple[Probe, ...]:
                 },
                 partial(frame_score, probe=probe, scaling=scaling),
                 partial(frame_absorb, scaling=scaling),
+                ("reference_scale", "description_scale") if scaling == "relative" else (),
             )
         )
     for scaling, name in (("additive", "dsnu"), ("relative", "prnu"), ("thermal", "dsnu")):
@@ -366,6 +375,7 @@ def probes() -> tuple[Probe, ...]:
             },
             partial(own_score, probe="scene_static"),
             own_absorb,
+            ("reference_scale", "description_scale"),
         )
     )
     return tuple(out)

@@ -242,6 +242,108 @@ def _diagonal(image: np.ndarray) -> np.ndarray:
     return (p[:-2, :-2] + p[2:, 2:] + p[:-2, 2:] + p[2:, :-2]) / 4
 
 
+def scale_score(fields: tuple[Fields, ...], *, probe: str, span: float, common: bool) -> Score | None:
+    """Slope of every scene's mean against its reference: what all scenes share is an error of the description
+    (white level, units), what they differ in one of the references."""
+    values, errors, levels = [], [], []
+    for f in fields:
+        if f.kind != "scene" or f.static is None or f.clean is None:
+            continue
+        channel = channel_index(f.mean.shape)
+        u = i = 0.0
+        for c in range(4):
+            chosen = (channel == c) & f.usable
+            weight = f.weight[chosen].astype(np.float64) ** 2
+            if weight.sum() == 0:
+                continue
+            x = f.clean[chosen] - np.average(f.clean[chosen], weights=weight)
+            full = f.frames * np.sum(weight * x**2)
+            if full > 0:
+                slope = float(np.sum(weight * x * f.mean[chosen]) / np.sum(weight * x**2)) / span
+                u, i = u + (slope - 1) * full * span**2, i + full * span**2
+        if i > 0:
+            values.append(u / i)
+            errors.append(1 / np.sqrt(i))
+            levels.append(float(np.sqrt(np.mean(f.signal**2))))
+    if not values or (len(values) < 2 and not common):
+        return None
+    v, e = np.array(values), np.array(errors)
+    mean = float(np.average(v, weights=1 / e**2))
+    error = float(1 / np.sqrt(np.sum(1 / e**2)))
+    level = float(np.mean(levels))
+    if common:
+        # The scatter between references bounds what is common to them.
+        chi2 = float(np.sum(((v - mean) / e) ** 2))
+        error *= max(np.sqrt(chi2 / max(len(v) - 1, 1)), 1.0)
+        z = mean / error
+        return Score(
+            probe,
+            normal_log_p(z),
+            0.5 * z**2,
+            5.0,
+            abs(mean) * level,
+            error * level,
+            error * level,
+            1,
+            {"scale": (mean, "1", error)},
+            {"axis": "signal", "range": [0.0, 1.0]},
+        )
+    chi2 = float(np.sum(((v - mean) / e) ** 2))
+    k = int(np.argmax(np.abs(v - mean) / e))
+    worst = float(np.std(v - mean)) * level
+    return Score(
+        probe,
+        chi2_log_sf(chi2, len(v) - 1),
+        chi2 / 2,
+        2.5 * (len(v) - 1),
+        worst,
+        float(e[k]) * level,
+        float(e[k]) * level,
+        1,
+        {"scale": (float(v[k]), "1", float(e[k]))},
+        {"axis": "signal", "range": [0.0, 1.0]},
+    )
+
+
+def shading_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """Fall-off towards the corners of flats whose light is known."""
+    u = i = 0.0
+    for f in fields:
+        if f.kind != "flat" or f.clean is None or f.static is None:
+            continue
+        h, w = f.mean.shape
+        y, x = np.indices((h, w))
+        fall = ((y - (h - 1) / 2) ** 2 + (x - (w - 1) / 2) ** 2) / (((h - 1) / 2) ** 2 + ((w - 1) / 2) ** 2)
+        channel = channel_index((h, w))
+        for c in range(4):
+            chosen = (channel == c) & f.usable
+            weight = f.weight[chosen].astype(np.float64) ** 2
+            light = f.clean[chosen].astype(np.float64)
+            mean = f.mean[chosen] - f.black[c]
+            if weight.sum() == 0 or light.mean() <= 0:
+                continue
+            scale = np.sum(weight * light * mean) / np.sum(weight * light**2)
+            t = -light * scale * (fall[chosen] - np.average(fall[chosen], weights=weight * light**2))
+            full = f.frames * np.sum(weight * t**2)
+            u += f.frames * np.sum(weight * t * (mean - scale * light))
+            i += full
+    if i == 0:
+        return None
+    z, amplitude, error = u / np.sqrt(i), u / i, float(1 / np.sqrt(i))
+    return Score(
+        probe,
+        normal_log_p(z),
+        0.5 * z**2,
+        5.0,
+        abs(amplitude),
+        error,
+        error,
+        1,
+        {"corner_loss": (float(amplitude), "1", error)},
+        {"axis": "block", "bbox": None},
+    )
+
+
 def curvature_score(fields: tuple[Fields, ...], *, probe: str, span: float) -> Score | None:
     """Mean of the scenes against the square of their reference."""
     chosen = [f for f in fields if f.kind == "scene" and f.static is not None and f.clean is not None]
@@ -341,7 +443,15 @@ def drop_scenes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return tuple(f._replace(static=None) if f.kind == "scene" else f for f in fields)
 
 
-_SCENE = ("reference_shift", "reference_blur", "reference_spread", "scene_static", "curvature")
+_SCENE = (
+    "reference_shift",
+    "reference_blur",
+    "reference_spread",
+    "scene_static",
+    "curvature",
+    "reference_scale",
+    "description_scale",
+)
 
 
 def drop_blurred(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
@@ -391,6 +501,30 @@ def probes(described: Described, span: float) -> tuple[Probe, ...]:
             ("greens",),
         ),
         Probe(
+            "reference_scale",
+            "reference_error",
+            {**frozen, "enters": "reference", "varies_over": "frame", "scales": "signal", "law": "scale"},
+            partial(scale_score, probe="reference_scale", span=span, common=False),
+            unchanged,
+            ("reference_scale", "description_scale"),
+        ),
+        Probe(
+            "description_scale",
+            "bookkeeping",
+            {**frozen, "enters": "reference", "varies_over": "channel", "scales": "signal", "law": "scale"},
+            partial(scale_score, probe="description_scale", span=span, common=True),
+            unchanged,
+            ("reference_scale", "description_scale"),
+        ),
+        Probe(
+            "shading",
+            "lens_shading",
+            {**frozen, "enters": "photons", "varies_over": "block", "scales": "signal", "law": "fall-off"},
+            partial(shading_score, probe="shading"),
+            unchanged,
+            ("shading", "reference_scale", "description_scale"),
+        ),
+        Probe(
             "curvature",
             "nonlinearity",
             {
@@ -402,6 +536,7 @@ def probes(described: Described, span: float) -> tuple[Probe, ...]:
             },
             partial(curvature_score, probe="curvature", span=span),
             curvature_absorb,
+            ("reference_scale", "description_scale"),
         ),
         Probe(
             "reference_shift",

@@ -71,6 +71,13 @@ def normal_log_p(z: float, sides: int = 2) -> float:
     return float(min(0.0, stats.norm.logsf(abs(z) if sides == 2 else z) + math.log(sides)))
 
 
+def student_log_p(z: float, freedom: float, sides: int = 2) -> float:
+    """log p of a value whose standard error rests on `freedom` degrees of freedom."""
+    if freedom < 1:
+        return 0.0
+    return float(min(0.0, stats.t.logsf(abs(z) if sides == 2 else z, freedom) + math.log(sides)))
+
+
 class Component(NamedTuple):
     """Fit of one variance component: variance, its standard error, gain (nats), log p, one-sigma variance."""
 

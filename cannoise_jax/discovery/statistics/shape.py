@@ -7,13 +7,14 @@ from functools import partial
 import numpy as np
 from scipy import optimize, stats
 
-from cannoise_jax.discovery.fields import Fields, frame_fields
+from cannoise_jax.discovery.fields import Fields, each_frame
 from cannoise_jax.discovery.statistics.lines import pixel_sums
 from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, sidak
 
 _DARK = ("dark", "bias")
 _FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0)
 _SPREADS = (0.05, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
+_EDGES = np.linspace(-40, 40, 4001)
 _JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
 
 
@@ -29,25 +30,25 @@ def _dark(fields: tuple[Fields, ...]) -> list[Fields]:
 def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     """Fourth moment beyond Poisson and rounding, weighted by the share of read noise; gain of Student's t."""
     u = i = 0.0
-    pooled = []
+    pooled = np.zeros(_EDGES.size - 1)
     for f in fields:
         if f.static is None or not _rounded_enough(f):
             continue
-        values = frame_fields(f)
         w = (1 - np.clip(f.shot, 0, 1)) ** 2 * f.usable * (np.abs(f.static) < 7)
         system = float(np.mean(f.gain))
         base = (system**3 * f.signal - f.step**4 / 120) / f.sigma**4
-        z2 = values.astype(np.float64) ** 2
-        u += float(np.sum(w * (z2 * z2 - 6 * z2 + 3 - base)))
         i += float(np.sum(w**2)) * f.frames * 24
-        if f.kind in _DARK:
-            pooled.append(values[:, w > 0.5].ravel())
+        for values in each_frame(f):
+            z2 = values**2
+            u += float(np.sum(w * (z2 * z2 - 6 * z2 + 3 - base), dtype=np.float64))
+            if f.kind in _DARK:
+                pooled += np.histogram(np.clip(values[w > 0.5], -39.9, 39.9), _EDGES)[0]
     if i == 0:
         return None
     z = u / float(np.sqrt(i))
     kappa = u * 24 / i
     error = 24 / float(np.sqrt(i))
-    gain, nu = _student_gain(np.concatenate(pooled)) if pooled and z > 0 else (0.5 * max(z, 0) ** 2, np.inf)
+    gain, nu = _student_gain(pooled) if pooled.any() and z > 0 else (0.5 * max(z, 0) ** 2, np.inf)
     amplitude = 6 / (nu - 4) if 4 < nu < np.inf else max(kappa, 0.0)
     skewness = 14.7 / np.sqrt(max(i / 24, 1.0))
     corrected = z - skewness / 6 * (z**2 - 1) if 0 < z < 20 else z
@@ -66,12 +67,10 @@ def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     )
 
 
-def _student_gain(values: np.ndarray) -> tuple[float, float]:
-    """Log-likelihood gain of the best scaled Student t over the best normal, on a fine histogram; its
-    freedoms."""
-    edges = np.linspace(-40, 40, 4001)
-    counts = np.histogram(np.clip(values, -39.9, 39.9), edges)[0]
-    centre = (edges[1:] + edges[:-1]) / 2
+def _student_gain(counts: np.ndarray) -> tuple[float, float]:
+    """Log-likelihood gain of the best scaled Student t over the best normal on counts of values in `_EDGES`;
+    its freedoms."""
+    centre = (_EDGES[1:] + _EDGES[:-1]) / 2
     used = counts > 0
     counts, centre = counts[used], centre[used]
     variance = float(np.sum(counts * centre**2) / counts.sum())
@@ -95,13 +94,13 @@ def skew_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     for f in fields:
         if f.static is None or not f.lit or not _rounded_enough(f):
             continue
-        values = frame_fields(f).astype(np.float64)
         system = float(np.mean(f.gain))
         base = system**2 * f.signal / f.sigma**3
         w = f.usable * base * (np.abs(f.static) < 7)
-        term = w * (values**3 - 3 * values - base)
-        u += float(np.sum(term))
-        squares += float(np.sum(term**2))
+        for values in each_frame(f):
+            term = w * (values**3 - 3 * values - base)
+            u += float(np.sum(term, dtype=np.float64))
+            squares += float(np.sum(term**2, dtype=np.float64))
         i += float(np.sum(w * base)) * f.frames
     if i == 0:
         return None
@@ -123,13 +122,20 @@ def skew_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     )
 
 
-def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
-    """Temporal sum of squares of every pixel over all darks, and its degrees of freedom."""
+def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Temporal sum of squares of every pixel over all darks, which pixels to use, the degrees of freedom."""
     chosen = _dark(fields)
     freedom = sum(len(f.contrasts) for f in chosen)
     if freedom < 2:
         return None
-    return np.sum([np.sum(f.contrasts.astype(np.float64) ** 2, 0) for f in chosen], axis=0).ravel(), freedom
+    squares = np.sum([np.einsum("nij,nij->ij", f.contrasts, f.contrasts) for f in chosen], axis=0)
+    return squares.astype(np.float64), np.all([f.usable for f in chosen], axis=0), freedom
+
+
+def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
+    """The sums of squares of the usable pixels and their degrees of freedom."""
+    found = _square_map(fields)
+    return None if found is None else (found[0][found[1]], found[2])
 
 
 def _dispersion_log_p(squares: np.ndarray, n: int) -> tuple[float, float]:
@@ -269,11 +275,12 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     sums = pixel_sums(fields, scaling, _DARK)
     if sums is None:
         return None
-    u = np.ravel(sums.score / np.sqrt(np.maximum(sums.information, 1e-30)))
+    seen = sums.information > 0
+    u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
     spread = max(1.4826 * float(np.median(np.abs(u - np.median(u)))), 1.0)
     number = int(np.sum(u > 4.6 * spread))
     log_p = float(stats.poisson.logsf(number - 1, u.size * stats.norm.sf(4.6))) if number else 0.0
-    root = float(np.sqrt(np.median(sums.information)))
+    root = float(np.sqrt(np.median(sums.information[seen])))
     best, at, share = 0.0, 1.0, 0.0
     counts, edges = np.histogram(np.clip(u, -20, 400), np.linspace(-20, 400, 8401))
     used = counts > 0
@@ -319,17 +326,25 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     )
 
 
-def mask_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Takes the pixels that stand out in the darks out of every field."""
+def mask_hot(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Takes the pixels whose level stands out in the darks out of every field."""
     out = np.zeros(fields[0].mean.shape, bool)
     for scaling in ("additive", "thermal"):
         sums = pixel_sums(fields, scaling, _DARK)
         if sums is not None:
-            u = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
-            out |= np.abs(u) > 4.0
-    found = _sums_of_squares(fields)
-    if found is not None:
-        out |= (found[0] > stats.chi2.isf(1e-3, found[1])).reshape(out.shape)
+            out |= np.abs(sums.score / np.sqrt(np.maximum(sums.information, 1e-30))) > 4.0
+    return _without(fields, out)
+
+
+def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Takes the pixels whose variance stands out in the darks out of every field."""
+    found = _square_map(fields)
+    if found is None:
+        return fields
+    return _without(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
+
+
+def _without(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields, ...]:
     keep = ~out
     return tuple(
         f._replace(
@@ -372,7 +387,7 @@ def probes() -> tuple[Probe, ...]:
             "rts",
             {**pixel, "time": "telegraph", "law": "two levels"},
             partial(telegraph_score, probe="telegraph"),
-            mask_absorb,
+            mask_noisy,
             noisy,
         ),
         Probe(
@@ -380,16 +395,16 @@ def probes() -> tuple[Probe, ...]:
             "hot_pixels",
             {**pixel, "time": "frozen", "law": "sparse"},
             partial(hot_score, probe="hot_additive", scaling="additive"),
-            mask_absorb,
-            ("hot_thermal", "telegraph", "pixel_spread"),
+            mask_hot,
+            ("hot_thermal",),
         ),
         Probe(
             "hot_thermal",
             "hot_pixels",
             {**pixel, "time": "frozen", "scales": "exposure", "law": "sparse"},
             partial(hot_score, probe="hot_thermal", scaling="thermal"),
-            mask_absorb,
-            ("hot_additive", "telegraph", "pixel_spread"),
+            mask_hot,
+            ("hot_additive",),
         ),
         Probe(
             "skewness",

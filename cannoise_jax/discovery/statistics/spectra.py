@@ -19,22 +19,23 @@ _PAD = 2
 
 
 def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
-    """Power of the row offsets per row frequency [n, H//2], mean 1, and the information per mode."""
+    """Summed power of the row offsets per row frequency [H/2], mean 1 each, and the information per mode."""
     sums = line_sums(field, field.contrasts, "row", scaling)
     scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
     h = scaled.shape[1]
     power = np.abs(fft.rfft(scaled, axis=1))[:, 1 : (h - 1) // 2 + 1] ** 2 / h
-    return power, float(np.mean(sums.information))
+    return power.sum(0), float(np.mean(sums.information))
 
 
 def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
-    """Power of the raster scan [n, N/2], mean 1, and the information per mode of an additive signal."""
+    """Summed power of the raster scans of all contrasts [N/2], mean 1 each, and the information per mode."""
     w = field.weight.astype(np.float32)
-    x = (field.contrasts * w).reshape(len(field.contrasts), -1)
-    x = x - x.mean(1, keepdims=True)
     total = float(np.sum(w.astype(np.float64) ** 2))
-    power = np.abs(fft.rfft(x, axis=1))[:, 1 : (x.shape[1] - 1) // 2 + 1] ** 2 / total
-    return power, total / w.size
+    power = np.zeros((w.size - 1) // 2)
+    for contrast in field.contrasts:
+        x = (contrast * w).ravel()
+        power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2
+    return power / total, total / w.size
 
 
 def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score | None:
@@ -46,8 +47,8 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
     ]
     if not spectra:
         return None
-    power = np.array([p.sum(0) for p, _ in spectra])
-    dof = np.array([len(p) for p, _ in spectra], float)[:, None]
+    power = np.array([p for p, _ in spectra])
+    dof = np.array([len(f.contrasts) for f in fields if len(f.contrasts)], float)[:, None]
     information = np.array([i for _, i in spectra])[:, None]
     size = fields[0].mean.size if scan == "raster" else fields[0].mean.shape[0]
     frequency = np.arange(1, power.shape[1] + 1) / size

@@ -1,0 +1,127 @@
+"""Simulators as they are handed over: anything that draws frames becomes a capture set like the recordings.
+
+What a simulator already has is found on its own draws, by the battery that looks at the recordings, and is
+then taken out of the recordings with the simulator's own strengths; what is left is the mismatch. So a sensor
+model, a trained generator and a user's function are judged alike, with or without a likelihood.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.discovery.battery import split_frames
+from cannoise_jax.discovery.calibrate import code_step, smooth_mean, stack
+from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.sensor_json import read_sensor
+from cannoise_jax.recordings.packing import pack, unpack
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.sampling import load_model, sample_noise
+
+Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
+"""(key, clean mosaic, normalised, settings) -> DN, `[H, W]` or `[T, H, W]`."""
+
+
+def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureSet) -> tuple[str, Draw, bool]:
+    """Name, drawing function, and whether it also draws darks. Raises BadInput for what is no simulator."""
+    if isinstance(simulator, SensorModel):
+        return simulator.camera, simulator.sample, True
+    if callable(simulator):
+        return getattr(simulator, "__name__", "function"), simulator, True
+    path = Path(simulator)
+    if path.suffix == ".json" and path.is_file():
+        return str(path), read_sensor(path).sample, True
+    if path.exists():
+        return str(path), _generator(path, capture), False
+    raise BadInput(
+        f"{simulator}: no such simulator: poisson-gaussian, nlf, a sensor.json, or a training folder"
+    )
+
+
+def _generator(path: Path, capture: CaptureSet) -> Draw:
+    """A trained generator, conditioned on frames that look for effects, never on those that prove."""
+    model = load_model(path)
+    lit = capture.of_kind("scene", "flat")
+    if not lit:
+        raise BadInput(f"{path}: a trained generator is judged on scenes and flats: record some")
+    references = jnp.stack([jnp.asarray(_packed_frame(r)) for r in lit if r.size == lit[0].size][:4])
+    cfa = lit[0].cfa
+
+    def draw(key, clean, settings: Settings):
+        span = lit[0].white_level - np.mean(lit[0].black_level)
+        packed = jnp.broadcast_to(pack(jnp.asarray(clean), cfa), (settings.frames, *pack(clean, cfa).shape))
+        noise = sample_noise(model, key, packed, references)
+        return np.mean(lit[0].black_level) + span * np.asarray(unpack(jnp.clip(packed + noise, 0, 1), cfa))
+
+    return draw
+
+
+def _packed_frame(recording: Recording) -> np.ndarray:
+    frame = np.asarray(recording.frames[0:1])[0].astype(np.float32)
+    black = recording.black_map()
+    return np.asarray(pack((frame - black) / (recording.white_level - black), recording.cfa))
+
+
+def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bool) -> CaptureSet:
+    """As many frames as every recording has, at its settings and of its clean signal, rounded and clipped.
+
+    Recordings whose signal is not known (a scene without a reference) are left out, darks too unless `dark`.
+    Raises BadInput when a frame comes back with another size or values that are not finite.
+    """
+    step = code_step(capture)
+    out = []
+    for n, recording in enumerate(capture.recordings):
+        clean = expected_signal(recording, n, step)
+        if clean is None or (recording.kind in ("dark", "bias") and not dark):
+            continue
+        settings = Settings(
+            recording.iso or 100.0, recording.exposure_s or 0.01, recording.temperature_c, recording.count
+        )
+        first = np.asarray(draw(jax.random.fold_in(key, n), jnp.asarray(clean), settings), np.float64)
+        frames = first[None] if first.ndim == 2 else first
+        more = (
+            [
+                np.asarray(
+                    draw(jax.random.fold_in(jax.random.fold_in(key, n), t), jnp.asarray(clean), settings)
+                )
+                for t in range(1, recording.count)
+            ]
+            if first.ndim == 2
+            else []
+        )
+        frames = np.concatenate([frames, *(m[None] for m in more)])
+        if frames.shape[1:] != recording.size or not np.isfinite(frames).all():
+            raise BadInput(
+                f"simulator: drew {frames.shape[1:]} with finite values {np.isfinite(frames).all()}: "
+                f"it must return finite DN of the size of clean, {recording.size}"
+            )
+        codes = np.clip(np.round(frames / step) * step, 0, min(recording.white_level, 65535.0))
+        out.append(
+            dataclasses.replace(
+                recording, frames=codes.astype(np.uint16), clean=clean.astype(np.float32), code_step=step
+            )
+        )
+    if not out:
+        raise BadInput("simulator: none of the recordings has a signal that it could draw: record flats")
+    return CaptureSet(capture.camera, tuple(out), capture.path)
+
+
+def expected_signal(recording: Recording, number: int, step: float) -> np.ndarray | None:
+    """Normalised noise-free signal: 0 for darks, the reference, or the smooth surface of a flat."""
+    if recording.kind in ("dark", "bias"):
+        return np.zeros(recording.size, np.float32)
+    if recording.clean is not None:
+        clean = np.asarray(recording.clean, np.float32)
+        return clean.mean(0) if clean.ndim == 3 else clean
+    if recording.kind != "flat":
+        return None
+    black = recording.black_map()
+    mean = smooth_mean(stack(recording, number, split_frames(recording.count)[0], step))
+    return np.maximum((mean - black) / (recording.white_level - black), 0).astype(np.float32)

@@ -1,0 +1,187 @@
+"""The whole run on small capture sets: what is there is named, what is not there is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.diagnose import diagnose, mde
+from cannoise_jax.discovery.page import page
+from cannoise_jax.discovery.report import document
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.vocabulary import VOCABULARY
+from tests.discovery.capture import (
+    capture_set,
+    column_pattern,
+    frame_offsets,
+    offset_map,
+    response_map,
+    row_offsets,
+    wave,
+)
+
+
+def run(capture, **more):
+    return diagnose(capture, compare=False, **more)
+
+
+def test_nothing_is_found_where_nothing_is():
+    alarms = [run(capture_set(seed)).findings for seed in range(8)]
+    assert sum(bool(a) for a in alarms) <= 1, alarms
+
+
+@pytest.mark.parametrize(
+    "mechanism, alter, amplitude",
+    [
+        ("row_noise", row_offsets(1.2), 1.2),
+        ("column_fpn", column_pattern(1.0), 1.0),
+        ("prnu", response_map(0.006), 0.006),
+        ("dsnu", offset_map(2.5), 2.5),
+        ("offset_drift", frame_offsets(0.8), 0.8),
+        ("banding", wave(1.2), 1.2),
+    ],
+)
+def test_a_single_effect_is_named_and_measured(mechanism, alter, amplitude):
+    found = run(capture_set(11, alter))
+    assert found.findings[:1] == [mechanism], found.findings
+    proof = found.proofs[0]
+    assert proof.gain > 0
+    tolerance = 0.5 if mechanism == "offset_drift" else 0.2
+    assert proof.score.amplitude == pytest.approx(amplitude, rel=tolerance)
+
+
+def test_an_effect_without_its_name_is_unknown_with_its_place_in_the_grammar():
+    hidden = ("row_noise", "row_pink_noise")
+    found = run(capture_set(11, row_offsets(1.5)), without=hidden)
+    assert found.findings[0] == "unknown"
+    assert not set(hidden) & set(found.testable)
+    card = document(found, key=0, version="0")["findings"][0]["card"]
+    assert card["axes"]["varies_over"] == "row" and card["axes"]["time"] == "redrawn"
+    assert any(m.mechanism.startswith("unknown") for m in found.model.mechanisms)
+
+
+def test_stated_gain_is_judged_only_when_asked():
+    good = capture_set(3)
+    wrong = CaptureSet(
+        good.camera,
+        tuple(dataclasses.replace(r, shot=tuple(1.3 * v for v in r.shot)) for r in good.recordings),
+    )
+    assert run(wrong).findings == []
+    found = run(wrong, simulator="nlf")
+    assert found.findings == ["gain_error"]
+    assert "gain_error" not in run(wrong).testable
+
+
+def test_a_wrong_black_level_is_bookkeeping():
+    good = capture_set(4)
+    wrong = CaptureSet(
+        good.camera, tuple(dataclasses.replace(r, black_level=(190.0,) * 4) for r in good.recordings)
+    )
+    assert run(wrong).findings == ["bookkeeping"]
+
+
+@pytest.mark.parametrize(
+    "kinds, frames", [("d", 8), ("f", 4), ("s", 4), ("s", 1), ("d", 1), ("f", 2), ("d", 3)]
+)
+def test_any_part_of_a_capture_set_gives_a_report(kinds, frames):
+    capture = capture_set(5, kinds=kinds, frames=frames)
+    found = run(capture)
+    report = document(found, key=0, version="0")
+    json.dumps(report, allow_nan=False)
+    listed = set(report["testable"]) | {n["mechanism"] for n in report["not_testable"]}
+    assert listed == set(VOCABULARY) - {"unknown"}
+    assert not set(report["testable"]) & {n["mechanism"] for n in report["not_testable"]}
+    assert all(f["class"] != "sensor" for f in report["findings"]), report["findings"]
+
+
+def test_scene_without_reference_and_settings_gives_a_report():
+    capture = capture_set(6, kinds="s")
+    bare = CaptureSet(
+        "x",
+        tuple(
+            dataclasses.replace(
+                r, clean=None, reference=None, iso=None, exposure_s=None, shot=None, read=None, cfa="MONO"
+            )
+            for r in capture.recordings
+        ),
+    )
+    found = run(bare)
+    assert "prnu" not in found.testable
+    assert found.findings == []
+
+
+def test_mde_shifts_the_score_of_row_noise_by_five():
+    limit = mde("row_noise", capture_set(0))
+    gains = [
+        run(capture_set(s, row_offsets(limit * 2))).fitted.first.scores["row_additive_temporal"]
+        for s in range(6)
+    ]
+    # Four times the variance of the limit, on half of the frames: 20 / sqrt 2 standard errors.
+    shift = np.mean([s.amplitude**2 / s.shift**2 for s in gains])
+    assert shift == pytest.approx(20 / np.sqrt(2), rel=0.25)
+    assert mde("missing_codes", capture_set(0)) is None
+
+
+def check_schema(report):
+    """What the documented schema promises, checked field by field."""
+    assert report["schema"] == "cannoise/diagnosis/1"
+    assert report["verdict"] in ("match", "mismatch", "not_testable")
+    found = {f["mechanism"] for f in report["findings"]}
+    missing = {n["mechanism"] for n in report["not_found"]}
+    assert set(report["testable"]) <= found | missing
+    assert not found & missing
+    gains = [f["heldout_gain_nats"] for f in report["findings"] if f["heldout_gain_nats"] is not None]
+    assert gains == sorted(gains, reverse=True)
+    for f in report["findings"]:
+        assert f["outcome"] in ("FOUND", "AMBIGUOUS", "UNKNOWN_STRUCTURE")
+        assert f["candidates"][0]["mechanism"] == f["mechanism"]
+        p = [c["probability"] for c in f["candidates"]]
+        assert p == sorted(p, reverse=True) and sum(p) == pytest.approx(1)
+        assert "unknown" in {c["mechanism"] for c in f["candidates"]}
+        assert 0 <= f["p_value"] <= 1 and f["sentence"]
+        assert f["where"]["axis"] in (
+            "row",
+            "column",
+            "pixel",
+            "channel",
+            "block",
+            "frame",
+            "signal",
+            "frequency",
+            "code",
+            "edge",
+        )
+    for n in report["not_found"]:
+        assert n["smallest_detectable"] is None or n["smallest_detectable"]["value"] > 0
+
+
+def test_report_follows_its_schema_and_the_two_sample_test_sees_the_effect_leave():
+    found = diagnose(capture_set(12, row_offsets(3.0)), key=jax.random.key(1))
+    report = document(found, key=1, version="0", seconds=1.0, peak_memory_mb=1.0)
+    check_schema(json.loads(json.dumps(report, allow_nan=False)))
+    assert report["verdict"] == "mismatch"
+    assert report["after"]["nll_nats_per_pixel"] < report["before"]["nll_nats_per_pixel"]
+    assert report["before"]["two_sample_auc"] > 0.65
+    assert abs(report["after"]["two_sample_auc"] - 0.5) < report["before"]["two_sample_auc"] - 0.5
+    html = page(found, report)
+    assert "row noise" in html and "data:image/png" in html and "http" not in html.replace("https://", "")
+
+
+def test_a_run_is_reproducible_by_its_key():
+    capture = capture_set(13)
+    a, b = (diagnose(capture, key=jax.random.key(4)).before for _ in range(2))
+    assert a == b
+
+
+def test_bad_requests_say_what_is_wrong():
+    capture = capture_set(0, kinds="d")
+    with pytest.raises(BadInput, match="no such simulator"):
+        run(capture, simulator="nonsense")
+    with pytest.raises(ValueError, match="no such mechanism"):
+        run(capture, without=("nonsense",))
+    with pytest.raises(ValueError, match="alpha"):
+        run(capture, alpha=2.0)
