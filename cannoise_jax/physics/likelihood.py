@@ -163,6 +163,7 @@ def rail_edge(rail: Values, offset: Real) -> Real:
     return jnp.where(jnp.isfinite(rail), rail, 0.0) + offset
 
 
+@jax.jit
 def gaussian_log_prob(codes: Values, mean: Values, variance: Values, grid: CodeGrid = UNIT_STEP) -> Real:
     """Log-probability of each code for normal noise, nats per pixel.
 

@@ -33,6 +33,7 @@ EXACT_BELOW_E = 25.0
 """Up to this many electrons 64 terms of the sum hold all of the mass (6 standard deviations to each side)."""
 
 
+@jax.jit
 def poisson_log_prob(
     codes: Values,
     electrons: Values,
@@ -69,6 +70,7 @@ def poisson_log_prob(
     return jax.lax.scan(jax.checkpoint(add), jnp.full(shape, -1e30, jnp.float32), offsets)[0]
 
 
+@jax.jit
 def skewed_log_prob(
     codes: Values,
     electrons: Values,
