@@ -70,8 +70,8 @@ def diagnose(
     """Finds where a simulator and recordings of a camera differ, names and fits what was left out, and shows
     the gain on frames that took no part in finding it.
 
-    simulator: 'poisson-gaussian', calibrated from the recordings; 'nlf', the files' shot and read as stated; a
-    sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
+    simulator: 'poisson-gaussian', calibrated from the recordings; 'nlf', the files' shot and read as stated;
+    a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: ids that may not, or may alone, be
     named. compare: also run the two-sample test. tell: called with one line per stage.
     Raises BadInput for a simulator that cannot be judged, ValueError for unknown ids or an alpha out

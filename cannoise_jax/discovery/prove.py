@@ -18,7 +18,6 @@ from cannoise_jax.discovery.fit import Step, refit
 from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.physics.likelihood import CodeGrid, gaussian_log_prob
 
-
 MOST_JOINT = 4
 """Up to so many findings each is judged with all others in the model."""
 
@@ -34,7 +33,7 @@ class Proof(NamedTuple):
 
 
 def prove(steps: tuple[Step, ...], other: Prepared) -> tuple[Proof, ...]:
-    """Every accepted mechanism on the other half of the frames, all others in the model; of a long list, those
+    """Every accepted mechanism on the other half of the frames, all others in the model; of many, those
     accepted before it, which have the larger effects."""
     probes = {p.name: p for p in other.probes}
     out = []

@@ -260,7 +260,7 @@ def probes(
             {**frozen, "varies_over": "channel", "scales": "additive", "law": "common"},
             partial(channel_score, probe="black_level", described=described, common=True, jitter=jitter),
             unchanged,
-            ("black_level",),
+            ("black_level", "reference_scale", "description_scale"),
         ),
         Probe(
             "black_channels",

@@ -13,6 +13,11 @@ from cannoise_jax.discovery.statistics.score import Probe, Score, variance_compo
 AXES = {"row": 2, "column": 1}
 """Axis of a [n, h, w] array that is summed over."""
 
+SCALES = ("reference_scale", "description_scale")
+LEVELS = {"additive": ("black_channels", "black_level", "greens"), "relative": ("greens", "shading", *SCALES)}
+"""Probes of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
+channel means by more, so they are set aside once such a pattern is in the model."""
+
 
 class LineSums(NamedTuple):
     """Scores U and information I of one template per line: U ~ N(0, I) when nothing is there."""
@@ -304,6 +309,7 @@ def probes() -> tuple[Probe, ...]:
                     },
                     partial(temporal_score, probe=probe, axis=axis, scaling=scaling),
                     partial(temporal_absorb, axis=axis, scaling=scaling),
+                    LEVELS[scaling],
                 )
             )
             name = {
@@ -325,6 +331,7 @@ def probes() -> tuple[Probe, ...]:
                     },
                     partial(static_score, probe=probe, axis=axis, scaling=scaling),
                     partial(static_absorb, axis=axis, scaling=scaling),
+                    LEVELS[scaling],
                 )
             )
     for scaling, name in (("additive", "offset_drift"), ("relative", "illumination_drift")):
@@ -342,7 +349,7 @@ def probes() -> tuple[Probe, ...]:
                 },
                 partial(frame_score, probe=probe, scaling=scaling),
                 partial(frame_absorb, scaling=scaling),
-                ("reference_scale", "description_scale") if scaling == "relative" else (),
+                SCALES if scaling == "relative" else (),
             )
         )
     for scaling, name in (("additive", "dsnu"), ("relative", "prnu"), ("thermal", "dsnu")):
@@ -360,6 +367,7 @@ def probes() -> tuple[Probe, ...]:
                 },
                 partial(pixel_score, probe=probe, scaling=scaling),
                 partial(pixel_absorb, scaling=scaling),
+                LEVELS["relative" if scaling == "relative" else "additive"],
             )
         )
     out.append(
@@ -375,7 +383,7 @@ def probes() -> tuple[Probe, ...]:
             },
             partial(own_score, probe="scene_static"),
             own_absorb,
-            ("reference_scale", "description_scale"),
+            SCALES,
         )
     )
     return tuple(out)

@@ -364,7 +364,7 @@ def unchanged(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
 def probes() -> tuple[Probe, ...]:
     """The probes of this signature."""
     pixel = {"enters": "readout", "varies_over": "pixel", "scales": "additive"}
-    noisy = ("kurtosis", "pixel_spread", "telegraph", "cosmic", "skewness")
+    noisy = ("kurtosis", "pixel_spread", "telegraph", "skewness", "hot_additive", "hot_thermal")
     return (
         Probe(
             "kurtosis",
