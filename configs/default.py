@@ -12,7 +12,7 @@ def get_config() -> ConfigDict:
     return ConfigDict(
         {
             "seed": 0,
-            "steps": 7000,
+            "steps": 4000,
             "batch_size": 16,  # paper: 64
             "patch": 32,  # packed pixels; paper: 64
             "width": 1 / 16,  # of every channel count; paper: 1
@@ -37,7 +37,7 @@ def get_config() -> ConfigDict:
                 "margin": 0.2,
             },
             "optimiser": {
-                "generator_rate": 2e-4,
+                "generator_rate": 3e-4,  # paper: 2e-4
                 "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
                 "critic_rate": 2e-3,  # paper: 2e-4
                 "beta1": 0.5,
@@ -45,6 +45,7 @@ def get_config() -> ConfigDict:
                 "schedule": "cosine",  # paper: constant
                 "warmup": 100,  # steps; paper: 0
             },
+            "compiler": {},  # XLA options of the training step
             "log_every": 50,
             "evaluate_every": 1000,
             "validation_patches": 200,
@@ -58,6 +59,7 @@ def get_config() -> ConfigDict:
                 "per_scene": 16,
                 # For recordings: folders, one a camera, and what overrides their files.
                 "recordings": (),
+                "per_recording": 48,  # patches at most of one recording and split
                 "cfa": placeholder(str),
                 "black_level": placeholder(tuple),
                 "white_level": placeholder(float),

@@ -53,7 +53,7 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
     try:
         _FLAGS.unparse_flags()
         rest = _FLAGS(["bin/train", *arguments])[1:]
-    except (flags.Error, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except (flags.Error, OSError, SyntaxError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise BadInput(" ".join(str(error).split())) from error
     if rest:
         raise BadInput(f"{rest[0]}: not understood: see bin/train --help")

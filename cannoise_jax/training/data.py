@@ -99,7 +99,7 @@ def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
         overrides,
         jax.random.key(data.seed),
         data.scenes,
-        data.per_scene,
+        data.per_recording,
         triplet=bool(config.loss.triplet),
     )
     train, validation, test = (HeldOut(**part) for part in parts)

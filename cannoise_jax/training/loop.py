@@ -7,13 +7,14 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from ml_collections import ConfigDict
+from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
@@ -61,9 +62,9 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
                     "or the same config to resume"
                 )
             return
-        partial = workdir / ".config.json.partial"
-        partial.write_text(text + "\n")
-        partial.replace(path)
+        unfinished = workdir / ".config.json.partial"
+        unfinished.write_text(text + "\n")
+        unfinished.replace(path)
     except json.JSONDecodeError as error:
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
     except OSError as error:
@@ -84,9 +85,20 @@ def _difference(old: Any, new: Any, name: str = "") -> str:
 def make_sampler(config: ConfigDict) -> Callable[[State], Callable[..., Any]]:
     """A function from a state to its averaged model as `evaluation` takes it,
     (key, clean, reference, shot, read) -> noise; compiled once for all states."""
+    sample = _averaged(FrozenConfigDict(config))
+
+    def of_state(state: State) -> Callable[..., Any]:
+        spectral = (state.generator["spectral"], state.encoder["spectral"])
+        return lambda *arguments: sample(state.average, spectral, *arguments)
+
+    return of_state
+
+
+@lru_cache(maxsize=4)
+def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
     networks, draw = make_networks(config), initial_noise(config.initial_noise)
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=dict(config.compiler) or None)
     def sample(average, spectral, key, clean, reference, shot, read):
         noise_key, row_key = jax.random.split(key)
         n_init, sigma = draw(noise_key, clean, shot, read)
@@ -96,11 +108,7 @@ def make_sampler(config: ConfigDict) -> Callable[[State], Callable[..., Any]]:
             generator, clean, n_init, latent, sigma, train=False, rngs={"noise": row_key}
         )
 
-    def of_state(state: State) -> Callable[..., Any]:
-        spectral = (state.generator["spectral"], state.encoder["spectral"])
-        return lambda *arguments: sample(state.average, spectral, *arguments)
-
-    return of_state
+    return sample
 
 
 @contextmanager

@@ -41,8 +41,6 @@ from cannoise_jax.recordings.references import referenced_frames
 PATCH = 64
 _SHARES = (0.7, 0.8)
 """Where validation and test frames begin."""
-_MOST = 48
-"""Patches at most from one recording and split."""
 Columns = dict[str, np.ndarray]
 
 
@@ -51,13 +49,14 @@ def recorded_patches(
     overrides: Mapping[str, Any],
     key: Key[Array, ""],
     scenes: int,
-    per_recording: int = _MOST,
+    per_recording: int,
     *,
     triplet: bool = True,
 ) -> tuple[tuple[str, ...], tuple[Columns, Columns, Columns]]:
     """Camera names, and the columns of training, validation and test patches (see `data.HeldOut`).
 
-    scenes: computed scenes per camera for its darks. Raises BadInput, also for one camera with a triplet.
+    scenes: computed scenes per camera for its darks. per_recording: patches at most of one
+      recording and split. Raises BadInput, also for one camera with a triplet.
     """
     captures = [load_capture_set(folder, **overrides) for folder in folders]
     names = tuple(captured.camera for captured in captures)

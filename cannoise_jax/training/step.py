@@ -7,13 +7,14 @@ initial noise is drawn inside, from keys that depend on the run's key and the st
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
-from ml_collections import ConfigDict
+from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
 from cannoise_jax.training import losses
@@ -41,8 +42,13 @@ def make_train_step(
 
     cameras: how many there are, for a critic that is told which. draw: instead of config.initial_noise.
     """
+    return _train_step(FrozenConfigDict(config), cameras, draw or initial_noise(config.initial_noise))
+
+
+@lru_cache(maxsize=4)
+def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
+    """Cached, so that a run that is resumed in the same process compiles once."""
     networks, optimisers = make_networks(config), make_optimisers(config)
-    draw = draw or initial_noise(config.initial_noise)
     weights = config.loss
 
     def shown(noise, clean):
@@ -133,6 +139,7 @@ def make_train_step(
             average=jax.tree.map(lambda old, new: new + decay * (old - new), state.average, trained),
         ), aux
 
+    @partial(jax.jit, donate_argnums=0, compiler_options=dict(config.compiler) or None)
     def train_step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
         keys = jax.random.split(jax.random.fold_in(state.key, state.step), config.critic_updates + 1)
         metrics: dict[str, Array] = {}
@@ -141,7 +148,7 @@ def make_train_step(
         state, more = generator_update(state, batch, keys[0])
         return state, metrics | more
 
-    return jax.jit(train_step, donate_argnums=0)
+    return train_step
 
 
 def _twice(x):
