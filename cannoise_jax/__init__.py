@@ -1,1 +1,51 @@
-"""Camera-aware raw noise in JAX: learn it, simulate it, and find what a simulator leaves out."""
+"""Camera-aware raw noise in JAX: learn it, simulate it, and find what a simulator leaves out.
+
+The names below are the public face. Each is imported when it is first used, so that reading a file does not
+wait for JAX.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cannoise_jax.physics.sensor import SensorModel, Settings
+    from cannoise_jax.recordings.load import load_capture_set
+    from cannoise_jax.recordings.packing import pack, unpack
+    from cannoise_jax.recordings.recording import CaptureSet, Recording
+    from cannoise_jax.sampling import load_model, sample_noise
+
+_HOMES = {
+    "CaptureSet": "recordings.recording",
+    "Recording": "recordings.recording",
+    "SensorModel": "physics.sensor",
+    "Settings": "physics.sensor",
+    "load_capture_set": "recordings.load",
+    "load_model": "sampling",
+    "pack": "recordings.packing",
+    "sample_noise": "sampling",
+    "unpack": "recordings.packing",
+}
+
+__all__ = [
+    "CaptureSet",
+    "Recording",
+    "SensorModel",
+    "Settings",
+    "load_capture_set",
+    "load_model",
+    "pack",
+    "sample_noise",
+    "unpack",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

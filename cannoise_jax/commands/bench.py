@@ -67,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         "--repeats", type=int, default=5, help="timed calls each, taken in turn; best counts"
     )
     simulate.set_defaults(run=_run_simulate)
-    covered = commands.add_parser("coverage", help="coverage of the 90 % intervals of every estimator")
+    covered = commands.add_parser("coverage", help="coverage of the 90 %% intervals of every estimator")
     covered.add_argument("--simulations", type=int, default=300, help="of each case (default 300)")
     covered.add_argument("--mechanisms", nargs="+", metavar="ID", help="only these (default: all)")
     covered.add_argument("--seed", type=int, default=0)
