@@ -19,7 +19,7 @@ from cannoise_jax.physics.estimators import ESTIMATORS
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.transfer_baseline import Baseline
 from cannoise_jax.physics.transfer_frames import frame_statistics
-from cannoise_jax.recordings.recording import BadInput, Kind, Recording, per_channel
+from cannoise_jax.recordings.recording import Kind, Recording, per_channel
 
 GAIN, READ_E, BLACK, WHITE = 2.0, 3.0, 200.0, 16383.0
 SIZE = (64, 96)
@@ -143,18 +143,6 @@ def coverage(case: Case, simulations: int, seed: int = 0) -> list[Row]:
     return rows
 
 
-def run(simulations: int = 300, mechanism: str | None = None) -> Iterator[str]:
-    """The table, line by line as it is measured. mechanism: only this one. Raises BadInput for an unknown one."""
-    cases = [c for c in CASES if mechanism in (None, c.mechanism)]
-    if not cases:
-        raise BadInput(f"{mechanism}: no such mechanism: use one of {', '.join(sorted(ESTIMATORS))}")
-    if simulations < 2:
-        raise BadInput(f"{simulations} simulations: at least 2 are needed")
-    yield format_rows([])
-    for case in cases:
-        yield format_rows(coverage(case, simulations)).split("\n", 1)[1]
-
-
 def simulate(case: Case, simulations: int, seed: int = 0) -> Iterator[list[Recording]]:
     """The recordings of every simulation of a case."""
     base = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "RGGB")
@@ -185,7 +173,7 @@ def assumed_baseline() -> Baseline:
 
 
 def format_rows(rows: Sequence[Row]) -> str:
-    """Plain text in fixed columns, one line a parameter. spread: std of the estimates; stated: their error."""
+    """Plain text in fixed columns. spread: std of the estimates; stated: the median of their errors."""
     lines = [["mechanism", "parameter", "truth", "mean", "spread", "stated", "coverage", "sims", ""]]
     for r in rows:
         verdict = ("exact" if r.exact else "ok") if r.calibrated else "OUTSIDE 85-95 %"

@@ -115,8 +115,8 @@ def banding_threshold(s: FrameStatistics, chance: float = 1e-3) -> float:
 
 
 def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
-    """Periodogram |FFT|^2 / n of the raster scan without its average over frames and its row means, DN^2, mean
-    over frames by T - 1; frequencies 1/n to 1/2. White noise of variance v gives v."""
+    """Periodogram |FFT|^2 / n of the raster scan without its average over frames and its row means, DN^2,
+    mean over frames by T - 1; frequencies 1/n to 1/2. White noise of variance v gives v."""
     total: np.ndarray | float = 0.0
     for frame in residual_frames(s):
         total = total + np.abs(np.fft.rfft(frame.ravel())[1:]) ** 2
