@@ -57,13 +57,43 @@ SHOWN: dict[str, dict[str, float]] = {
     "misregistration": {"shift_px": 1.0},
     "scene_motion": {"shift_px": 0.3},
     "in_camera_denoising": {"weight": 0.4},
-    "cosmic_rays": {"rate": 150.0, "charge_e": 300.0},
+    "cosmic_rays": {"rate": 600.0, "charge_e": 300.0},
+    "rts": {"jump_dn": 12.0, "fraction": 0.05},
+    "banding": {"amplitude_dn": 1.0, "frequency": 0.0823},
+    "reference_error": {"sigma_dn": 3.0, "blur": 0.1},
     "illumination_drift": {"sigma": 0.02},
     "offset_drift": {"sigma_dn": 0.5},
     "quantization": {"step_dn": 8.0},
     "temperature_drift": {"e_per_s": 50.0, "sigma_k": 3.0},
 }
 """Strengths at which an effect is plain in a small picture; the others are shown at their typical values."""
+
+
+IN_THE_DARK = frozenset(
+    [
+        "heavy_tails",
+        "pixel_read_noise_map",
+        "rts",
+        "dsnu",
+        "row_noise",
+        "column_noise",
+        "row_fpn",
+        "column_fpn",
+        "pink_noise",
+        "row_pink_noise",
+        "banding",
+        "offset_drift",
+        "channel_offset",
+        "amplifier_mismatch",
+        "read_noise_error",
+        "dual_gain",
+        "clock_induced_charge",
+        "poisson_skew",
+        "hot_pixels",
+        "cosmic_rays",
+    ]
+)
+"""Effects that the shot noise of a bright scene would hide: shown on a dim one."""
 
 
 class Shot(NamedTuple):
@@ -85,7 +115,8 @@ def scene() -> np.ndarray:
 
 def shoot(id: str, clean: np.ndarray | None = None) -> Shot:
     """The catalogue's camera with and without a mechanism, from one key."""
-    clean = scene() if clean is None else clean
+    if clean is None:
+        clean = scene() * np.float32(0.03 if id in IN_THE_DARK else 1.0)
     base = SensorModel.poisson_gaussian(0.5, 3.0, 64.0, 1087.0, "RGGB", unit_key=jax.random.key(2))
     without, context = _frames(base, clean)
     shown: dict[str, Any] = SHOWN.get(id, {})
@@ -127,11 +158,13 @@ def picture(shot: Shot) -> str:
     """The last frame with the mechanism, and its difference from the same frame without it, as one PNG."""
     figure = Figure(figsize=(4.6, 2.3), layout="constrained")
     left, right = figure.subplots(1, 2)
-    frame = np.sqrt(np.clip((shot.with_it[-1] - shot.black) / 700, 0, 1))
+    brightest = 1.1 * float(shot.signal.max()) + 8
+    frame = np.sqrt(np.clip((shot.with_it[-1] - shot.black) / brightest, 0, 1))
     left.imshow(frame, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
     left.set_title("one frame", fontsize=8, color=INK)
     change = shot.with_it[-1] - shot.without[-1]
-    reach = max(float(np.percentile(np.abs(change), 99.5)), 1.0)
+    changed = np.abs(change[change != 0])
+    reach = max(float(np.percentile(changed, 98)), 1.0) if changed.size else 1.0
     image = right.imshow(change, cmap="RdBu_r", vmin=-reach, vmax=reach, interpolation="nearest")
     right.set_title(f"what it changes, ±{reach:.3g} DN", fontsize=8, color=INK)
     bar = figure.colorbar(image, ax=right, shrink=0.85)

@@ -163,9 +163,9 @@ def centre_profile(frames, signal, black):
     r = np.hypot(y, x)
     mean = _residual(frames, signal, black).mean(axis=0)
     ring = (r / 6).astype(int)
-    return np.arange(ring.max() + 1) * 6 + 3, np.bincount(ring.ravel(), mean.ravel()) / np.bincount(
-        ring.ravel()
-    )
+    count = np.bincount(ring.ravel())
+    whole = count >= 40  # rings that lie almost outside the frame are noise
+    return (np.arange(count.size) * 6 + 3)[whole], (np.bincount(ring.ravel(), mean.ravel()) / count)[whole]
 
 
 def site_means(frames, signal, black):
@@ -203,8 +203,8 @@ _KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
 
 _CURVE = {
     "variance": "gain_error read_noise_error excess_noise brighter_fatter dual_gain clock_induced_charge",
-    "spatial": "prnu dsnu",
-    "mean": "nonlinearity dark_current bookkeeping reference_error",
+    "spatial": "prnu dsnu reference_error",
+    "mean": "nonlinearity dark_current bookkeeping dead_pixels",
     "row spectrum": "row_noise row_pink_noise flicker",
     "raster spectrum": "pink_noise banding",
     "rows": "row_fpn",
@@ -213,9 +213,9 @@ _CURVE = {
     "frames": "offset_drift illumination_drift temperature_drift",
     "edges": "misregistration scene_motion",
     "lags": "crosstalk in_camera_denoising demosaicing",
-    "temporal": "rts image_lag",
+    "temporal": "image_lag",
     "tail": "poisson_skew heavy_tails hot_pixels cosmic_rays hot_pixel_suppression",
-    "spread": "pixel_read_noise_map defect_correction dead_pixels",
+    "spread": "pixel_read_noise_map defect_correction rts",
     "codes": "quantization missing_codes black_clipping",
     "high codes": "saturation lossy_compression",
     "radius": "lens_shading",

@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from cannoise_jax.physics.random_bits import random_bits
+
 _SWITCH = 12.0
 """Mean count above which the expansion is used: there it misses the exact quantile in < 5e-4 of the draws."""
 _TERMS = 44
@@ -26,7 +28,7 @@ _TERMS = 44
 
 def centred_uniform(key: Key[Array, ""], shape: tuple[int, ...]) -> Float[Array, "..."]:
     """Uniform numbers strictly between -1 and 1, float32, 2^-23 apart and symmetric about 0."""
-    bits = jax.random.bits(key, shape, jnp.uint32) >> 8
+    bits = random_bits(key, shape) >> 8
     return (bits.astype(jnp.float32) - np.float32(2**23 - 0.5)) * np.float32(2.0**-23)
 
 
@@ -46,6 +48,17 @@ def poisson_quantile(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float
     draws, and from 1e4 counts on in as many draws as float32 rounding moves over a whole number (4e-3 at
     1e5).
     """
+    # A frame without dark pixels needs no sums.
+    bright = jnp.all(mean >= _SWITCH)
+    return jax.lax.cond(bright, _expanded, _either, *jnp.broadcast_arrays(v, mean))
+
+
+def _either(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
+    return jnp.where(mean < _SWITCH, _summed(v, mean), _expanded(v, mean))
+
+
+def _summed(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The count at which the summed probabilities pass (1 + v) / 2; mean below the switch."""
     u = 0.5 + 0.5 * v
     small = jnp.minimum(mean, _SWITCH)
     term = jnp.exp(-small)
@@ -54,6 +67,11 @@ def poisson_quantile(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float
         count = count + (u > total)
         term = term * (small / k)
         total = total + term
+    return count
+
+
+def _expanded(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The quantile by its expansion in powers of mean^(-1/2); mean above the switch."""
     large = jnp.maximum(mean, _SWITCH)
     w = _normal(v)
     root = jnp.sqrt(large)
@@ -65,7 +83,7 @@ def poisson_quantile(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float
         - w * (1 / 36 + square / 72) / root
         + (-8 / 405 + square * (7 / 810 + square / 270)) / large
     )
-    return jnp.where(mean < _SWITCH, count, jnp.floor(expansion))
+    return jnp.floor(expansion)
 
 
 def sample_poisson(key: Key[Array, ""], mean: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -160,13 +160,7 @@ class SensorModel:
     def with_maps(self, size: tuple[int, int]) -> SensorModel:
         """The same camera unit with its frozen patterns of [H, W] drawn once and kept, instead of at every
         `sample`. Maps that scale with the settings are kept before scaling."""
-        context = context_of(self, jnp.zeros((1, *size)), Settings(iso=float(np.asarray(self.iso)[0])))
-        values = resolve(self, context)
-        drawn = tuple(
-            dataclasses.replace(f, maps=maps_of(self, i, values[i], context))
-            for i, f in enumerate(self.mechanisms)
-        )
-        return dataclasses.replace(self, mechanisms=drawn)
+        return _with_drawn(self, _draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
 
     def sample(
         self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
@@ -174,7 +168,11 @@ class SensorModel:
         """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
         setting beyond the calibrated range draws one `ExtrapolationWarning`."""
         warn_outside(self, settings)
-        return _sample_codes(self, key, clean, settings[:3], settings.frames)
+        # The frozen patterns are drawn by a program of their own: fused with the frames they would be
+        # drawn anew
+        # for each of them.
+        drawn = _draw_maps(self, settings[:3], np.shape(clean)[-2:])
+        return _sample_codes(_with_drawn(self, drawn), key, clean, settings[:3], settings.frames)
 
     def expected(self, clean: Float[Array, "h w"], settings: Settings = DEFAULT) -> Float[Array, "h w"]:
         """Expected value in DN before rounding and clipping: black level, signal and the closed-form mean
@@ -206,6 +204,19 @@ class SensorModel:
             return pack((y - context.black_level) / context.span_dn - mosaic, self.cfa)
 
         return draw
+
+
+@partial(jax.jit, static_argnames="size")
+def _draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tuple[dict[str, Array], ...]:
+    """The frozen maps of every mechanism, measured or drawn."""
+    context = context_of(model, jnp.zeros((1, *size)), Settings(*setting))
+    values = resolve(model, context)
+    return tuple(maps_of(model, i, values[i], context) for i in range(len(model.mechanisms)))
+
+
+def _with_drawn(model: SensorModel, maps: tuple[dict[str, Array], ...]) -> SensorModel:
+    kept = tuple(dataclasses.replace(f, maps=m) for f, m in zip(model.mechanisms, maps, strict=True))
+    return dataclasses.replace(model, mechanisms=kept)
 
 
 @partial(jax.jit, static_argnames="frames")

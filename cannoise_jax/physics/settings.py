@@ -80,9 +80,11 @@ def chain_order(fitted: tuple[Fitted, ...]) -> tuple[Fitted, ...]:
 
 def site_map(values: Float[Array, "... 4"], size: tuple[int, int]) -> Float[Array, "... h w"]:
     """One value per mosaic site spread over [H, W]; batched and traceable form of `mosaic_map`."""
-    height, width = size
-    cell = jnp.asarray(values).reshape(*values.shape[:-1], 2, 2)
-    return cell[..., np.arange(height)[:, None] % 2, np.arange(width)[None, :] % 2]
+    a, b, c, d = (jnp.asarray(values)[..., k, None, None] for k in range(4))
+    # Selections by constant parity fuse into the loop over pixels; a gather would not.
+    odd_row = (np.arange(size[0]) % 2 == 1)[:, None]
+    odd_column = (np.arange(size[1]) % 2 == 1)[None, :]
+    return jnp.where(odd_row, jnp.where(odd_column, d, c), jnp.where(odd_column, b, a))
 
 
 def baseline_at(model: Any, iso) -> tuple[Float[Array, "4"], Float[Array, "4"]]:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from scipy import optimize
 from scipy.special import beta
 
-_NEAR_ZERO = 0.05
+_NEAR_ZERO = 0.15
 """Below this |l| the variance is a polynomial through float64 values, for the closed form divides by l^2."""
 
 
@@ -78,7 +78,7 @@ def _kurtosis64(shape: float) -> float:
     return fourth / second**2 - 3
 
 
-_NODES = 1.2 * _NEAR_ZERO * np.cos(np.pi * (np.arange(8) + 0.5) / 8)
-_VARIANCE = np.polyfit(_NODES, [_moments64(float(s))[0] for s in _NODES], 7)
+_NODES = 1.2 * _NEAR_ZERO * np.cos(np.pi * (np.arange(14) + 0.5) / 14)
+_VARIANCE = np.polyfit(_NODES, [_moments64(float(s))[0] for s in _NODES], 13)
 _SHAPES = np.concatenate([-0.25 + np.geomspace(1e-4, 0.25, 400), np.linspace(0.002, 1.0, 400)])
 _KURTOSES = np.array([_kurtosis64(float(s)) for s in _SHAPES])

@@ -19,7 +19,7 @@ from cannoise_jax.vocabulary import VOCABULARY, core_ids
 from tests.physics import naive
 
 SIZE = (8, 12)
-FRAMES = 2000
+FRAMES = 1500
 SETTINGS = Settings(iso=100.0, exposure_s=0.5, frames=FRAMES)
 
 # Strong enough to be seen in a small simulation, and no special case of anything weaker.
@@ -385,9 +385,9 @@ SCORED = [id for id, m in MECHANISMS.items() if m.score is not None]
 
 @pytest.mark.parametrize("id", SCORED)
 def test_score_is_standard_normal_without_the_mechanism(id):
-    size, record, draws = (32, 48), mechanism(id), 100
+    size, record, draws = (32, 48), mechanism(id), 64
     context, values, maps = prepared(camera(id), size)
-    z = np.random.default_rng(11).normal(size=(draws, 8, *size))
+    z = np.random.default_rng(11).normal(size=(draws, 4, *size))
     score = jax.vmap(lambda z: record.score(z, values[0], maps[0], context))
     scores = np.asarray(score(jnp.asarray(z, jnp.float32)))
     assert abs(scores.mean()) < 4.5 / np.sqrt(draws)

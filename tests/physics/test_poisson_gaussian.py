@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.random import threefry_2x32
 from scipy import stats
 
 from cannoise_jax.physics import tukey_lambda
@@ -19,6 +20,7 @@ from cannoise_jax.physics.poisson_gaussian import (
     sample_poisson_gaussian,
     uniform_open,
 )
+from cannoise_jax.physics.random_bits import random_bits, threefry
 
 MEANS = (0.01, 0.3, 1.0, 4.0, 11.9, 12.1, 20.0, 75.0, 1e3, 1e4, 1e5)
 GRID = 2**20
@@ -64,6 +66,25 @@ def test_draws_pass_a_chi_square_test(mean):
     keep = expected > 5
     statistic = np.sum((seen[keep] - expected[keep]) ** 2 / expected[keep])
     assert stats.chi2.sf(statistic, keep.sum() - 1) > 1e-4
+
+
+def test_bits_are_those_of_threefry():
+    key = jax.random.key(3)
+    data = jax.random.key_data(key)
+    counts = jnp.arange(8, dtype=jnp.uint32)
+    ours = jnp.concatenate(threefry((data[0], data[1]), counts[:4], counts[4:]))
+    np.testing.assert_array_equal(ours, threefry_2x32((data[0], data[1]), counts))
+
+
+def test_bits_depend_on_the_key_and_differ_from_those_of_jax_random():
+    one, two = (np.asarray(random_bits(jax.random.key(k), (64, 64))) for k in (1, 2))
+    assert np.unique(np.concatenate([one.ravel(), two.ravel()])).size == 2 * 64 * 64
+    theirs = np.asarray(jax.random.bits(jax.random.key(1), (64 * 64,)))
+    assert np.intersect1d(one, theirs).size == 0
+    both = jax.vmap(lambda k: random_bits(k, (8,)))(jax.random.split(jax.random.key(1)))
+    np.testing.assert_array_equal(both[1], random_bits(jax.random.split(jax.random.key(1))[1], (8,)))
+    set_bits = np.unpackbits(one.view(np.uint8)).mean()
+    assert abs(set_bits - 0.5) < 5 * 0.5 / np.sqrt(32 * 64 * 64)
 
 
 def test_zero_and_negative_means_give_no_counts():

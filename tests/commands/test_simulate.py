@@ -1,0 +1,130 @@
+"""bin/simulate: recordings that carry their truth, and one line for what cannot be used."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.commands.simulate import main
+from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.sensor_json import write_sensor
+from cannoise_jax.recordings.native import read_recording
+
+
+@pytest.fixture
+def sensor(tmp_path):
+    path = tmp_path / "sensor.json"
+    model = SensorModel.poisson_gaussian(
+        [[0.5], [2.0]], [[3.0], [2.0]], 64, 1023, "GRBG", iso=(100, 400), camera="bench camera"
+    )
+    write_sensor(path, model.with_mechanism("row_noise", sigma_dn=0.5))
+    return str(path)
+
+
+def test_a_flat_is_a_recording_with_its_truth(sensor, tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = [
+        "--sensor",
+        sensor,
+        "--clean",
+        "flat:0.2",
+        "--size",
+        "32x48",
+        "--frames",
+        "8",
+        "--iso",
+        "400",
+    ]
+    assert main([*arguments, "--exposure", "0.02", "--out", str(out)]) == 0
+    assert "8 frames of 32 x 48, GRBG, bench camera" in capsys.readouterr().out
+    recording = read_recording(out / "flat_0.2.h5")
+    frames = np.asarray(recording.frames[:], np.float64)
+    assert frames.shape == (8, 32, 48)
+    assert (recording.kind, recording.iso, recording.exposure_s) == ("flat", 400.0, 0.02)
+    signal = 0.2 * (1023 - 64)
+    assert frames.mean() == pytest.approx(64 + signal, rel=0.01)
+    variance = (recording.shot[0] * 0.2 + recording.read[0]) * (1023 - 64) ** 2
+    assert variance == pytest.approx(2.0 * signal + (2.0 * 2.0) ** 2, rel=1e-4)
+    assert frames.var() == pytest.approx(variance, rel=0.1)
+
+
+def test_a_folder_gives_one_recording_per_picture_and_seeds_repeat(sensor, tmp_path):
+    from skimage.io import imsave
+
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    ramp = np.linspace(0, 0.5, 24 * 32, dtype=np.float32).reshape(24, 32)
+    np.save(pictures / "ramp.npy", ramp)
+    imsave(pictures / "colour.png", np.full((24, 32, 3), (255, 128, 0), np.uint8), check_contrast=False)
+    for out in ("first", "second"):
+        arguments = [
+            "--sensor",
+            sensor,
+            "--clean",
+            str(pictures),
+            "--frames",
+            "2",
+            "--out",
+            str(tmp_path / out),
+        ]
+        assert main(arguments) == 0
+    first, second = (read_recording(tmp_path / out / "ramp.h5") for out in ("first", "second"))
+    np.testing.assert_array_equal(first.frames[:], second.frames[:])
+    np.testing.assert_allclose(first.clean, ramp)
+    colour = read_recording(tmp_path / "first" / "colour.h5")
+    # GRBG: red is the second site, blue the third; an sRGB code of 128 is 0.216 in linear light.
+    np.testing.assert_allclose(colour.clean[0, 1], 1.0)
+    np.testing.assert_allclose(colour.clean[1, 0], 0.0)
+    np.testing.assert_allclose(colour.clean[0, 0], 0.2159, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--clean", "dark"], "give --sensor and --clean"),
+        (["--sensor", "absent.json", "--clean", "dark"], "absent.json: cannot be read"),
+        (["--sensor", "SENSOR", "--clean", "flat:bright"], "flat:LEVEL"),
+        (["--sensor", "SENSOR", "--clean", "flat:1.5"], "flat:LEVEL"),
+        (["--sensor", "SENSOR", "--clean", "nowhere.png"], "no such file"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--frames", "0"], "at least 1"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--iso", "0"], "above 0"),
+        (["--sensor", "preset:toaster", "--clean", "dark"], "toaster"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments, message, sensor, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main([*(sensor if a == "SENSOR" else a for a in arguments), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("bin/simulate: ") and said.count("\n") == 1 and message in said
+    assert not out.exists()
+
+
+def test_pictures_that_cannot_be_used(sensor, tmp_path, capsys):
+    bad = tmp_path / "bad.npy"
+    for values, message in (
+        (np.full((4, 4), np.nan), "finite"),
+        (np.zeros(5), "shape"),
+        (np.full((4, 4), 9.0), "from 0"),
+    ):
+        np.save(bad, values)
+        assert main(["--sensor", sensor, "--clean", str(bad), "--out", str(tmp_path / "out")]) == 2
+        assert message in capsys.readouterr().err
+    np.save(bad, np.array([{"a": 1}], dtype=object))
+    assert main(["--sensor", sensor, "--clean", str(bad), "--out", str(tmp_path / "out")]) == 2
+    (tmp_path / "broken.png").write_bytes(b"not a picture")
+    assert (
+        main(["--sensor", sensor, "--clean", str(tmp_path / "broken.png"), "--out", str(tmp_path / "o")]) == 2
+    )
+    assert "cannot be read as a picture" in capsys.readouterr().err
+
+
+def test_catalogue_needs_a_place(tmp_path, capsys):
+    assert main(["--catalogue", "--out", str(tmp_path / "absent" / "page.html")]) == 2
+    assert "folder that exists" in capsys.readouterr().err
+
+
+def test_catalogue_entry_has_its_pictures_and_words():
+    from cannoise_jax.physics import catalogue
+    from cannoise_jax.physics.registry import mechanism
+
+    entry = catalogue.entry(mechanism("row_noise"))
+    assert all(len(entry[name]) > 2000 for name in ("picture", "signature")) and entry["equation"]
+    assert "darks" in entry["needs"] and "readout" in entry["place"] and "gain^1" in entry["scales"]

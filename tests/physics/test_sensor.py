@@ -1,0 +1,164 @@
+"""The sensor model: its baseline is the textbook's, it interpolates and warns, and it works inside other
+JAX code."""
+
+import dataclasses
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.mechanism import Scaling
+from cannoise_jax.physics.sensor import ExtrapolationWarning, IsoTable, SensorModel, Settings
+from cannoise_jax.physics.settings import baseline_at, context_of, resolve
+from cannoise_jax.recordings import BadInput
+from cannoise_jax.recordings.packing import pack
+
+SIZE = (32, 32)
+FLAT = np.full(SIZE, 0.2, np.float32)
+MODEL = SensorModel.poisson_gaussian(0.5, 3.0, (60, 64, 68, 72), 1084, "RGGB")
+KEY = jax.random.key(1)
+
+
+def sites(y):
+    return [y[:, i::2, j::2].astype(np.float64) for i in (0, 1) for j in (0, 1)]
+
+
+def test_frames_have_the_expected_mean_and_variance_per_channel():
+    model = SensorModel.poisson_gaussian((0.4, 0.5, 0.6, 0.7), (2, 3, 4, 5), (60, 64, 68, 72), 1084, "RGGB")
+    y = np.asarray(model.sample(KEY, FLAT, Settings(frames=60)))
+    assert y.dtype == np.uint16 and y.shape == (60, *SIZE)
+    for site, black, gain, read in zip(
+        sites(y), (60, 64, 68, 72), (0.4, 0.5, 0.6, 0.7), (2, 3, 4, 5), strict=True
+    ):
+        signal = 0.2 * (1084 - black)
+        variance = gain * signal + (gain * read) ** 2 + 1 / 12
+        assert site.mean() == pytest.approx(black + signal, abs=5 * np.sqrt(variance / site.size))
+        assert site.var() == pytest.approx(variance, rel=0.05)
+
+
+def test_expected_is_the_mean_with_frozen_patterns():
+    model = MODEL.with_mechanism("prnu", sigma=0.05).with_mechanism("column_fpn", sigma_dn=4.0)
+    y = np.asarray(model.sample(KEY, FLAT, Settings(frames=400)), np.float64)
+    gap = y.mean(axis=0) - np.asarray(model.expected(FLAT))
+    assert np.abs(gap).max() < 5.5 * y.std(axis=0).max() / 20
+    assert np.asarray(model.expected(FLAT)).std() > 5
+
+
+def test_keys_share_the_pattern_of_a_unit_and_units_differ():
+    model = MODEL.with_mechanism("dsnu", sigma_dn=20.0)
+    first, second, other = (
+        np.asarray(m.sample(k, FLAT, Settings(frames=40)), np.float64).mean(axis=0)
+        for m, k in (
+            (model, KEY),
+            (model, jax.random.key(2)),
+            (model.with_unit(jax.random.key(3)), KEY),
+        )
+    )
+    assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.95
+    assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.2
+
+
+def test_adding_a_mechanism_leaves_the_other_draws_alone():
+    plain = np.asarray(MODEL.sample(KEY, FLAT, Settings(frames=3)), np.float64)
+    shifted = np.asarray(
+        MODEL.with_mechanism("offset_drift", sigma_dn=50.0).sample(KEY, FLAT, Settings(frames=3)), np.float64
+    )
+    change = (shifted - plain).reshape(3, -1)
+    assert np.all(change.max(axis=1) - change.min(axis=1) <= 1.0)
+    assert np.abs(change.mean(axis=1)).max() > 5
+
+
+def test_with_and_without():
+    model = MODEL.with_mechanism("in_camera_denoising").with_mechanism("row_noise", sigma_dn=1.0)
+    assert [f.mechanism for f in model.mechanisms] == ["row_noise", "in_camera_denoising"], "chain order"
+    assert [f.mechanism for f in model.without("row_noise").mechanisms] == ["in_camera_denoising"]
+    with pytest.raises(ValueError, match="no parameter volume"):
+        MODEL.with_mechanism("row_noise", volume=11)
+    with pytest.raises(ValueError, match="gremlins"):
+        MODEL.with_mechanism("gremlins")
+
+
+@pytest.mark.parametrize("step", [1.0, 4.0, 16.0])
+def test_codes_lie_on_the_lattice_within_the_rails(step):
+    model = dataclasses.replace(MODEL, code_step=np.float32(step))
+    y = np.asarray(
+        model.sample(KEY, np.linspace(0, 1.4, 1024, dtype=np.float32).reshape(SIZE), Settings(frames=20))
+    )
+    assert np.all(y % step == 0) and y.max() == 1084 // step * step
+    low = dataclasses.replace(model, black_level=np.zeros(4, np.float32))
+    assert np.asarray(low.sample(KEY, FLAT * 0, Settings(frames=20))).min() == 0
+
+
+def test_baseline_between_and_beyond_the_calibrated_isos():
+    model = SensorModel.poisson_gaussian([[0.1], [0.4]], [[4.0], [2.0]], 64, 1023, iso=(100, 400))
+    for iso, gain, read in ((100, 0.1, 4), (250, 0.25, 3), (400, 0.4, 2), (800, 0.8, 2), (50, 0.05, 4)):
+        got = baseline_at(model, iso)
+        np.testing.assert_allclose(got[0], gain, rtol=1e-5)
+        np.testing.assert_allclose(got[1], read, rtol=1e-5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model.sample(KEY, FLAT, Settings(iso=250))
+    with pytest.warns(ExtrapolationWarning, match="proportional to ISO") as caught:
+        model.sample(KEY, FLAT, Settings(iso=800))
+    assert len(caught) == 1
+
+
+def values_at(model, **settings):
+    return resolve(model, context_of(model, jnp.zeros((1, *SIZE)), Settings(**settings)))[0]
+
+
+def test_scaling_laws_and_tables():
+    base = SensorModel.poisson_gaussian([[0.1], [0.4]], [[4.0], [2.0]], 64, 1023, iso=(100, 400))
+    row = base.with_mechanism("row_noise", sigma_dn=0.5)
+    np.testing.assert_allclose(values_at(row, iso=400.0)["sigma_dn"], 2.0, rtol=1e-5)
+    table = base.with_mechanism(
+        "row_noise", sigma_dn=IsoTable(np.array([100.0, 400.0]), np.array([0.5, 0.7]))
+    )
+    np.testing.assert_allclose(values_at(table, iso=250.0)["sigma_dn"], 0.6, rtol=1e-5)
+    law = Scaling(exposure=1.0, doubling_c=6.0, reference_temperature_c=20.0)
+    dark = base.with_mechanism("dark_current", e_per_s=3.0, scaling=law)
+    warm = values_at(dark, iso=100.0, exposure_s=2.0, temperature_c=32.0)
+    np.testing.assert_allclose(warm["e_per_s"], 3 * 2 * 4, rtol=1e-5)
+    np.testing.assert_allclose(values_at(dark, iso=100.0, exposure_s=2.0)["e_per_s"], 6, rtol=1e-5)
+
+
+def test_a_place_in_the_grammar_without_a_name_can_be_sampled():
+    point = Point("readout", "signal", "column", "redrawn", signal=0.5, distribution="tukey_lambda")
+    model = MODEL.with_mechanism("zebra", point=point, sigma_dn=20.0, tukey_lambda=0.1)
+    y = np.asarray(model.sample(KEY, FLAT, Settings(frames=50)), np.float64)
+    columns = (y - y.mean(axis=0)).mean(axis=1)
+    assert columns.std() == pytest.approx(20 * np.sqrt(0.2), rel=0.15)
+
+
+def test_measured_maps_of_another_size_are_refused():
+    model = MODEL.with_mechanism("dsnu").with_maps((16, 16))
+    with pytest.raises(BadInput, match="frames of that size"):
+        model.sample(KEY, FLAT)
+
+
+def test_from_nlf_has_that_noise_level_function():
+    model = SensorModel.from_nlf(2e-3, 4e-5, 64, 1064, "BGGR")
+    y = np.asarray(model.sample(KEY, FLAT, Settings(frames=60)), np.float64)
+    assert ((y - 64) / 1000).var() == pytest.approx(2e-3 * 0.2 + 4e-5, rel=0.04)
+
+
+def test_n_init_is_packed_noise_of_the_given_level_function():
+    draw = jax.jit(MODEL.with_mechanism("row_noise", sigma_dn=0.0).n_init())
+    clean = pack(np.stack([FLAT, FLAT * 0.1, FLAT * 2]), "RGGB")
+    shot = jnp.asarray([[1e-3] * 4, [2e-3] * 4, [5e-4, 1e-3, 2e-3, 4e-3]])
+    read = jnp.full((3, 4), 3e-5)
+    noise = jnp.concatenate([draw(jax.random.key(k), clean, shot, read) for k in range(12)], axis=1)
+    assert noise.shape == (3, 12 * 16, 16, 4)
+    sigma = np.sqrt(np.asarray(shot) * np.asarray([0.2, 0.02, 0.4])[:, None] + 3e-5)
+    np.testing.assert_allclose(np.asarray(noise).std(axis=(1, 2)), sigma, rtol=0.07)
+    assert np.abs(np.asarray(noise).mean(axis=(1, 2)) / sigma).max() < 5 / np.sqrt(12 * 256)
+
+
+def test_bad_tables_are_refused():
+    with pytest.raises(ValueError, match="ascend"):
+        SensorModel.poisson_gaussian([[1], [2]], [[1], [1]], iso=(400, 100))
+    with pytest.raises(ValueError, match="1 or 4 values"):
+        SensorModel.poisson_gaussian((1, 2), 3)
