@@ -19,7 +19,11 @@ def get_config() -> ConfigDict:
             "literal": False,  # the paper's tables and raw units as printed; see networks/
             "encoder": True,  # False: a generator without camera awareness
             # Fields of the modules.
-            "networks": {"generator": {"hidden": 16}, "encoder": {}, "critic": {"hidden": 16}},
+            "networks": {
+                "generator": {"hidden": 16},
+                "encoder": {"latent_scale": 3.0},
+                "critic": {"hidden": 16},
+            },
             # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
             "initial_noise": "poisson_gaussian",
             "clip": True,  # noise as clipped recordings show it, before the critic; paper: unsaid
@@ -37,7 +41,7 @@ def get_config() -> ConfigDict:
                 "margin": 0.2,
             },
             "optimiser": {
-                "generator_rate": 3e-4,  # paper: 2e-4
+                "generator_rate": 4e-4,  # paper: 2e-4
                 "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
                 "critic_rate": 2e-3,  # paper: 2e-4
                 "beta1": 0.5,
@@ -60,6 +64,7 @@ def get_config() -> ConfigDict:
                 # For recordings: folders, one a camera, and what overrides their files.
                 "recordings": (),
                 "per_recording": 48,  # patches at most of one recording and split
+                "half_real_scenes": 12,  # computed scenes on real darks, per camera and split
                 "cfa": placeholder(str),
                 "black_level": placeholder(tuple),
                 "white_level": placeholder(float),

@@ -98,7 +98,7 @@ def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
         folders,
         overrides,
         jax.random.key(data.seed),
-        data.scenes,
+        data.half_real_scenes,
         data.per_recording,
         triplet=bool(config.loss.triplet),
     )

@@ -4,8 +4,9 @@ What a folder gives:
 - scenes with a noise-free image, or with two frames and more, are used as they are; repeated frames are
   compared with the mean of the others;
 - flats likewise;
-- darks (or bias frames) lend their floor to computed scenes: clean scene + Poisson shot noise + a real dark
-  frame. This needs the system gain, from photon transfer on flats and darks, or from a recording's `shot`.
+- darks (or bias frames) of up to a second lend their floor to computed scenes: clean scene + Poisson shot
+  noise + a real dark frame. This needs the system gain: photon transfer on flats and darks, or a
+  recording's `shot`.
 Frames are parted into training (0.7), validation (0.1) and test (0.2), in capture order, so that no frame is
 in two of them; computed scenes are parted as well. shot and read come from photon transfer where the files
 do not state them.
@@ -41,6 +42,8 @@ from cannoise_jax.recordings.references import referenced_frames
 PATCH = 64
 _SHARES = (0.7, 0.8)
 """Where validation and test frames begin."""
+_LONGEST_S = 1.0
+"""Darks of longer exposures hold dark signal and hot pixels, which are no part of a scene's `clean`."""
 Columns = dict[str, np.ndarray]
 
 
@@ -86,7 +89,7 @@ def _camera_patches(
 ) -> Iterator[tuple[int, Columns]]:
     """(split, patches) of one camera."""
     repeated = [r for r in captured.of_kind("scene", "flat") if r.clean is not None or r.count > 1]
-    darks = [r for r in captured.of_kind("dark", "bias") if r.count > 2]
+    darks = [r for r in captured.of_kind("dark", "bias") if r.count > 2 and (r.exposure_s or 0) <= _LONGEST_S]
     known = all(r.shot is not None and r.read is not None for r in repeated) and not darks
     transfer = None if known else _levels_of(captured)
     found = []

@@ -21,7 +21,7 @@ SIZE = (128, 384)
 def config():
     found = run_path(str(CONFIGS / "ci.py"))["get_config"]()
     found.data.source = "recordings"
-    found.data.scenes = 3
+    found.data.half_real_scenes = 3
     return found
 
 
