@@ -112,8 +112,8 @@ class Generator(nn.Module):
     spectral norm on every layer as released); all further fields are then unused.
     spectral, norm ("channel", "instance", "none"): of the U-Net. hidden: channels of the full-resolution
     branch. level_input: show log sigma to G. Without it G can know the camera from the latent only.
-    gain_input: also show log(sigma^2 / signal), about the log of the gain wherever shot noise rules: how far a
-    published noise level is off changes with ISO, and ISO is a quotient that few layers learn late.
+    gain_input: also show log(sigma^2 / signal), the log of the gain where shot noise rules. The error of a
+    published noise level depends on it, and networks learn a quotient late from its parts.
     direct: also let the latent set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
 
