@@ -21,7 +21,7 @@ def get_config() -> ConfigDict:
             # Fields of the modules.
             "networks": {
                 "generator": {"hidden": 16},
-                "encoder": {"latent_scale": 3.0},
+                "encoder": {},
                 "critic": {"hidden": 16},
             },
             # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
@@ -41,7 +41,7 @@ def get_config() -> ConfigDict:
                 "margin": 0.2,
             },
             "optimiser": {
-                "generator_rate": 4e-4,  # paper: 2e-4
+                "generator_rate": 3e-4,  # paper: 2e-4
                 "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
                 "critic_rate": 2e-3,  # paper: 2e-4
                 "beta1": 0.5,

@@ -40,7 +40,8 @@ def noise_statistics(
     In order: log noise level at five signal levels for each channel (empty levels fall back on the rest) and
     how many pixels lie there; per channel kurtosis, shares beyond 2.5, 3.5 and 5 sigma; correlation of
     horizontal and vertical neighbours; correlation of channel pairs; size of row offsets against white noise,
-    and how much of them the two channels of a sensor row share.
+    and how much of them the two channels of a sensor row share; how many pixels lie below and exactly at the
+    black level, which tells whether the camera's codes end there.
     """
     residual, mean = high_pass(noisy), local_mean(noisy)
     weights = _level_weights(mean)
@@ -70,8 +71,13 @@ def noise_statistics(
         jnp.stack([correlation(soft[..., a], soft[..., b]) for a, b in pairs], -1),
         rows,
         shared_rows,
+        (jnp.log(jnp.stack([_share(noisy < 0), _share(noisy == 0)], -1) + 1e-4) + 5) / 3,
     ]
     return jnp.concatenate(parts, -1), z
+
+
+def _share(condition):
+    return jnp.mean(condition.astype(jnp.float32), (1, 2, 3))
 
 
 def _row_offsets(noisy, sigma):
