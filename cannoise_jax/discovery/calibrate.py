@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields, channel_index, helmert
+from cannoise_jax.discovery.fields import Fields, channel_index, helmert, least_squares
 from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map
 
 MOST_FRAMES = 16
@@ -275,10 +275,10 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
         values = mean[chosen].astype(np.float64)
         kept = np.ones(values.size, bool)
         for _ in range(2):
-            beta = np.linalg.lstsq(basis[kept], values[kept], rcond=None)[0]
-            rest = values - basis @ beta
+            beta = least_squares(basis[kept], values[kept])
+            rest = values - np.einsum("nk,k->n", basis, beta)
             kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
-        out[chosen] = basis @ beta
+        out[chosen] = np.einsum("nk,k->n", basis, beta)
     return out
 
 
@@ -316,7 +316,7 @@ def _line(levels: list[Level], stacks: list[Stack], c: int) -> tuple[float, floa
         basis = np.stack([np.ones_like(x), x], 1)
         normal = basis.T @ (weight[:, None] * basis)
         beta = np.linalg.solve(normal, basis.T @ (weight * v))
-        fitted = np.maximum(basis @ beta, step**2 / 12)
+        fitted = np.maximum(np.einsum("nk,k->n", basis, beta), step**2 / 12)
     cov = np.linalg.inv(normal)
     read2 = max(beta[0] - step**2 / 12, 1e-4 * step**2)
     read = np.sqrt(read2)
@@ -401,8 +401,8 @@ def _affine(
         values = stacked.mean[chosen] / sigma[chosen]
         kept = np.ones(values.size, bool)
         for _ in range(2):
-            beta = np.linalg.lstsq(basis[kept], values[kept], rcond=None)[0]
-            rest = values - basis @ beta
+            beta = least_squares(basis[kept], values[kept])
+            rest = values - np.einsum("nk,k->n", basis, beta)
             kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
         out[channel == c] = beta[0] + beta[1] * clean[channel == c]
     return out

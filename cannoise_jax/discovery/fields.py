@@ -64,6 +64,12 @@ def channel_index(size: tuple[int, int]) -> np.ndarray:
     return 2 * (rows % 2) + columns % 2
 
 
+def least_squares(basis: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
+    """Coefficients by the normal equations, without a threaded library: long sums, tiny systems."""
+    normal = np.einsum("nk,nl->kl", basis, basis)
+    return np.linalg.lstsq(normal, np.einsum("nk,n->k", basis, values), rcond=None)[0]
+
+
 def helmert(frames: int) -> Float[np.ndarray, "n t"]:
     """T - 1 orthonormal contrasts, each orthogonal to a constant."""
     matrix = np.zeros((frames - 1, frames))
@@ -79,7 +85,7 @@ def frame_fields(field: Fields, static: bool = True) -> Float[np.ndarray, "t h w
 
     Without the static part the frames are rescaled to unit variance.
     """
-    out = np.tensordot(helmert(field.frames).T.astype(np.float32), field.contrasts, axes=1)
+    out = np.einsum("nt,nij->tij", helmert(field.frames).astype(np.float32), field.contrasts)
     if static and field.static is not None:
         return out + field.static / np.float32(np.sqrt(field.frames))
     return out * np.float32(np.sqrt(field.frames / max(field.frames - 1.0, 1.0)))
@@ -89,7 +95,7 @@ def each_frame(field: Fields) -> Iterator[Float[np.ndarray, "h w"]]:
     """The standardised residuals of `frame_fields` one frame at a time."""
     matrix = helmert(field.frames).astype(np.float32)
     for t in range(field.frames):
-        frame = np.tensordot(matrix[:, t], field.contrasts, axes=1)
+        frame = np.einsum("n,nij->ij", matrix[:, t], field.contrasts)
         if field.static is not None:
             yield frame + field.static / np.float32(np.sqrt(field.frames))
         else:

@@ -6,12 +6,14 @@ import dataclasses
 import json
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose, mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
+from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import (
@@ -175,6 +177,25 @@ def test_a_run_is_reproducible_by_its_key():
     capture = capture_set(13)
     a, b = (diagnose(capture, key=jax.random.key(4)).before for _ in range(2))
     assert a == b
+
+
+def test_what_a_sensor_model_has_already_is_no_mismatch():
+    capture = capture_set(14, row_offsets(2.0))
+    plain = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 16383.0)
+    full = plain.with_mechanism("row_noise", sigma_dn=2.0)
+    assert run(capture, simulator=plain).findings == ["row_noise"]
+    assert run(capture, simulator=full).findings == []
+
+
+def test_a_function_is_a_simulator_and_its_gain_is_judged():
+    def camera(key, clean, settings):
+        signal = clean * 16183.0
+        noise = jax.random.normal(key, clean.shape) * jnp.sqrt(1.5 * 1.4 * signal + 4.5**2)
+        return 200.0 + signal + noise
+
+    assert "gain_error" in run(capture_set(15), simulator=camera).findings
+    with pytest.raises(BadInput, match="must return"):
+        run(capture_set(15, kinds="d"), simulator=lambda key, clean, settings: clean[1:])
 
 
 def test_bad_requests_say_what_is_wrong():

@@ -37,10 +37,8 @@ def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str) -> Lin
     total = float(np.sum(r.astype(np.float64) ** 2))
     if total == 0:
         return LineSums(np.zeros((len(values), 1)), np.zeros(1))
-    frame = np.einsum("nij,ij->n", values, r, optimize=True) / total
-    score = np.einsum("nij,ij->ni" if axis == "row" else "nij,ij->nj", values, r, optimize=True).astype(
-        np.float64
-    )
+    frame = np.einsum("nij,ij->n", values, r) / total
+    score = np.einsum("nij,ij->ni" if axis == "row" else "nij,ij->nj", values, r).astype(np.float64)
     information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
     return LineSums(score - frame[:, None] * information, information * (1 - information / total))
 
@@ -100,8 +98,8 @@ def _whiten_lines(field: Fields, values: np.ndarray, axis: str, scaling: str, va
         subs = ("nij,ij->ni", "ni,ij->nij") if axis == "row" else ("nij,ij->nj", "nj,ij->nij")
         information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
         shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
-        score = np.einsum(subs[0], x, r, optimize=True) * shrink
-        return x - np.einsum(subs[1], score.astype(np.float32), r, optimize=True)
+        score = np.einsum(subs[0], x, r) * shrink
+        return x - np.einsum(subs[1], score.astype(np.float32), r)
 
     contrasts = function(values)
     static = None if field.static is None else function(field.static[None])[0]
@@ -160,7 +158,7 @@ def frame_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
         r = response(f, scaling)
         i = float(np.sum(r.astype(np.float64) ** 2))
         if i > 0:
-            u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32), optimize=True)
+            u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32))
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
             information.append(i)
             dof.append(len(f.contrasts))
@@ -181,7 +179,7 @@ def frame_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> t
         r = response(f, scaling).astype(np.float32)
         i = float(np.sum(r.astype(np.float64) ** 2))
         shrink = (1 - 1 / np.sqrt(1 + score.payload * i)) / max(i, 1e-30)
-        u = np.einsum("nij,ij->n", f.contrasts, r, optimize=True) * np.float32(shrink)
+        u = np.einsum("nij,ij->n", f.contrasts, r) * np.float32(shrink)
         out.append(f._replace(contrasts=f.contrasts - u[:, None, None] * r))
     return tuple(out)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fields import Fields, channel_index, least_squares
 from cannoise_jax.discovery.statistics.lines import static_sums
 from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, normal_log_p, sidak
 
@@ -35,8 +35,7 @@ def project(field: Fields, template: np.ndarray) -> np.ndarray:
             basis.append(w[chosen] * field.clean[chosen])
         b = np.stack(basis, 1)
         t = template[chosen] * w[chosen]
-        normal = b.T @ b
-        out[chosen] = t - b @ np.linalg.lstsq(normal, b.T @ t, rcond=None)[0]
+        out[chosen] = t - np.einsum("nk,k->n", b, least_squares(b, t))
     return out
 
 
@@ -396,8 +395,8 @@ def reference_score(fields: tuple[Fields, ...], *, probe: str, kind: str, span: 
         t = np.array([project(f, g).ravel() for g in reference_templates(f.clean, span, kind)]) * np.sqrt(
             f.frames
         )
-        normal = t @ t.T
-        u = t @ f.static.ravel().astype(np.float64)
+        normal = np.einsum("kn,ln->kl", t, t)
+        u = np.einsum("kn,n->k", t, f.static.ravel().astype(np.float64))
         if kind == "crosstalk":
             shared_u, shared_i = shared_u + float(u[0]), shared_i + float(normal[0, 0])
             continue
