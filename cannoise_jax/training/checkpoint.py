@@ -35,6 +35,8 @@ class Checkpoints:
             preservation_policy=checkpoint_managers.AnyPreservationPolicy(
                 [checkpoint_managers.LatestN(1), best]
             ),
+            best_fn=lambda metrics: metrics[SCORE],  # without it scores are not stored
+            best_mode="min",
             enable_async_checkpointing=False,
             cleanup_tmp_directories=True,
         )

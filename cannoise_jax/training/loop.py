@@ -24,7 +24,7 @@ from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.metrics import MetricWriter, noise_panel
-from cannoise_jax.training.state import State, init_state, latent_of, make_networks
+from cannoise_jax.training.state import State, abstract_state, init_state, latent_of, make_networks
 from cannoise_jax.training.step import make_train_step
 
 
@@ -151,10 +151,11 @@ def train(
         data.train, config.batch_size, seed=config.seed, size=config.patch, triplet=bool(config.loss.triplet)
     )
     checkpoints = Checkpoints(workdir)
-    state = init_state(config, len(data.cameras))
     newest = checkpoints.newest()
-    if newest is not None:
-        state, position = checkpoints.restore(state, newest)
+    if newest is None:
+        state = init_state(config, len(data.cameras))
+    else:
+        state, position = checkpoints.restore(abstract_state(config, len(data.cameras)), newest)
         source.set_state(position)
     train_step = make_train_step(config, len(data.cameras))
     sampler = make_sampler(config)

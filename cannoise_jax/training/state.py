@@ -7,7 +7,6 @@ state bit for bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -94,29 +93,28 @@ def make_optimisers(config: ConfigDict) -> Optimisers:
 
 def init_state(config: ConfigDict, cameras: int) -> State:
     """The state before the first step. Pure: the same config gives the same state."""
+    # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
+    quick = {"xla_backend_optimization_level": 0}
+    return jax.jit(lambda: _first_state(config, cameras), compiler_options=quick)()
+
+
+def abstract_state(config: ConfigDict, cameras: int) -> State:
+    """The shapes and dtypes of `init_state`, without computing it."""
+    return jax.eval_shape(lambda: _first_state(config, cameras))
+
+
+def _first_state(config: ConfigDict, cameras: int) -> State:
     networks, optimisers = make_networks(config), make_optimisers(config)
     keys = jax.random.split(jax.random.key(config.seed), 4)
-
-    # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
-    @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-    def variables():
-        image = jnp.ones((1, config.patch, config.patch, 4))
-        encoder = networks.encoder.init(keys[1], image, train=False) if networks.encoder else {}
-        latent = latent_of(networks, encoder, image)
-        generator = networks.generator.init(
-            {"params": keys[2], "noise": keys[2]}, image, image, latent, image, train=False
-        )
-        critic = networks.critic.init(
-            keys[3],
-            image,
-            image,
-            image,
-            train=False,
-            latent=condition(config, latent, jnp.zeros(1, int), cameras),
-        )
-        return complete(generator), complete(encoder), complete(critic)
-
-    generator, encoder, critic = variables()
+    image = jnp.ones((1, config.patch, config.patch, 4))
+    encoder: Any = networks.encoder.init(keys[1], image, train=False) if networks.encoder else {}
+    latent = latent_of(networks, encoder, image)
+    generator: Any = networks.generator.init(
+        {"params": keys[2], "noise": keys[2]}, image, image, latent, image, train=False
+    )
+    told = condition(config, latent, jnp.zeros(1, int), cameras)
+    critic: Any = networks.critic.init(keys[3], image, image, image, train=False, latent=told)
+    generator, encoder, critic = complete(generator), complete(encoder), complete(critic)
     trained = {"generator": generator["params"], "encoder": encoder["params"]}
     return State(
         step=jnp.zeros((), jnp.int32),

@@ -17,7 +17,7 @@ from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import loop
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.data import load_data
-from cannoise_jax.training.state import init_state
+from cannoise_jax.training.state import abstract_state, init_state
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -60,6 +60,11 @@ def digest(state):
 
 
 @pytest.fixture(scope="module")
+def first_state(config):
+    return init_state(config, 5)
+
+
+@pytest.fixture(scope="module")
 def finished(config, data, tmp_path_factory):
     """A workdir trained without interruption, and the digest of its last state."""
     folder = tmp_path_factory.mktemp("first")
@@ -69,7 +74,7 @@ def finished(config, data, tmp_path_factory):
 
 def newest_state(config, folder):
     checkpoints = Checkpoints(folder)
-    state, _ = checkpoints.restore(init_state(config, 5), checkpoints.newest())
+    state, _ = checkpoints.restore(abstract_state(config, 5), checkpoints.newest())
     checkpoints.close()
     assert int(state.step) == config.steps
     return state
@@ -97,10 +102,10 @@ def test_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp
     assert digest(newest_state(config, tmp_path)) == finished[1]
 
 
-def test_another_seed_gives_other_bits(config, finished):
+def test_another_seed_gives_other_bits(config, first_state):
     other = config.copy_and_resolve_references()
     other.seed = 1
-    assert digest(init_state(other, 5)) != digest(init_state(config, 5))
+    assert digest(init_state(other, 5)) != digest(first_state)
 
 
 def test_a_workdir_keeps_numbers_and_pictures(finished):
@@ -141,10 +146,10 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_checkpoint(config, d
     checkpoints.close()
 
 
-def test_a_full_disk_is_one_line_and_keeps_what_was_saved(config, finished, monkeypatch):
+def test_a_full_disk_is_one_line_and_keeps_what_was_saved(first_state, finished, monkeypatch):
     checkpoints = Checkpoints(finished[0])
     before = checkpoints.newest()
-    state = init_state(config, 5)._replace(step=jnp.asarray(99))
+    state = first_state._replace(step=jnp.asarray(99))
 
     def full(*arguments, **named):
         raise OSError(28, "No space left on device")
@@ -157,11 +162,13 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_saved(config, finished, monk
     checkpoints.close()
 
 
-def test_the_best_checkpoint_and_the_newest_are_kept(config, tmp_path):
+def test_the_best_checkpoint_and_the_newest_are_kept(first_state, tmp_path):
     checkpoints = Checkpoints(tmp_path)
-    state = init_state(config, 5)
+    state = first_state
     for step, score in [(1, 0.5), (2, 0.1), (3, 0.3), (4, None)]:
         checkpoints.save(state._replace(step=jnp.asarray(step)), {"next_index": step}, score)
+    checkpoints.close()
+    checkpoints = Checkpoints(tmp_path)  # as another process finds them
     assert checkpoints.best() == 2
     assert checkpoints.newest() == 4
     restored, iterator = checkpoints.restore(state, 2)
@@ -176,6 +183,6 @@ def test_a_checkpoint_of_another_size_is_refused_in_one_line(config, finished):
     other.width = 1 / 16
     checkpoints = Checkpoints(finished[0])
     with pytest.raises(BadInput, match="cannot be restored") as refused:
-        checkpoints.restore(init_state(other, 5), checkpoints.newest())
+        checkpoints.restore(abstract_state(other, 5), checkpoints.newest())
     assert "\n" not in str(refused.value)
     checkpoints.close()

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.training.state import init_state
+from cannoise_jax.training.state import abstract_state, init_state
 from cannoise_jax.training.step import make_train_step
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -86,7 +86,7 @@ def test_switches(config, name):
     changed.loss.feature_matching = 1.0
     if changed.literal:
         changed.networks = {"generator": {}, "encoder": {}, "critic": {}}
-    state = jax.eval_shape(lambda: init_state(changed, 2))
+    state = abstract_state(changed, 2)
     batch = make_batch()
     if not changed.loss.triplet:
         del batch["positive"], batch["negative"]
@@ -97,7 +97,7 @@ def test_switches(config, name):
 
 
 def test_feature_matching_is_off_by_weight(config):
-    state = jax.eval_shape(lambda: init_state(config, 2))
+    state = abstract_state(config, 2)
     changed = config.copy_and_resolve_references()
     changed.loss.feature_matching = 0.0
     _, metrics = jax.eval_shape(make_train_step(changed, 2), state, make_batch())
@@ -109,5 +109,5 @@ def test_unknown_names_are_refused(config, field):
     changed = config.copy_and_resolve_references()
     changed[field] = "nothing"
     with pytest.raises(ValueError, match=f"{field}.*nothing"):
-        jax.eval_shape(lambda: init_state(changed, 2))
+        abstract_state(changed, 2)
         make_train_step(changed, 2)
