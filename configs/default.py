@@ -37,6 +37,7 @@ def get_config() -> ConfigDict:
                 "slope": 1.0,  # that the penalty asks for
                 "feature_matching": 0.0,  # paper: 1
                 "feature_target": "clean",  # in the noise slot of D: clean (paper) or real
+                "statistics": 10.0,  # of noise level and rows, against the paired real noise; paper: none, 0
                 "triplet": 0.5,
                 "margin": 0.2,
             },

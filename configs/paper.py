@@ -37,7 +37,7 @@ def get_config() -> ConfigDict:
         }
     )
     config.networks = ConfigDict({"generator": {}, "encoder": {}, "critic": {}})
-    config.loss.update({"slope": 1.0, "feature_matching": 1.0, "feature_target": "clean"})
+    config.loss.update({"slope": 1.0, "feature_matching": 1.0, "feature_target": "clean", "statistics": 0.0})
     config.optimiser.update(
         {
             "generator_rate": 2e-4,
