@@ -14,9 +14,13 @@ AXES = {"row": 2, "column": 1}
 """Axis of a [n, h, w] array that is summed over."""
 
 SCALES = ("reference_scale", "description_scale")
-LEVELS = {"additive": ("black_channels", "black_level", "greens"), "relative": ("greens", "shading", *SCALES)}
+LEVELS = {
+    "additive": ("black_channels", "black_level", "greens", "stated_read"),
+    "relative": ("greens", "shading", *SCALES),
+}
 """Probes of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
-channel means by more, so they are set aside once such a pattern is in the model."""
+channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
+part of the fitted read noise too, so a stated read noise is not judged beside it."""
 
 
 class LineSums(NamedTuple):

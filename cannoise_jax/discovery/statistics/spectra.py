@@ -336,6 +336,7 @@ def probes() -> tuple[Probe, ...]:
             {**pink, "varies_over": "raster time"},
             partial(slope_score, probe="raster_slope", scan="raster"),
             partial(slope_absorb, scan="raster"),
+            ("stated_read",),
         ),
         Probe(
             "row_slope",
@@ -343,6 +344,7 @@ def probes() -> tuple[Probe, ...]:
             {**pink, "varies_over": "row"},
             partial(slope_score, probe="row_slope", scan="row"),
             partial(slope_absorb, scan="row"),
+            ("stated_read",),
         ),
         Probe(
             "wave_redrawn",
