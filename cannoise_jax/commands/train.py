@@ -22,15 +22,23 @@ def _default_config() -> str:
     return str(next((f for f in folders if (f / "default.py").is_file()), folders[0]) / "default.py")
 
 
-_FLAGS = flags.FlagValues()
-config_flags.DEFINE_config_file(
-    "config", _default_config(), "A file with get_config().", lock_config=True, flag_values=_FLAGS
-)
-flags.DEFINE_string("workdir", None, "Where checkpoints, metrics and results go.", flag_values=_FLAGS)
-flags.DEFINE_list("recordings", [], "Folders of recordings, one a camera.", flag_values=_FLAGS)
-flags.DEFINE_enum("cfa", None, CFA_PATTERNS, "Colour order of the recordings.", flag_values=_FLAGS)
-flags.DEFINE_list("black-level", None, "DN; one, or four in mosaic order.", flag_values=_FLAGS)
-flags.DEFINE_float("white-level", None, "DN.", flag_values=_FLAGS)
+def _flags(arguments: list[str]) -> flags.FlagValues:
+    """The command's flags, not yet parsed. Made anew each time: a config file that fails to load is kept."""
+    values = flags.FlagValues()
+    config_flags.DEFINE_config_file(
+        "config",
+        _default_config(),
+        "A file with get_config().",
+        lock_config=True,
+        flag_values=values,
+        sys_argv=["bin/train", *arguments],
+    )
+    flags.DEFINE_string("workdir", None, "Where checkpoints, metrics and results go.", flag_values=values)
+    flags.DEFINE_list("recordings", [], "Folders of recordings, one a camera.", flag_values=values)
+    flags.DEFINE_enum("cfa", None, CFA_PATTERNS, "Colour order of the recordings.", flag_values=values)
+    flags.DEFINE_list("black-level", None, "DN; one, or four in mosaic order.", flag_values=values)
+    flags.DEFINE_float("white-level", None, "DN.", flag_values=values)
+    return values
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -38,7 +46,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     if any(a in ("-h", "--help", "-help") for a in arguments):
         print(__doc__)
-        print("\n".join(f"  --{name}  {_FLAGS[name].help}" for name in _FLAGS if "." not in name))
+        values = _flags([])
+        print("\n".join(f"  --{name}  {values[name].help}" for name in values if "." not in name))
         return 0
     started = time.monotonic()
     try:
@@ -51,31 +60,32 @@ def main(argv: list[str] | None = None) -> int:
 
 def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
     try:
-        _FLAGS.unparse_flags()
-        rest = _FLAGS(["bin/train", *arguments])[1:]
+        values = _flags(arguments)
+        rest = values(["bin/train", *arguments])[1:]
+        config = values.config
+        config.to_dict()  # a file that could not be loaded says so only when it is looked at
     except (flags.Error, OSError, SyntaxError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise BadInput(" ".join(str(error).split())) from error
     if rest:
         raise BadInput(f"{rest[0]}: not understood: see bin/train --help")
-    if not _FLAGS.workdir:
+    if not values.workdir:
         raise BadInput("--workdir: missing: name a folder for checkpoints and results")
-    config = _FLAGS.config
-    if _FLAGS.recordings:
+    if values.recordings:
         if "recordings" not in config.data:
             raise BadInput("--recordings: this config reads other data: use it with configs/default.py")
         config.data.source = "recordings"
-        config.data.recordings = tuple(_FLAGS.recordings)
+        config.data.recordings = tuple(values.recordings)
     try:
-        black = _FLAGS["black-level"].value
+        black = values["black-level"].value
         if black is not None:
             config.data.black_level = tuple(float(level) for level in black)
     except ValueError as error:
         raise BadInput(f"--black-level: {error}") from error
-    if _FLAGS.cfa is not None:
-        config.data.cfa = _FLAGS.cfa
-    if _FLAGS["white-level"].value is not None:
-        config.data.white_level = _FLAGS["white-level"].value
-    return config, Path(_FLAGS.workdir)
+    if values.cfa is not None:
+        config.data.cfa = values.cfa
+    if values["white-level"].value is not None:
+        config.data.white_level = values["white-level"].value
+    return config, Path(values.workdir)
 
 
 def _run(config: ConfigDict, workdir: Path, started: float) -> int:

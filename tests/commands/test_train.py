@@ -43,7 +43,7 @@ def test_a_run_ends_with_table_picture_and_results(tmp_path, capsys):
         ([], "--workdir"),
         (["--workdir", "RUN", "--config", "nowhere.py"], "nowhere.py"),
         (["--workdir", "RUN", "--config.nothing=1"], "nothing"),
-        (["--workdir", "RUN", "--config.steps=many"], "many"),
+        (["--workdir", "RUN", "--config.steps=many"], "config.steps"),
         (["--workdir", "RUN", "--nothing"], "nothing"),
         (["--workdir", "RUN", "left over"], "left over"),
         (["--workdir", "RUN", "--recordings", "RUN/none,RUN/nothing"], "none: no such folder"),
