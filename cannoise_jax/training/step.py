@@ -118,6 +118,10 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
                 terms["feature_matching"] = losses.feature_matching_loss(features, wanted)
             if weights.triplet and networks.encoder:
                 terms["triplet"] = losses.triplet_loss(latents[0], latents[1], latents[2], weights.margin)
+            if weights.statistics:
+                terms["statistics"] = losses.statistics_loss(
+                    shown(generated, clean) / sigma, real / sigma, clean
+                )
             total = sum(weights[name] * value for name, value in terms.items())
             aux = {f"generator/{name}": value for name, value in terms.items()}
             aux["generator/spread"] = jnp.std(generated / sigma)

@@ -114,3 +114,42 @@ def test_triplet_loss_at_distance_zero_has_a_finite_gradient():
     value, gradient = jax.value_and_grad(losses.triplet_loss, (0, 1, 2))(same, same, same)
     assert value == pytest.approx(0.2)
     assert all(np.isfinite(g).all() for g in gradient)
+
+
+def numpy_statistics(noise, clean):
+    """Log mean size, log mean square below and above the mean signal; log mean square of row means."""
+    levels = np.empty((len(noise), 2, 2, noise.shape[-1]))
+    rows = np.empty((len(noise), noise.shape[-1]))
+    for b, c in np.ndindex(rows.shape):
+        values, signal = noise[b, ..., c], clean[b, ..., c]
+        for side, chosen in enumerate((signal <= signal.mean(), signal > signal.mean())):
+            size = np.sqrt(values[chosen] ** 2 + 1e-6)
+            n = chosen.sum() + 1e-3
+            levels[b, side, :, c] = np.log([(size.sum() + 1e-3) / n, ((size**2).sum() + 1e-3) / n])
+        rows[b, c] = np.log((values.mean(1) ** 2).mean() + 1e-6)
+    return levels, rows
+
+
+def test_statistics_loss_against_loops():
+    fake, real, clean = RNG.normal(size=(3, 2, 6, 5, 4))
+    for got, wanted in zip(losses.log_statistics(fake, clean), numpy_statistics(fake, clean), strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-10)
+    (a, r), (b, s) = numpy_statistics(fake, clean), numpy_statistics(real, clean)
+    wanted = np.mean((a - b) ** 2) + 0.1 * np.mean((r - s) ** 2)
+    np.testing.assert_allclose(losses.statistics_loss(fake, real, clean), wanted, rtol=1e-10)
+
+
+def test_statistics_loss_leads_to_the_level_of_each_image():
+    real = RNG.normal(size=(4, 32, 32, 4)) * np.array([0.5, 1.0, 1.5, 2.0])[:, None, None, None]
+    start, clean = RNG.normal(size=(2, *real.shape))
+    scale = jnp.ones(4)
+    descend = jax.jit(jax.grad(lambda s: losses.statistics_loss(start * s[:, None, None, None], real, clean)))
+    for _ in range(200):
+        scale = scale - 0.5 * scale**2 * descend(scale)
+    np.testing.assert_allclose(scale, [0.5, 1.0, 1.5, 2.0], rtol=0.05)
+
+
+def test_statistics_loss_has_finite_gradients_without_noise_or_contrast():
+    nothing, noise = np.zeros((1, 4, 4, 2)), RNG.normal(size=(1, 4, 4, 2))
+    gradient = jax.grad(losses.statistics_loss)(nothing, noise, nothing)
+    assert np.isfinite(gradient).all()
