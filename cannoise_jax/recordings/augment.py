@@ -19,14 +19,16 @@ def mirror_mosaic(mosaic: Shaped[Any, "... H W"]) -> Shaped[Any, "... H W-2"]:
     return mosaic[..., 1:-1][..., ::-1]
 
 
-def mirror_packed(packed: Shaped[Any, "... h w 4"]) -> Shaped[Any, "... h w-1 4"]:
-    """`mirror_mosaic` for packed images of any CFA: channels stay R, Gr, Gb, B; one packed column is lost."""
-    # Packed channels are those of an RGGB mosaic whatever the sensor's own order was.
-    return pack(mirror_mosaic(unpack(packed, "RGGB")), "RGGB")
+def mirror_packed(packed: Shaped[Any, "... h w 4"], cfa: str) -> Shaped[Any, "... h w-1 4"]:
+    """`mirror_mosaic` for packed images: channels stay R, Gr, Gb, B; one packed column is lost.
+
+    Which channels lose their first column and which their last depends on where the CFA puts them.
+    """
+    return pack(mirror_mosaic(unpack(packed, cfa)), cfa)
 
 
 def crop_packed(
-    packed: Shaped[Any, "... h w 4"], top: int, left: int, size: tuple[int, int], mirrored: bool
+    packed: Shaped[Any, "... h w 4"], top: int, left: int, size: tuple[int, int], mirrored: bool, cfa: str
 ) -> Shaped[Any, "... a b 4"]:
     """A window of packed `size` at (top, left), as it stands or mirrored with the one-pixel shift.
 
@@ -40,4 +42,4 @@ def crop_packed(
             f"window {height} x {taken} at ({top}, {left}) leaves the image {packed.shape[-3:-1]}"
         )
     window = packed[..., top : top + height, left : left + taken, :]
-    return mirror_packed(window) if mirrored else window
+    return mirror_packed(window, cfa) if mirrored else window

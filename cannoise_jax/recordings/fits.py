@@ -7,6 +7,7 @@ kept as stored, except where ROWORDER says that the file runs bottom up: BAYERPA
 
 from __future__ import annotations
 
+import math
 import warnings
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from cannoise_jax.recordings.packing import to_shifted_cfa
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 SUFFIXES = (".fits", ".fit", ".fts", ".fz")
+_ABSOLUTE_ZERO_C = -273.15
 _COUNTS = ("", "adu", "dn", "count", "counts", "ct")
 _KINDS = (("bias", "bias"), ("zero", "bias"), ("dark", "dark"), ("flat", "flat"))
 
@@ -31,6 +33,7 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
 
     Keywords used: BAYERPAT (XBAYROFF, YBAYROFF, ROWORDER), EXPTIME or EXPOSURE, ISO or else GAIN as the
     camera counts it, CCD-TEMP, INSTRUME, IMAGETYP, SATURATE. FITS knows no black level: it must be given.
+    Text or an impossible number for ISO, exposure or temperature counts as not stated.
     overrides: see `metadata.OVERRIDES`. Raises BadInput.
     """
     check_overrides(overrides)
@@ -95,7 +98,19 @@ def _known(header: fits.Header) -> dict[str, Any]:
         "white_level": header.get("SATURATE"),
         "camera": str(header.get("INSTRUME", "")).strip() or None,
         "kind": next((kind for word, kind in _KINDS if word in image_type), "scene"),
-        "iso": header.get("ISO", header.get("ISOSPEED", header.get("GAIN"))),
-        "exposure_s": header.get("EXPTIME", header.get("EXPOSURE")),
-        "temperature_c": header.get("CCD-TEMP"),
+        "iso": _number(header, ("ISO", "ISOSPEED", "GAIN"), 0),
+        "exposure_s": _number(header, ("EXPTIME", "EXPOSURE"), 0),
+        "temperature_c": _number(header, ("CCD-TEMP",), _ABSOLUTE_ZERO_C),
     }
+
+
+def _number(header: fits.Header, names: tuple[str, ...], least: float) -> float | None:
+    """The first of these keywords that holds a number from `least` up; programs also write 'n/a' or -1."""
+    for name in names:
+        try:
+            value = float(header.get(name, math.nan))
+        except (TypeError, ValueError):
+            continue
+        if least <= value < math.inf:
+            return value
+    return None

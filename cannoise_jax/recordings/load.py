@@ -41,19 +41,24 @@ def load_recording(path: str | Path, **overrides: Any) -> Recording:
     return reader(path, **overrides)
 
 
-def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
-    """All recordings of a folder, sorted by name; files of other formats (side-cars, notes) are passed over.
-
-    overrides apply to every recording. Raises BadInput when one of them cannot be used, when there is none,
-    or when they name more than one camera.
-    """
+def recording_paths(folder: str | Path) -> list[Path]:
+    """The recordings of a folder, by suffix, sorted by name. Raises BadInput when there is none."""
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
     paths = sorted(p for p in folder.iterdir() if _is_recording(p))
     if not paths:
         raise BadInput(f"{folder}: holds no recordings: supported are {supported()}")
-    recordings = tuple(load_recording(p, **overrides) for p in paths)
+    return paths
+
+
+def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
+    """All recordings of a folder, sorted by name; files of other formats (side-cars, notes) are passed over.
+
+    overrides apply to every recording. Raises BadInput when one of them cannot be used, when there is none,
+    or when they name more than one camera.
+    """
+    recordings = tuple(load_recording(p, **overrides) for p in recording_paths(folder))
     cameras = sorted({r.camera for r in recordings})
     if len(cameras) > 1:
         raise BadInput(f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): one folder a camera")

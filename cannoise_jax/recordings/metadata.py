@@ -94,7 +94,7 @@ def make_recording(
         iso=_optional(path, stated, "iso", least=0),
         exposure_s=_optional(path, stated, "exposure_s", least=0),
         temperature_c=_optional(path, stated, "temperature_c"),
-        shot=_optional_channels(path, stated, "shot"),
+        shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
         code_step=_optional(path, stated, "code_step", least=0),
         reference=_one_of(path, stated, "reference", REFERENCES),
@@ -225,8 +225,17 @@ def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     return values
 
 
-def _optional_channels(path: str | Path, stated: Mapping[str, Any], name: str) -> PerChannel | None:
-    return _channels(path, name, stated[name]) if name in stated else None
+def _optional_channels(
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+) -> PerChannel | None:
+    if name not in stated:
+        return None
+    values = _channels(path, name, stated[name])
+    if min(values) < least:
+        raise BadInput(
+            f"{path}: {name} is {', '.join(f'{v:g}' for v in values)}: expected at least {least:g}"
+        )
+    return values
 
 
 def _number(path: str | Path, name: str, value: Any) -> float:

@@ -27,7 +27,7 @@ from cannoise_jax.recordings.pipeline import Subset
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.references import referenced_frames
 
-SCHEMA = "cannoise/patches/1"
+SCHEMA = "cannoise/patches/2"
 TILE = 66
 """Packed size of stored patches: 64, and two to spare for shifting and mirroring."""
 _RECORDS, _INDEX = "patches.array_record", "index.json"
@@ -66,7 +66,7 @@ def write_patches(
             rng = np.random.default_rng([seed, number])
             for record in _records(recording, entry, wanted[number], rng, tile):
                 writer.write(record)
-            entries.append(entry | {"iso": recording.iso, "patches": wanted[number]})
+            entries.append(entry | {"iso": recording.iso, "cfa": recording.cfa, "patches": wanted[number]})
         writer.close()
         index = {"schema": SCHEMA, "tile": tile, "cameras": cameras, "scenes": scenes, "recordings": entries}
         (partial / _INDEX).write_text(json.dumps(index, indent=1))
@@ -102,7 +102,7 @@ def counts_by_split(scenes: Sequence[str], held_out: Collection[str], train: int
 class PatchStore:
     """A patch source on disk, see `pipeline.PatchSource`.
 
-    One value a patch: camera, scene (indices into `cameras`, `scenes`) and iso (0: unknown).
+    One value a patch: camera, scene (indices into `cameras`, `scenes`), iso (0: unknown) and colour order.
     """
 
     path: str
@@ -112,9 +112,14 @@ class PatchStore:
     camera: Int[np.ndarray, "n"]
     scene: Int[np.ndarray, "n"]
     iso: Float[np.ndarray, "n"]
+    orders: np.ndarray
 
     def __len__(self) -> int:
         return len(self.camera)
+
+    def cfa(self, index: int) -> str:
+        """Colour order of the mosaic a patch was packed from."""
+        return str(self.orders[int(index)])
 
     def __getitem__(self, index: int) -> dict[str, np.ndarray]:
         record = np.frombuffer(self._data[int(index)], _layout(self.tile))[0]
@@ -147,6 +152,7 @@ def open_patches(folder: str | Path) -> PatchStore:
             camera=np.repeat(np.array([entry["camera"] for entry in entries], np.int32), counts),
             scene=np.repeat(np.array([entry["scene"] for entry in entries], np.int32), counts),
             iso=np.repeat(np.array([entry["iso"] or 0 for entry in entries], np.float32), counts),
+            orders=np.repeat(np.array([entry["cfa"] for entry in entries], "U4"), counts),
         )
     except FileNotFoundError as error:
         raise BadInput(f"{folder}: holds no patch store (no {_INDEX})") from error

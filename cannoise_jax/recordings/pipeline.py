@@ -35,13 +35,14 @@ class PatchSource(Protocol):
     def camera(self) -> np.ndarray: ...
     def __len__(self) -> int: ...
     def __getitem__(self, index: int) -> dict[str, np.ndarray]: ...
+    def cfa(self, index: int) -> str: ...
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayPatches:
     """A patch source in memory.
 
-    clean, noisy: packed, normalised. shot, read: packed order. camera: index into `cameras`.
+    clean, noisy: packed, normalised. shot, read: packed order. camera: index into `cameras` and `cfas`.
     """
 
     clean: Float[np.ndarray, "n h w 4"]
@@ -50,9 +51,14 @@ class ArrayPatches:
     read: Float[np.ndarray, "n 4"]
     camera: Int[np.ndarray, "n"]
     cameras: tuple[str, ...]
+    cfas: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.camera)
+
+    def cfa(self, index: int) -> str:
+        """Colour order of the mosaic a patch was packed from."""
+        return self.cfas[int(self.camera[index])]
 
     def __getitem__(self, index: int) -> dict[str, np.ndarray]:
         return {name: getattr(self, name)[index] for name in ("clean", "noisy", "shot", "read")}
@@ -80,6 +86,10 @@ class Subset:
 
     def __getitem__(self, index: int) -> dict[str, np.ndarray]:
         return self.source[int(self.indices[index])]
+
+    def cfa(self, index: int) -> str:
+        """Colour order of the mosaic a patch was packed from."""
+        return self.source.cfa(int(self.indices[index]))
 
 
 class BatchIterator(Protocol):
@@ -133,7 +143,7 @@ class _Element(grain.transforms.RandomMap):
         i = turn % len(own)
         j, k = _others(rng, len(own), i)
         target = self.source[int(own[i])]
-        clean, noisy = self._window(rng, target["clean"], target["noisy"])
+        clean, noisy = self._window(rng, self.source.cfa(int(own[i])), target["clean"], target["noisy"])
         drawn: dict[str, Any] = {
             "clean": clean,
             "noisy": noisy,
@@ -149,9 +159,9 @@ class _Element(grain.transforms.RandomMap):
         return drawn
 
     def _noisy(self, rng: np.random.Generator, index: int) -> np.ndarray:
-        return self._window(rng, self.source[int(index)]["noisy"])[0]
+        return self._window(rng, self.source.cfa(int(index)), self.source[int(index)]["noisy"])[0]
 
-    def _window(self, rng: np.random.Generator, *images: np.ndarray) -> list[np.ndarray]:
+    def _window(self, rng: np.random.Generator, cfa: str, *images: np.ndarray) -> list[np.ndarray]:
         """The same random window of every image."""
         if self.size is None:
             return [np.asarray(image, np.float32) for image in images]
@@ -160,7 +170,7 @@ class _Element(grain.transforms.RandomMap):
         top = int(rng.integers(height - self.size + 1))
         left = int(rng.integers(width - self.size - mirrored + 1))
         size = (self.size, self.size)
-        return [np.asarray(crop_packed(image, top, left, size, mirrored), np.float32) for image in images]
+        return [np.asarray(crop_packed(i, top, left, size, mirrored, cfa), np.float32) for i in images]
 
 
 def _others(rng: np.random.Generator, count: int, i: int) -> tuple[int, int]:

@@ -1,13 +1,14 @@
 """Stacks of frames in general formats, TIFF, NPY and NPZ, with a JSON side-car that names what they lack.
 
 The side-car lies beside the stack under the same name with the suffix .json and holds the fields of
-`Recording`: {"cfa": "RGGB", "black_level": 64, "white_level": 1023, ...}; null means unknown. Without a
-side-car the caller states the required fields. One image is a recording of one frame.
+`Recording`: {"cfa": "RGGB", "black_level": 64, "white_level": 1023, ...}; null means unknown. Other
+names are not used, with a warning. Without a side-car the caller states the required fields. One image is a recording of one frame.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import struct
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,7 @@ from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recor
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
+_log = logging.getLogger(__name__)
 
 
 def read_numpy(path: str | Path, **overrides: Any) -> Recording:
@@ -79,6 +81,9 @@ def _side_car(path: str | Path) -> dict[str, Any]:
         stated = json.loads(beside.read_text(encoding="utf-8"))
     if not isinstance(stated, dict):
         raise BadInput(f"{beside}: expected an object with the fields of a recording")
+    unknown = sorted(set(stated) - set(FIELDS))
+    if unknown:
+        _log.warning("%s: %s not used: the fields are %s", beside, ", ".join(unknown), ", ".join(FIELDS))
     return {name: value for name, value in stated.items() if name in FIELDS}
 
 

@@ -85,7 +85,8 @@ def _virtual(config: ConfigDict, workdir: Path) -> TrainingData:
         for split, count in zip(SPLITS, counts, strict=True)
     ]
     train, validation, test = (HeldOut(**part._asdict()) for part in parts)
-    return _in_memory(train, validation, test, tuple(camera.name for camera in cameras))
+    names, cfas = tuple(camera.name for camera in cameras), tuple(camera.cfa for camera in cameras)
+    return _in_memory(train, validation, test, names, cfas)
 
 
 def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
@@ -94,7 +95,7 @@ def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
         name: data[name] for name in ("cfa", "black_level", "white_level") if data[name] is not None
     }
     folders = [Path(folder) for folder in data.recordings]
-    names, parts = recorded_patches(
+    names, cfas, parts = recorded_patches(
         folders,
         overrides,
         jax.random.key(data.seed),
@@ -103,11 +104,13 @@ def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
         triplet=bool(config.loss.triplet),
     )
     train, validation, test = (HeldOut(**part) for part in parts)
-    return _in_memory(train, validation, test, names)
+    return _in_memory(train, validation, test, names, cfas)
 
 
-def _in_memory(train: HeldOut, validation: HeldOut, test: HeldOut, cameras: tuple[str, ...]) -> TrainingData:
-    source = ArrayPatches(train.clean, train.noisy, train.shot, train.read, train.camera, cameras)
+def _in_memory(
+    train: HeldOut, validation: HeldOut, test: HeldOut, cameras: tuple[str, ...], cfas: tuple[str, ...]
+) -> TrainingData:
+    source = ArrayPatches(train.clean, train.noisy, train.shot, train.read, train.camera, cameras, cfas)
     noise = clipped_noise(train.noisy - train.clean, train.clean)
     levels = calibrate_by_setting(train.clean, noise, train.camera, train.iso)
     return TrainingData(source, validation, test, cameras, levels, _examples(train, cameras))

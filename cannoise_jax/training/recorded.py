@@ -55,8 +55,8 @@ def recorded_patches(
     per_recording: int,
     *,
     triplet: bool = True,
-) -> tuple[tuple[str, ...], tuple[Columns, Columns, Columns]]:
-    """Camera names, and the columns of training, validation and test patches (see `data.HeldOut`).
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Columns, Columns, Columns]]:
+    """Camera names, their colour orders, columns of training, validation, test patches (see `data.HeldOut`).
 
     scenes: computed scenes per camera for its darks. per_recording: patches at most of one
       recording and split. Raises BadInput, also for one camera with a triplet.
@@ -81,7 +81,8 @@ def recorded_patches(
                 )
             part.extend({**columns, "camera": np.full(len(columns["iso"]), c, np.int32)} for columns in own)
     train, validation, test = ({n: np.concatenate([p[n] for p in part]) for n in part[0]} for part in parts)
-    return names, (train, validation, test)
+    cfas = tuple(captured.recordings[0].cfa for captured in captures)
+    return names, cfas, (train, validation, test)
 
 
 def _camera_patches(

@@ -155,7 +155,7 @@ def test_damaged_stores(tmp_path):
     records.write_bytes(whole)
     for broken, message in (
         ("{", "not a readable index"),
-        (text.replace("patches/1", "patches/9"), "schema 'cannoise/patches/9'"),
+        (text.replace("patches/2", "patches/9"), "schema 'cannoise/patches/9'"),
         (json.dumps(json.loads(text) | {"tile": None}), "index.json"),
         (text.replace('"patches": 12', '"patches": 11'), "holds 12 patches, the index says 11"),
     ):

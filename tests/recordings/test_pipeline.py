@@ -17,7 +17,9 @@ def patches(counts=(7, 3, 5), size=6, seed=0):
     camera = np.repeat(np.arange(len(counts)), counts)
     levels = np.arange(total, dtype=np.float32)[:, None] * np.ones(4, np.float32)
     names = tuple("ABCDE"[: len(counts)])
-    return ArrayPatches(noisy + 0.25, noisy, levels, -levels, camera, names)
+    return ArrayPatches(
+        noisy + 0.25, noisy, levels, -levels, camera, names, ("GRBG", "RGGB", "BGGR")[: len(names)]
+    )
 
 
 def take(iterator, count):
@@ -110,7 +112,7 @@ def test_windows_are_crops_and_mirrored_crops_of_the_stored_patch():
             stored = source.noisy[number]
             found = [
                 (mirrored, top, left)
-                for mirrored, image in ((False, stored), (True, mirror_packed(stored)))
+                for mirrored, image in ((False, stored), (True, mirror_packed(stored, source.cfa(number))))
                 for top in range(3)
                 for left in range(image.shape[1] - 3)
                 if np.array_equal(noisy, image[top : top + 4, left : left + 4])
