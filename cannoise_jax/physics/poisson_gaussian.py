@@ -59,13 +59,16 @@ def _either(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "
 
 def _summed(v: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
     """The count at which the summed probabilities pass (1 + v) / 2; mean below the switch."""
-    u = 0.5 + 0.5 * v
+    # Near 1 the float32 sum stalls short of u: there the chance of more counts, (1 - v) / 2, decides.
+    u, rest = 0.5 + 0.5 * v, 0.5 - 0.5 * v
     small = jnp.minimum(mean, _SWITCH)
     term = jnp.exp(-small)
     total, count = term, jnp.zeros_like(u * small)
     for k in range(1, _TERMS):
-        count = count + (u > total)
+        below = u > total
         term = term * (small / k)
+        # The chance of k or more counts is at most term / (1 - small / (k + 1)).
+        count = count + (below & (term * (k + 1) > rest * (k + 1 - small)))
         total = total + term
     return count
 

@@ -41,6 +41,19 @@ def test_quantiles_are_exact_but_for_rare_steps(mean):
     assert np.mean(ours != exact) < max(5e-4, 6e-8 * mean)
 
 
+@pytest.mark.parametrize("mean", [0.0, 1e-3, 0.1, 2.0, 5.0, 11.9])
+def test_the_most_extreme_uniforms_give_the_extreme_quantiles(mean):
+    # The highest and lowest values that `centred_uniform` can return.
+    last = np.arange(2**24 - 2**16, 2**24) - (2**23 - 0.5)
+    v = np.concatenate([last, -last]) * 2.0**-23
+    ours = np.asarray(quantiles(jnp.asarray(v, jnp.float32), jnp.float32(mean)), np.float64)
+    exact = np.where(v > 0, stats.poisson.isf((1 - v) / 2, mean), stats.poisson.ppf((1 + v) / 2, mean))
+    if mean == 0:
+        exact = np.zeros_like(v)
+    assert np.abs(ours - exact).max() <= 2  # float32 sums are off by the last of 2^24 uniforms
+    assert np.mean(ours != exact) < 5e-3
+
+
 @pytest.mark.parametrize("mean", MEANS)
 def test_moments_and_tails(mean):
     counts = counts_at(mean)
