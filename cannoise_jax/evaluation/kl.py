@@ -20,8 +20,15 @@ BINS = EDGES.size - 1
 
 
 def histogram(noise: Float[np.ndarray, "..."]) -> Int64[np.ndarray, "66"]:
-    """Counts of noise values (normalised units) in the 66 bins; half-open on the right, the last closed."""
-    return np.histogram(np.asarray(noise), EDGES)[0]
+    """Counts of noise values (normalised units) in the 66 bins; half-open on the right, the last closed.
+
+    Raises ValueError for values that are not finite: no bin holds them, and a model must not gain by them.
+    """
+    noise = np.asarray(noise)
+    wrong = noise.size - np.count_nonzero(np.isfinite(noise))
+    if wrong:
+        raise ValueError(f"noise: {wrong} of {noise.size} values are not finite")
+    return np.histogram(noise, EDGES)[0]
 
 
 def clipped_noise(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -64,13 +62,12 @@ def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extr
         **extra,
     }
     text = json.dumps(record, indent=1, allow_nan=False)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+    unfinished = path.with_name(f".{path.name}.partial")
     try:
-        with os.fdopen(handle, "w") as file:
-            file.write(text + "\n")
-        os.replace(name, path)
+        unfinished.write_text(text + "\n")
+        unfinished.replace(path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        unfinished.unlink(missing_ok=True)
         raise
 
 

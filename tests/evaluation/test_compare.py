@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 
 import jax
 import jax.numpy as jnp
@@ -155,6 +156,16 @@ def test_results_file_follows_its_schema(results, tmp_path):
     assert read["schema"] == "cannoise/results/1" and read["seconds"] == 1.5
     assert read["cameras"]["A"]["model"]["kl"] == results["cameras"]["A"]["model"]["kl"]
     assert [p.name for p in tmp_path.iterdir()] == ["results.json"]
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o027, 0o640)])
+def test_results_file_is_readable_as_the_umask_says(mask, mode, results, tmp_path):
+    before = os.umask(mask)
+    try:
+        write_results(tmp_path / "results.json", results, seconds=1.0)
+    finally:
+        os.umask(before)
+    assert (tmp_path / "results.json").stat().st_mode & 0o777 == mode
 
 
 def test_results_that_are_not_finite_write_nothing(results, tmp_path):

@@ -121,3 +121,15 @@ def test_sensitivity_to_tails_of_equal_variance(freedom, expected):
 def test_clipped_noise_is_what_a_clipped_recording_shows():
     clean = np.array([0.01, 0.5, 0.99])
     assert kl.clipped_noise(np.array([-0.2, 0.1, 0.2]), clean) == pytest.approx([-0.01, 0.1, 0.01])
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(wrong):
+    real = np.random.default_rng(9).normal(0, 0.02, 1000)
+    fake = real.copy()
+    fake[7] = wrong
+    for measure in (kl.kl_divergence, kl.kl_smoothed):
+        with pytest.raises(ValueError, match="1 of 1000 values are not finite"):
+            measure(real, fake)
+        with pytest.raises(ValueError, match="not finite"):
+            measure(fake, real)
