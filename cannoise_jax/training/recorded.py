@@ -7,8 +7,9 @@ What a folder gives:
 - darks (or bias frames) of up to a second lend their floor to computed scenes: clean scene + Poisson shot
   noise + a real dark frame. This needs the system gain: photon transfer on flats and darks, or a
   recording's `shot`.
-Frames are parted into training (0.7), validation (0.1) and test (0.2), in capture order, so that no frame is
-in two of them; computed scenes are parted as well. shot and read come from photon transfer where the files
+Three scenes and more of one ISO are parted whole into training (0.7), validation (0.1) and test (0.2), in the
+order of their files; the frames of all else are parted in capture order. No frame is in two of them; computed
+scenes are parted as well. shot and read come from photon transfer where the files
 do not state them.
 """
 
@@ -45,6 +46,7 @@ _SHARES = (0.7, 0.8)
 _LONGEST_S = 1.0
 """Darks of longer exposures hold dark signal and hot pixels, which are no part of a scene's `clean`."""
 Columns = dict[str, np.ndarray]
+Parts = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def recorded_patches(
@@ -77,7 +79,8 @@ def recorded_patches(
             own = [columns for split, columns in cut if split == s]
             if not own:
                 raise BadInput(
-                    f"{folders[c]}: too few frames for {SPLITS[s]}: record 10 frames or more of one scene"
+                    f"{folders[c]}: too few frames for {SPLITS[s]}: "
+                    "record 3 frames or more of one scene, or 3 scenes"
                 )
             part.extend({**columns, "camera": np.full(len(columns["iso"]), c, np.int32)} for columns in own)
     train, validation, test = ({n: np.concatenate([p[n] for p in part]) for n in part[0]} for part in parts)
@@ -94,8 +97,9 @@ def _camera_patches(
     known = all(r.shot is not None and r.read is not None for r in repeated) and not darks
     transfer = None if known else _levels_of(captured)
     found = []
+    parts = _parts(repeated)
     for number, recording in enumerate(repeated):
-        for split, frames in enumerate(_parted(recording.count)):
+        for split, frames in enumerate(parts[number]):
             found.append((split, number, recording, frames))
     for split, name in enumerate(SPLITS) if darks else ():
         pictures = draw_scenes(jax.random.fold_in(key, split), name, scenes, darks[0].size)
@@ -132,9 +136,37 @@ def _levels_of(captured: CaptureSet) -> tuple[PerChannel, PerChannel]:
     raise BadInput(f"{captured.path}: shot and read are unknown and cannot be measured: {reason}")
 
 
-def _parted(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame numbers of training, validation and test, in capture order."""
-    first, second = (int(share * count) for share in _SHARES)
+def _parts(recordings: Sequence[Recording]) -> list[Parts]:
+    """Frame numbers of training, validation and test for each recording.
+
+    Three scenes and more of one ISO are parted whole, so that no scene is in two splits; so are recordings of
+    too few frames to part where that leaves others. All else is parted by frame.
+    """
+    groups: dict[Any, list[int]] = {}
+    for n, recording in enumerate(recordings):
+        if recording.kind == "scene":
+            groups.setdefault(recording.iso, []).append(n)
+    whole = [group for group in groups.values() if len(group) >= len(SPLITS)]
+    short = [n for group in groups.values() if group not in whole for n in group if recordings[n].count < 3]
+    if len(short) >= len(SPLITS):
+        whole.append(short)
+    made = [_parted(recording.count) for recording in recordings]
+    for group in whole:
+        for split, members in enumerate(_parted(len(group))):
+            for n in (group[m] for m in members):
+                frames = [np.arange(0)] * len(SPLITS)
+                frames[split] = np.arange(recordings[n].count)
+                made[n] = (frames[0], frames[1], frames[2])
+    return made
+
+
+def _parted(count: int) -> Parts:
+    """Numbers below `count` of training, validation and test, in order: one each at least, from three on;
+    fewer are all for training."""
+    if count < len(SPLITS):
+        return np.arange(count), np.arange(0), np.arange(0)
+    first = min(int(_SHARES[0] * count), count - 2)
+    second = max(int(_SHARES[1] * count), first + 1)
     train, validation, test = np.split(np.arange(count), [first, second])
     return train, validation, test
 

@@ -11,6 +11,7 @@ import pytest
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import BadInput, Recording, per_channel
 from cannoise_jax.training.data import HeldOut, load_data
+from cannoise_jax.training.recorded import _parted
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SPAN, BLACK = 4000.0, 95.0
@@ -25,14 +26,16 @@ def config():
     return found
 
 
-def write_camera(folder: Path, cfa: str, gain: float, flats: bool = True, darks: bool = True) -> Path:
+def write_camera(
+    folder: Path, cfa: str, gain: float, flats: bool = True, darks: bool = True, dark_frames: int = 10
+) -> Path:
     """Flats at half range and darks of a camera with this gain (DN/e-) and a read noise of 8 DN."""
     folder.mkdir()
     rng = np.random.default_rng(len(cfa) + int(100 * gain))
 
-    def write(name: str, kind: str, level_e: float) -> None:
-        charge = rng.poisson(level_e, (10, *SIZE)) * gain
-        frames = np.round(BLACK + charge + 8 * rng.standard_normal((10, *SIZE))).astype(np.uint16)
+    def write(name: str, kind: str, level_e: float, count: int = 10) -> None:
+        charge = rng.poisson(level_e, (count, *SIZE)) * gain
+        frames = np.round(BLACK + charge + 8 * rng.standard_normal((count, *SIZE))).astype(np.uint16)
         recording = Recording(
             frames, cfa, per_channel(BLACK), BLACK + SPAN, camera=folder.name, kind=kind, exposure_s=0.01
         )
@@ -41,7 +44,7 @@ def write_camera(folder: Path, cfa: str, gain: float, flats: bool = True, darks:
     if flats:
         write("flat", "flat", 0.4 * SPAN / gain)
     if darks:
-        write("dark", "dark", 0.0)
+        write("dark", "dark", 0.0, dark_frames)
     return folder
 
 
@@ -78,6 +81,65 @@ def test_no_frame_is_in_two_splits(config, tmp_path):
     validation = {patch.tobytes() for patch in data.validation.noisy}
     test = {patch.tobytes() for patch in data.test.noisy}
     assert not (train & validation or train & test or validation & test)
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_few_darks_are_enough(count, config, tmp_path):
+    config.data.recordings = (str(write_camera(tmp_path / "a", "RGGB", 2.0, dark_frames=count)),)
+    config.loss.triplet = 0.0
+    data = load_data(config, tmp_path)
+    for part in (data.validation, data.test):
+        assert len(np.unique(part.scene)) == 1 + config.data.half_real_scenes  # the flat, and those on darks
+
+
+@pytest.mark.parametrize("count", range(40))
+def test_parts_are_whole_and_none_is_empty_from_three_on(count):
+    parts = _parted(count)
+    assert np.concatenate(parts).tolist() == list(range(count))
+    assert len(parts[0]) >= max(len(parts[1]), len(parts[2]))
+    assert count < 3 or min(map(len, parts)) >= 1
+
+
+def write_scenes(folder: Path, frames: int, isos: tuple[int, ...]) -> str:
+    """One recording for every ISO, with a noise-free image of its own."""
+    folder.mkdir()
+    rng = np.random.default_rng(len(isos))
+    for n, iso in enumerate(isos):
+        clean = np.full(SIZE, 0.1 + 0.02 * n, np.float32)
+        noisy = np.round(BLACK + SPAN * clean + 8 * rng.standard_normal((frames, *SIZE))).astype(np.uint16)
+        recording = Recording(
+            noisy, "RGGB", per_channel(BLACK), BLACK + SPAN, camera=folder.name, clean=clean, iso=iso,
+            shot=per_channel(1e-4), read=per_channel(1e-5), reference="independent",
+        )  # fmt: skip
+        write_recording(folder / f"{n:02d}.h5", recording)
+    return str(folder)
+
+
+@pytest.mark.parametrize("frames", [1, 5])
+def test_scenes_are_parted_whole_within_an_iso(frames, config, tmp_path):
+    config.data.recordings = (write_scenes(tmp_path / "a", frames, (100, 800) * 5),)
+    config.loss.triplet = 0.0
+    data = load_data(config, tmp_path)
+    seen = [
+        {float(np.mean(patch)) for patch in part.clean} for part in (data.train, data.validation, data.test)
+    ]
+    assert [len(levels) for levels in seen] == [6, 2, 2]
+    assert not (seen[0] & seen[1] or seen[0] & seen[2] or seen[1] & seen[2])
+    assert set(data.test.iso) == set(data.validation.iso) == {100, 800}
+
+
+def test_single_frames_at_an_iso_each_are_parted_together(config, tmp_path):
+    config.data.recordings = (write_scenes(tmp_path / "a", 1, (100, 200, 400, 800)),)
+    config.loss.triplet = 0.0
+    data = load_data(config, tmp_path)
+    assert set(data.validation.iso) == {400} and set(data.test.iso) == {800}
+
+
+def test_two_single_frames_cannot_be_parted(config, tmp_path):
+    config.data.recordings = (write_scenes(tmp_path / "a", 1, (100, 100)),)
+    config.loss.triplet = 0.0
+    with pytest.raises(BadInput, match="too few frames for .*3 scenes"):
+        load_data(config, tmp_path)
 
 
 def test_one_camera_needs_the_triplet_switched_off(config, tmp_path):
