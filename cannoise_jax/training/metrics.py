@@ -6,42 +6,85 @@ The interface is that of clu's metric writers: `write_scalars`, `write_images`, 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from tensorboardX import SummaryWriter
+from tensorboardX.event_file_writer import EventsWriter
+from tensorboardX.proto.event_pb2 import Event
+from tensorboardX.summary import image as image_summary
+from tensorboardX.summary import scalar as scalar_summary
+
+from cannoise_jax.recordings.recording import BadInput
 
 
 class MetricWriter:
-    """Appends to `metrics.jsonl` and to TensorBoard event files in one folder."""
+    """Appends to `metrics.jsonl` and to a TensorBoard event file in one folder, in the caller's thread.
+
+    A thread of its own would die of a full disk unseen, and leave the caller waiting for it. As a context it
+    closes at the end, and then hides no error that ended it. All but `close` raise BadInput where the folder
+    cannot be written.
+    """
 
     def __init__(self, folder: Path):
-        self._lines = (Path(folder) / "metrics.jsonl").open("a")
-        self._events = SummaryWriter(str(folder), flush_secs=30)
+        self._folder = Path(folder)
+        with self._writable():
+            self._lines = (self._folder / "metrics.jsonl").open("a")
+            self._events = EventsWriter(str(self._folder / "events"))
+
+    def __enter__(self) -> MetricWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            self.close()
+        except BadInput:
+            if kind is None:
+                raise
 
     def write_scalars(self, step: int, scalars: Mapping[str, float]) -> None:
         """Named numbers of one step. A number that is not finite is written as null."""
         finite = {name: float(value) if np.isfinite(value) else None for name, value in scalars.items()}
-        self._lines.write(json.dumps({"step": step, **finite}) + "\n")
-        for name, value in scalars.items():
-            self._events.add_scalar(name, float(value), step)
+        with self._writable():
+            self._lines.write(json.dumps({"step": step, **finite}) + "\n")
+            for name, value in scalars.items():
+                self._write_event(step, scalar_summary(name, float(value)))
 
     def write_images(self, step: int, images: Mapping[str, UInt8[np.ndarray, "h w"]]) -> None:
         """Named grey images, uint8."""
-        for name, image in images.items():
-            self._events.add_image(name, image[None], step)
+        with self._writable():
+            for name, image in images.items():
+                self._write_event(step, image_summary(name, image[None]))
 
     def flush(self) -> None:
         """Everything written so far is on disk."""
-        self._lines.flush()
-        self._events.flush()
+        with self._writable():
+            self._lines.flush()
+            self._events.flush()
 
     def close(self) -> None:
-        """Flushes, and ends both."""
-        self._lines.close()
-        self._events.close()
+        """Flushes, and ends both. Raises BadInput where the last lines cannot be written."""
+        with self._writable():
+            try:
+                self._lines.close()
+            finally:
+                self._events.close()
+
+    def _write_event(self, step: int, summary) -> None:
+        self._events.write_event(Event(wall_time=time.time(), step=step, summary=summary))
+
+    @contextmanager
+    def _writable(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            reason = error.strerror or " ".join(str(error).split())
+            raise BadInput(
+                f"{self._folder}: cannot be written ({reason}): free some space and run again; it will resume"
+            ) from error
 
 
 def noise_panel(
