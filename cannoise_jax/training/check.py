@@ -1,0 +1,70 @@
+"""Configs that cannot be trained, refused before anything is read or computed."""
+
+from __future__ import annotations
+
+import math
+
+from ml_collections import ConfigDict
+
+from cannoise_jax.physics.initial_noise import INITIAL_NOISE
+from cannoise_jax.recordings.recording import BadInput
+
+_COUNTS = (
+    "steps", "batch_size", "critic_updates", "log_every", "evaluate_every", "checkpoint_every",
+    "validation_patches", "data.scenes", "data.validation_scenes", "data.test_scenes", "data.per_scene",
+    "data.per_recording", "data.half_real_scenes", "data.patches", "data.held_out_patches",
+    "data.calibration_patches",
+)  # fmt: skip
+_POSITIVE = ("width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate")
+_NOT_NEGATIVE = (
+    "optimiser.warmup", "loss.adversarial", "loss.penalty", "loss.feature_matching", "loss.statistics",
+    "loss.triplet", "loss.margin",
+)  # fmt: skip
+_BELOW_ONE = ("ema", "optimiser.beta1", "optimiser.beta2")
+_CHOICES = {
+    "critic_condition": ("none", "camera", "latent"),
+    "optimiser.schedule": ("constant", "cosine"),
+    "loss.feature_target": ("clean", "real"),
+}
+_MULTIPLE, _LARGEST = 32, 64
+
+
+def check_config(config: ConfigDict) -> None:
+    """Raises BadInput, one line with the field, for a value that no run could use."""
+    for name in (*_COUNTS, "patch"):
+        value = _value(config, name)
+        if value is None or isinstance(value, tuple):  # SIDD's test scenes are names
+            continue
+        if not (isinstance(value, int) and value >= 1):
+            raise _wrong(name, value, "use a whole number from 1 on")
+    if config.patch % _MULTIPLE or config.patch > _LARGEST:
+        raise _wrong("patch", config.patch, f"use {_MULTIPLE} or {_LARGEST}")
+    for names, holds, rule in (
+        (_POSITIVE, lambda v: v > 0, "use a positive number"),
+        (_NOT_NEGATIVE, lambda v: v >= 0, "use zero or more"),
+        (_BELOW_ONE, lambda v: 0 <= v < 1, "use a number from 0 to below 1"),
+    ):
+        for name in names:
+            value = _value(config, name)
+            if value is not None and not (math.isfinite(value) and holds(value)):
+                raise _wrong(name, value, rule)
+    choices = dict(_CHOICES)
+    if not callable(config.initial_noise):
+        choices["initial_noise"] = tuple(INITIAL_NOISE)
+    for name, allowed in choices.items():
+        if _value(config, name) not in allowed:
+            raise _wrong(name, _value(config, name), f"use one of {', '.join(allowed)}")
+
+
+def _value(config: ConfigDict, name: str):
+    """A field by its dotted name; None where this config has no such field."""
+    found = config
+    for part in name.split("."):
+        if part not in found:
+            return None
+        found = found[part]
+    return found
+
+
+def _wrong(name: str, value: object, rule: str) -> BadInput:
+    return BadInput(f"config.{name}: {value!r}: {rule}")

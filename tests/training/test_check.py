@@ -1,0 +1,53 @@
+"""Configs as shipped pass; a value that no run could use is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from runpy import run_path
+
+import pytest
+from ml_collections import FrozenConfigDict
+
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.training.check import check_config
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(CONFIGS.glob("*.py"))])
+def test_shipped_configs_pass(name):
+    check_config(run_path(str(CONFIGS / f"{name}.py"))["get_config"]())
+
+
+def test_a_function_may_be_the_initial_noise():
+    config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
+    config = config.to_dict() | {"initial_noise": lambda key, clean, shot, read: (clean, clean)}
+    check_config(FrozenConfigDict(config))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("batch_size", 0),
+        ("steps", -1),
+        ("patch", 48),
+        ("patch", 0),
+        ("patch", 96),
+        ("width", 0.0),
+        ("ema", 1.0),
+        ("log_every", 0),
+        ("initial_noise", "none"),
+        ("critic_condition", "name"),
+        ("optimiser.schedule", "linear"),
+        ("optimiser.critic_rate", float("nan")),
+        ("loss.penalty", -1.0),
+        ("loss.feature_target", "noise"),
+        ("data.scenes", 0),
+    ],
+)
+def test_nonsense_is_refused_by_name(name, value):
+    config = run_path(str(CONFIGS / "default.py"))["get_config"]()
+    config.update_from_flattened_dict({name: value})
+    with pytest.raises(BadInput, match=f"^config.{name}: .*: use ") as refused:
+        check_config(config)
+    assert "\n" not in str(refused.value)
