@@ -1,0 +1,1 @@
+"""How close synthetic noise is to recorded noise: divergences, baselines, tables, figures."""

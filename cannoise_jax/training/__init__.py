@@ -1,0 +1,1 @@
+"""Learning the generator, critic and encoder: data, losses, the step, the loop, checkpoints."""
