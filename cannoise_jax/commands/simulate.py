@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.physics.poisson_gaussian import nlf_from_electrons
 from cannoise_jax.physics.scenes import mosaic
 from cannoise_jax.physics.sensor import SensorModel, Settings
@@ -29,6 +30,8 @@ from cannoise_jax.recordings.recording import BadInput, Kind, Recording, per_cha
 
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _SUFFIXES = (*_PICTURES, ".npy", ".h5")
+_LARGEST = 1e30
+"""Of an ISO or an exposure time: products with gains and rates stay within float32."""
 
 
 class Clean(NamedTuple):
@@ -60,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="bin/simulate", description=__doc__.splitlines()[0])
+    parser = OneLineParser(prog="bin/simulate", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--sensor", metavar="FILE", help="a sensor.json, or preset:NAME")
     add("--clean", metavar="SCENE", help="a picture, .npy or .h5 file, a folder of them, flat:LEVEL, or dark")
@@ -98,14 +101,20 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("give --sensor and --clean, or --catalogue")
     if arguments.frames < 1:
         raise BadInput(f"--frames {arguments.frames}: at least 1 is needed")
-    if not arguments.exposure >= 0:
-        raise BadInput(f"--exposure {arguments.exposure}: a time in seconds, 0 or more")
+    if not 0 <= arguments.exposure <= _LARGEST:
+        raise BadInput(f"--exposure {arguments.exposure}: a finite time in seconds, 0 or more, is needed")
+    if arguments.temperature is not None and not -273.15 <= arguments.temperature <= 1000:
+        raise BadInput(f"--temperature {arguments.temperature}: write degrees Celsius, as 20")
+    if arguments.unit is not None and not 0 <= arguments.unit < 2**32:
+        raise BadInput("--unit: must be a whole number from 0 to 4294967295")
+    if not 0 <= arguments.seed < 2**32:
+        raise BadInput("--seed: must be a whole number from 0 to 4294967295")
     model = _sensor(arguments.sensor)
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
-    if not iso > 0:
-        raise BadInput(f"--iso {iso:g}: must be above 0")
+    if not 0 < iso <= _LARGEST:
+        raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     scenes = _scenes(arguments.clean, model.cfa, arguments.size)
     try:

@@ -13,9 +13,11 @@ import hashlib
 import io
 import json
 import os
+import reprlib
 import zipfile
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import jax
 import jax.numpy as jnp
@@ -23,10 +25,13 @@ import numpy as np
 
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import IsoTable, SensorModel
+from cannoise_jax.physics.sensor import Fitted, IsoTable, SensorModel
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput, per_channel
 
 SCHEMA = "cannoise/sensor/1"
+_LARGEST = float(np.finfo(np.float32).max)
+_MAY_BE_NULL = ("doubling_c", "reference_iso", "reference_temperature_c")
+_ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
 
 
 def write_sensor(path: str | Path, model: SensorModel) -> None:
@@ -110,7 +115,7 @@ def read_sensor(path: str | Path) -> SensorModel:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}): name a sensor.json") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is not JSON ({error}): write it anew with bin/calibrate") from error
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise BadInput(f"{path}: has no schema {SCHEMA}: name a sensor.json written by bin/calibrate")
@@ -118,10 +123,11 @@ def read_sensor(path: str | Path) -> SensorModel:
         return _model(document, _read_maps(path, document))
     except KeyError as error:
         raise BadInput(f"{path}: lacks the entry {error}: add it, or write the file anew") from error
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(f"{path}: {str(error).splitlines()[0]}: correct the entry") from error
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path}: {said}: correct the entry") from error
 
 
 def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -140,13 +146,14 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (ValueError, zipfile.BadZipFile) as error:
+    except (ValueError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         raise BadInput(f"{npz}: holds no plain arrays: write it anew with bin/calibrate") from error
 
 
 def _number(value: Any, what: str) -> np.float32:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise ValueError(f"{what} is {value!r}, not a finite number")
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    if not plain or not abs(value) <= _LARGEST:  # holds for nan, and for integers of any size
+        raise ValueError(f"{what} is {reprlib.repr(value)}, not a finite number")
     return np.float32(value)
 
 
@@ -168,26 +175,90 @@ def _model(document: dict[str, Any], maps: dict[str, np.ndarray]) -> SensorModel
         if np.min(values) < 0 or (name == "gain_dn_per_e" and np.min(values) == 0):
             raise ValueError(f"{name} must be positive, got {np.min(values):g}")
         table[name] = values
+    isos = tuple(float(_number(row["iso"], "iso")) for row in rows)
+    if min(isos) <= 0:
+        raise ValueError(f"iso must be above 0, got {min(isos):g}")
+    white = float(_number(document["white_level"], "white_level"))
+    step = float(_number(document.get("code_step", 1), "code_step"))
+    if not white <= 65535:
+        raise ValueError(f"white_level {white:g} is above 65535, the highest code of 16 bits")
+    if not 0 <= step < white:
+        raise ValueError(f"code_step {step:g} is not from 0 to below white_level {white:g}")
     model = SensorModel.poisson_gaussian(
         table["gain_dn_per_e"] if len(rows) > 1 else table["gain_dn_per_e"][0],
         table["read_noise_e"] if len(rows) > 1 else table["read_noise_e"][0],
         per_channel(_numbers(document["black_level"], "black_level")),
-        float(_number(document["white_level"], "white_level")),
+        white,
         cfa,
-        iso=tuple(float(_number(row["iso"], "iso")) for row in rows),
-        code_step=float(_number(document.get("code_step", 1), "code_step")),
+        iso=isos,
+        code_step=step,
         camera=str(document["camera"]),
         unit_key=_key(document.get("unit_key")),
     )
     if float(np.max(model.black_level)) >= float(np.asarray(model.white_level)):
-        raise ValueError(f"white_level {document['white_level']} is not above black_level")
+        raise ValueError(f"white_level {white:g} is not above black_level")
     for entry in document["mechanisms"]:
         model = _with_entry(model, entry, maps)
     return model
 
 
-def _key(data: list[int] | None) -> jax.Array | None:
-    return None if data is None else jax.random.wrap_key_data(jnp.asarray(data, jnp.uint32))
+def _key(data: Any) -> jax.Array | None:
+    if data is None:
+        return None
+    if not isinstance(data, list) or len(data) != 2 or not all(_is_whole(v, 2**32 - 1) for v in data):
+        raise ValueError(f"unit_key is {reprlib.repr(data)}, not two whole numbers from 0 to 4294967295")
+    return jax.random.wrap_key_data(jnp.asarray(np.array(data, np.uint32)))
+
+
+def _is_whole(value: Any, highest: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= highest
+
+
+def _scaling(id: str, law: Any) -> Scaling | None:
+    """The scaling law of an entry; None where it states none, so that the mechanism's own holds."""
+    if not isinstance(law, dict):
+        raise ValueError(f"{id}: scaling is {reprlib.repr(law)}, not numbers by name")
+    known = {f.name for f in dataclasses.fields(Scaling)}
+    if set(law) - known:
+        raise ValueError(f"{id}: scaling knows {', '.join(sorted(known))}, not {', '.join(set(law) - known)}")
+    values = {
+        name: None if v is None and name in _MAY_BE_NULL else float(_number(v, f"{id}: scaling {name}"))
+        for name, v in law.items()
+    }
+    for name in _ABOVE_ZERO:
+        if (v := values.get(name)) is not None and v <= 0:
+            raise ValueError(f"{id}: scaling {name} is {v:g}, not above 0")
+    return Scaling(**values) if values else None  # type: ignore[arg-type]
+
+
+def _point(id: str, entry: Any) -> Point | None:
+    if entry is None:
+        return None
+    point = Point(**{**entry, "blocks": tuple(entry["blocks"])})
+    for axis, kind in get_type_hints(Point).items():
+        choices = get_args(kind)
+        if choices and axis != "blocks" and getattr(point, axis) not in choices:
+            value = reprlib.repr(getattr(point, axis))
+            raise ValueError(f"{id}: grammar {axis} is {value}, not one of {', '.join(choices)}")
+    _number(point.signal, f"{id}: grammar signal")
+    if len(point.blocks) != 2 or not all(v and _is_whole(v, 4096) for v in point.blocks):
+        raise ValueError(f"{id}: grammar blocks is {reprlib.repr(point.blocks)}, not two whole numbers")
+    return point
+
+
+def _checked_maps(model: SensorModel, fitted: Fitted) -> None:
+    """Raises ValueError unless the maps have the names the mechanism draws, and are finite images."""
+    alone = dataclasses.replace(model, mechanisms=(dataclasses.replace(fitted, maps={}),))
+    drawn = jax.eval_shape(lambda: alone.with_maps((8, 8)).mechanisms[0].maps)
+    if set(fitted.maps) != set(drawn):
+        wanted = ", ".join(sorted(drawn)) or "none"
+        raise ValueError(f"{fitted.mechanism}: maps are {', '.join(sorted(fitted.maps))}, it has {wanted}")
+    for name, measured in fitted.maps.items():
+        values = np.asarray(measured)
+        if values.ndim not in (2, 3) or 0 in values.shape or (values.ndim == 3 and len(values) != 1):
+            raise ValueError(f"{fitted.mechanism}: map {name} has shape {values.shape}, not [H, W]")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{fitted.mechanism}: map {name} holds values that are not finite")
 
 
 def _with_entry(model: SensorModel, entry: dict[str, Any], maps: dict[str, np.ndarray]) -> SensorModel:
@@ -201,22 +272,23 @@ def _with_entry(model: SensorModel, entry: dict[str, Any], maps: dict[str, np.nd
     for name, v in parameters.items():
         if isinstance(v, IsoTable) and np.shape(v.iso) != np.shape(v.value):
             raise ValueError(f"{id}: {name} has {np.size(v.iso)} ISOs and {np.size(v.value)} values")
-    known = {f.name for f in dataclasses.fields(Scaling)}
-    law = entry.get("scaling") or {}
-    if set(law) - known:
-        raise ValueError(f"{id}: scaling knows {', '.join(sorted(known))}, not {', '.join(set(law) - known)}")
-    missing = [key for key in entry.get("maps", {}).values() if key not in maps]
+        if isinstance(v, IsoTable) and (np.size(v.iso) == 0 or np.any(np.diff(v.iso) <= 0)):
+            raise ValueError(f"{id}: {name} needs ISOs that ascend")
+    named = entry.get("maps", {}).values()
+    missing = [key for key in named if key not in maps or maps[key].dtype.kind not in "fiub"]
     if missing:
-        raise ValueError(f"{id}: map {missing[0]} is not in the .npz file")
-    point = entry.get("grammar")
+        raise ValueError(f"{id}: map {missing[0]} is not in the .npz file, or holds no numbers")
     model = model.with_mechanism(
         id,
-        scaling=Scaling(**law) if law else None,
+        scaling=_scaling(id, entry.get("scaling", {})),
         maps={name: jnp.asarray(maps[key]) for name, key in entry.get("maps", {}).items()},
-        point=None if point is None else Point(**{**point, "blocks": tuple(point["blocks"])}),
+        point=_point(id, entry.get("grammar")),
         **parameters,
     )
-    for parameter in next(f for f in model.mechanisms if f.mechanism == id).record.parameters:
+    fitted = [f for f in model.mechanisms if f.mechanism == id][-1]
+    if fitted.maps:
+        _checked_maps(model, fitted)
+    for parameter in fitted.record.parameters:
         value = parameters.get(parameter.name, parameter.default)
         numbers = np.asarray(value.value if isinstance(value, IsoTable) else value)
         low, high = numbers.min(), numbers.max()

@@ -87,6 +87,15 @@ def test_a_folder_gives_one_recording_per_picture_and_seeds_repeat(sensor, tmp_p
         (["--sensor", "SENSOR", "--clean", "dark", "--frames", "0"], "at least 1"),
         (["--sensor", "SENSOR", "--clean", "dark", "--iso", "0"], "above 0"),
         (["--sensor", "preset:toaster", "--clean", "dark"], "toaster"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--iso", "inf"], "--iso inf"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--iso", "nan"], "--iso nan"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--exposure", "inf"], "--exposure inf"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--exposure", "-1"], "--exposure -1"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--temperature", "nan"], "--temperature nan"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--temperature", "inf"], "--temperature inf"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--unit", str(10**30)], "--unit"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--unit", "-1"], "--unit"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--seed", str(10**30)], "--seed"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(arguments, message, sensor, tmp_path, capsys):

@@ -81,6 +81,14 @@ def damage(**changes):
     return change
 
 
+def mechanism(document, id):
+    return next(m for m in document["mechanisms"] if m["mechanism"] == id)
+
+
+def rename_map(entry, name):
+    entry["maps"] = {name: next(iter(entry["maps"].values()))}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -100,6 +108,31 @@ def damage(**changes):
         (lambda d: d["mechanisms"][0]["parameters"].update(sigma=-0.1), "outside"),
         (lambda d: d["mechanisms"][0]["scaling"].update(moon=1.0), "moon"),
         (lambda d: d["mechanisms"][0]["maps"].update(field="9/field"), "not in the .npz"),
+        (lambda d: mechanism(d, "prnu")["scaling"].update(gain="x"), "scaling gain is 'x'"),
+        (lambda d: mechanism(d, "prnu")["scaling"].update(gain=None), "scaling gain is None"),
+        (lambda d: mechanism(d, "prnu")["scaling"].update(exposure=float("nan")), "scaling exposure is nan"),
+        (lambda d: mechanism(d, "prnu")["scaling"].update(doubling_c=0), "doubling_c is 0, not above 0"),
+        (lambda d: mechanism(d, "prnu")["scaling"].update(reference_exposure_s=0), "not above 0"),
+        (lambda d: mechanism(d, "prnu").update(scaling="fast"), "not numbers by name"),
+        (lambda d: mechanism(d, "prnu").update(scaling=None), "not numbers by name"),
+        (lambda d: mechanism(d, "prnu")["parameters"].update(sigma=10**400), "not a finite number"),
+        (lambda d: mechanism(d, "prnu")["parameters"].update(sigma=float("inf")), "not a finite number"),
+        (lambda d: mechanism(d, "row_noise")["parameters"]["sigma_dn"].update(iso=[400, 100]), "ascend"),
+        (lambda d: rename_map(mechanism(d, "prnu"), "wrong"), "maps are wrong, it has field"),
+        (lambda d: mechanism(d, "row_noise").update(maps=mechanism(d, "prnu")["maps"]), "it has none"),
+        (lambda d: mechanism(d, "stripes")["grammar"].update(over="moon"), "grammar over is 'moon'"),
+        (lambda d: mechanism(d, "stripes")["grammar"].update(signal="x"), "grammar signal"),
+        (lambda d: mechanism(d, "stripes")["grammar"].update(blocks=[0, 2]), "grammar blocks"),
+        (damage(unit_key=[-1, 2]), "unit_key"),
+        (damage(unit_key=[1, 2, 3]), "unit_key"),
+        (damage(unit_key=[10**30, 2]), "unit_key"),
+        (damage(unit_key=7), "unit_key"),
+        (damage(white_level=10**400), "not a finite number"),
+        (damage(white_level=65536), "above 65535"),
+        (damage(code_step=-1), "code_step -1"),
+        (damage(code_step=4095), "code_step 4095"),
+        (lambda d: d["baseline"][0].update(iso=0), "iso must be above 0"),
+        (lambda d: d["baseline"][0].update(iso=400), "ISOs must ascend"),
         (lambda d: d["maps"].update(sha256="0" * 64), "is not the file"),
         (lambda d: d["maps"].update(file="gone.npz"), "cannot be read"),
     ],
@@ -134,6 +167,39 @@ def test_pickled_maps_are_refused(tmp_path):
     document["maps"]["sha256"] = hashlib.sha256((tmp_path / "sensor.npz").read_bytes()).hexdigest()
     path.write_text(json.dumps(document))
     with pytest.raises(BadInput, match="no plain arrays"):
+        read_sensor(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.zeros(SIZE[1], np.float32), "shape"),
+        (np.zeros((2, 2, *SIZE), np.float32), "shape"),
+        (np.zeros((3, *SIZE), np.float32), "shape"),
+        (np.zeros((0, 5), np.float32), "shape"),
+        (np.full(SIZE, np.nan, np.float32), "not finite"),
+        (np.full(SIZE, "x"), "no numbers"),
+    ],
+    ids=["1-D", "4-D", "many", "empty", "nan", "text"],
+)
+def test_maps_that_are_no_finite_images(values, message, tmp_path):
+    import hashlib
+
+    path = tmp_path / "sensor.json"
+    write_sensor(path, SensorModel.poisson_gaussian(0.5, 2.0).with_mechanism("prnu").with_maps(SIZE))
+    np.savez(tmp_path / "sensor.npz", **{"0/field": values})
+    document = json.loads(path.read_text())
+    document["maps"]["sha256"] = hashlib.sha256((tmp_path / "sensor.npz").read_bytes()).hexdigest()
+    path.write_text(json.dumps(document))
+    with pytest.raises(BadInput, match=message) as caught:
+        read_sensor(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_deep_nesting_is_one_line(tmp_path):
+    path = tmp_path / "sensor.json"
+    path.write_text("[" * 100_000 + "]" * 100_000)
+    with pytest.raises(BadInput, match="is not JSON"):
         read_sensor(path)
 
 
