@@ -2,7 +2,8 @@
 
 The side-car lies beside the stack under the same name with the suffix .json and holds the fields of
 `Recording`: {"cfa": "RGGB", "black_level": 64, "white_level": 1023, ...}; null means unknown. Other
-names are not used, with a warning. Without a side-car the caller states the required fields. One image is a recording of one frame.
+names are not used, with a warning. Without a side-car the caller states the required fields. One image is
+a recording of one frame.
 """
 
 from __future__ import annotations

@@ -77,7 +77,6 @@ BAD = {
     r"image has shape \(2, 2, 6, 10\)": (FRAMES.reshape(2, 2, 6, 10), {}),
     "odd size": (FRAMES[:, :5], {"BAYERPAT": "RGGB"}),
     "unknown CFA 'TRUE'": (FRAMES, {"BAYERPAT": "TRUE"}),
-    "exposure_s 'long'": (FRAMES, {"BAYERPAT": "RGGB", "EXPTIME": "long"}),
 }
 
 
@@ -88,6 +87,19 @@ def test_what_is_no_raw_frame_is_refused_in_one_line(tmp_path, message):
     with pytest.raises(BadInput, match=message) as caught:
         load_recording(path, **LEVELS)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "keywords, known",
+    [
+        ({"CCD_TEMP": "n/a", "EXPTIME": "long", "GAIN": -1}, (None, None, None)),
+        ({"CCD_TEMP": -999.0, "EXPTIME": -1.0, "EXPOSURE": 2.0, "ISO": "auto", "GAIN": 120}, (None, 2, 120)),
+        ({"CCD_TEMP": "-10.5", "EXPTIME": 0.0, "GAIN": 0}, (-10.5, 0, 0)),
+    ],
+)
+def test_optional_keywords_that_say_nothing_count_as_not_stated(tmp_path, keywords, known):
+    recording = load_recording(write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB", **keywords), **LEVELS)
+    assert (recording.temperature_c, recording.exposure_s, recording.iso) == known
 
 
 def test_rescaled_values(tmp_path):

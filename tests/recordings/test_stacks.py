@@ -48,6 +48,28 @@ def test_stacks_with_a_side_car(tmp_path, suffix, frames):
     assert (recording.iso, recording.exposure_s, recording.kind, recording.camera) == (100, None, "flat", "X")
 
 
+def test_names_that_a_side_car_cannot_use_are_said_once(tmp_path, caplog):
+    path = write(tmp_path / "a.npy", side_car=SIDE_CAR | {"blacklevel": 3, "gain": 1})
+    load_recording(path)
+    (record,) = caplog.records
+    text = record.getMessage()
+    assert text.startswith(f"{tmp_path / 'a.json'}: blacklevel, gain not used: ") and "black_level" in text
+    caplog.clear()
+    load_recording(write(tmp_path / "b.npy"))
+    assert not caplog.records
+
+
+def test_shot_noise_is_not_negative_but_an_offset_may_be(tmp_path):
+    path = write(tmp_path / "a.npy", side_car=SIDE_CAR | {"shot": [1e-3, 1e-3, -1e-3, 1e-3], "read": 1e-5})
+    with pytest.raises(
+        BadInput, match=r"shot is 0\.001, 0\.001, -0\.001, 0\.001: expected at least 0"
+    ) as caught:
+        load_recording(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    path = write(tmp_path / "a.npy", side_car=SIDE_CAR | {"shot": 0, "read": -1e-6})
+    assert load_recording(path).read == (-1e-6,) * 4
+
+
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_without_a_side_car_the_caller_states_what_is_needed(tmp_path, suffix):
     path = write(tmp_path / f"a{suffix}", side_car=None)
