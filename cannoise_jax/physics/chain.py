@@ -54,6 +54,26 @@ def altered_noise(model, context: Context, values) -> Noise:
     return noise
 
 
+def inside(context: Context, noise: Noise) -> Context:
+    """The context as charge sees it: with the gain and read noise that the noise steps really have."""
+    return dataclasses.replace(context, gain_dn_per_e=noise.gain_dn_per_e, read_noise_e=noise.read_noise_e)
+
+
+def closed_form(model, context: Context, values) -> tuple[Array, Array]:
+    """Mean (DN) and variance (DN^2) of the analogue value just before rounding, [1, H, W]: of the noise steps
+    as altered, plus the closed form of every other mechanism (the few without one leave both alone)."""
+    noise = altered_noise(model, context, values)
+    inner = inside(context, noise)
+    mean, variance = context.black_level + context.mean_dn, inner.own_variance()
+    for i, fitted in enumerate(model.mechanisms):
+        if fitted.record.effect is None or fitted.record.baseline is not None:
+            continue
+        effect = fitted.record.effect(values[i], maps_of(model, i, values[i], inner), inner)
+        mean = mean if effect.mean is None else mean + effect.mean
+        variance = variance if effect.variance is None else variance + effect.variance
+    return mean, variance
+
+
 def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:
     for i, fitted in enumerate(model.mechanisms):
         record = fitted.record
@@ -81,10 +101,12 @@ def run_chain(
     noise = altered_noise(model, context, values)
     gain = noise.gain_dn_per_e
     shape = (frames, *context.size)
+    inner = inside(context, noise)
     mean = jnp.broadcast_to(context.mean_dn / gain, shape)
-    mean = _stage(model, key, mean, "mean", context, values)
+    mean = _stage(model, key, mean, "mean", inner, values)
     charge = shot_noise(jax.random.fold_in(key, _SHOT), mean, noise.poisson_share)
-    charge = _stage(model, key, charge, "charge", context, values)
+    inner = dataclasses.replace(inner, stage_mean_e=mean)
+    charge = _stage(model, key, charge, "charge", inner, values)
     read_key = jax.random.fold_in(key, _READ)
     if noise.tukey_lambda is None:
         read = sample_normal(read_key, shape)

@@ -24,9 +24,10 @@ def poisson_gaussian(
 ) -> tuple[Float[Array, "*b h w 4"], Float[Array, "*b h w 4"]]:
     """Noise of variance shot * clean + read (Chang et al. 2020, eq. 2), and its standard deviation.
 
-    Normal draws, as in the reference release; shot and read in packed order, normalised units.
+    Normal draws, as in the reference release; shot and read in packed order, normalised units;
+    a negative shot counts as zero, and a read below the least variance as that.
     """
-    read = jnp.maximum(read, _LEAST_VARIANCE)
+    shot, read = jnp.maximum(shot, 0), jnp.maximum(read, _LEAST_VARIANCE)
     sigma = nlf_sigma(clean, shot[..., None, None, :], read[..., None, None, :])
     return sigma * sample_normal(key, clean.shape), sigma
 
@@ -46,9 +47,21 @@ INITIAL_NOISE: dict[str, InitialNoise] = {"poisson_gaussian": poisson_gaussian, 
 
 
 def initial_noise(choice: str | InitialNoise) -> InitialNoise:
-    """By name, or any `f(key, clean, shot, read) -> (noise, sigma)` as it stands."""
+    """By name; "sensor:FILE" or "preset:NAME" for that of a sensor model; or any
+    `f(key, clean, shot, read) -> (noise, sigma)` as it stands. Raises ValueError for another name, BadInput
+    for a file or preset that is not one."""
     if callable(choice):
         return choice
+    kind, _, name = choice.partition(":")
+    if name and kind in ("sensor", "preset"):
+        # Sensor models draw on this module.
+        from cannoise_jax.physics.sensor import SensorModel
+        from cannoise_jax.physics.sensor_json import read_sensor
+
+        return (read_sensor(name) if kind == "sensor" else SensorModel.preset(name)).n_init()
     if choice not in INITIAL_NOISE:
-        raise ValueError(f"initial_noise must be {', '.join(INITIAL_NOISE)} or a function, got {choice!r}")
+        names = ", ".join(INITIAL_NOISE)
+        raise ValueError(
+            f"initial_noise must be {names}, sensor:FILE, preset:NAME or a function, got {choice!r}"
+        )
     return INITIAL_NOISE[choice]

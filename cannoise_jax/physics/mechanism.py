@@ -74,8 +74,9 @@ class Context:
     """Where and how a frame was taken, as a mechanism sees it. Fields broadcast against `x[T, H, W]`.
 
     mean_dn: expected signal above black without any mechanism, DN. gain_dn_per_e, read_noise_e: the
-    baseline's.
-    cfa, size: colour pattern and (H, W), static under jit.
+    baseline's; for mechanisms of the charge, as other mechanisms altered them.
+    cfa, size: colour pattern and (H, W), static under jit. stage_mean_e: expected charge with the mechanisms
+    that act on the mean, e-, for those that act on charge; None: that of the baseline.
     """
 
     mean_dn: Array
@@ -89,6 +90,7 @@ class Context:
     temperature_c: Array | None
     cfa: str = field(metadata={"static": True})
     size: tuple[int, int] = field(metadata={"static": True})
+    stage_mean_e: Array | None = None
 
     @property
     def span_dn(self) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -13,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
 from cannoise_jax.physics import registry
-from cannoise_jax.physics.chain import maps_of, run_chain, to_codes
+from cannoise_jax.physics.chain import altered_noise, closed_form, maps_of, run_chain, to_codes
 from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.initial_noise import InitialNoise
 from cannoise_jax.physics.mechanism import Scaling
 from cannoise_jax.physics.poisson_gaussian import electrons_from_nlf
 from cannoise_jax.physics.settings import (
@@ -181,29 +181,60 @@ class SensorModel:
         clean = jnp.asarray(clean, jnp.float32)[None]
         context = context_of(self, clean, settings)
         values = resolve(self, context)
-        mean = context.black_level + context.mean_dn
-        for i, fitted in enumerate(self.mechanisms):
-            effect = fitted.record.effect
-            change = effect(values[i], maps_of(self, i, values[i], context), context).mean if effect else None
-            mean = mean if change is None else mean + change
+        mean, _ = closed_form(self, context, values)
         return jnp.broadcast_to(mean, clean.shape)[0]
 
-    def n_init(self, *, discretise: bool = True) -> Callable[..., Float[Array, "b h w 4"]]:
-        """An init noise for training: `(key, clean[B,h,w,4], shot[B,4], read[B,4]) -> noise[B,h,w,4]`,
-        packed and normalised. The baseline is that of shot and read; the mechanisms are this model's, at
-        the ISO whose gain is theirs. discretise: round to the code step and clip at the rails, as stored
-        frames are."""
+    def n_init(self, *, discretise: bool = True) -> InitialNoise:
+        """An initial noise for training: `(key, clean[B,h,w,4], shot[B,4], read[B,4]) -> (noise, sigma)`,
+        both [B,h,w,4], packed and normalised; sigma: the model's standard deviation in closed form.
+
+        The baseline is that of shot and read; the mechanisms are this model's, at the ISO whose gain is
+        theirs. Measured maps larger than the patch are cropped, at another even place in every call.
+        discretise: round to the code step and clip at the rails, as stored frames are.
+        """
 
         def draw(key, clean, shot, read):
             mosaic = unpack(clean, self.cfa)
-            context = context_of_nlf(self, mosaic, *(to_mosaic_order(v, self.cfa) for v in (shot, read)))
-            values = resolve(self, context)
-            y, step = run_chain(self, key, context, values, mosaic.shape[0])
+            place, key = jax.random.split(key)
+            model = _cropped(self, place, mosaic.shape[-2:])
+            levels = tuple(to_mosaic_order(v, self.cfa) for v in (shot, read))
+            context = context_of_nlf(model, mosaic, *levels)
+            values = resolve(model, context)
+            y, step = run_chain(model, key, context, values, mosaic.shape[0])
             if discretise:
-                y = to_codes(self, key, y, step, context, values)
-            return pack((y - context.black_level) / context.span_dn - mosaic, self.cfa)
+                y = to_codes(model, key, y, step, context, values)
+            noise = (y - context.black_level) / context.span_dn - mosaic
+
+            def sigma(mosaic, shot, read):  # of one patch: closed forms know one frame
+                context = context_of_nlf(model, mosaic[None], shot[None], read[None])
+                values = resolve(model, context)
+                _, variance = closed_form(model, context, values)
+                rounding = jnp.maximum(altered_noise(model, context, values).code_step, 1.0) ** 2 / 12
+                variance = variance + rounding if discretise else variance
+                return (jnp.sqrt(jnp.maximum(variance, rounding)) / context.span_dn)[0]
+
+            return pack(noise, self.cfa), pack(jax.vmap(sigma)(mosaic, *levels), self.cfa)
 
         return draw
+
+
+def _cropped(model: SensorModel, key: Key[Array, ""], size: tuple[int, int]) -> SensorModel:
+    """The model with its measured maps cut to [H, W], all at the same even place, which keeps the colours."""
+    shapes = [m.shape[-2:] for f in model.mechanisms for m in f.maps.values()]
+    starts = []
+    for axis, axis_key in enumerate(jax.random.split(key)):
+        spare = [shape[axis] - size[axis] for shape in shapes if shape[axis] > size[axis]]
+        starts.append(2 * jax.random.randint(axis_key, (), 0, min(spare, default=0) // 2 + 1))
+
+    def cut(values):
+        for axis in (-2, -1):
+            if values.shape[axis] > size[axis]:
+                values = jax.lax.dynamic_slice_in_dim(
+                    jnp.asarray(values), starts[axis], size[axis], values.ndim + axis
+                )
+        return values
+
+    return _with_drawn(model, tuple({name: cut(m) for name, m in f.maps.items()} for f in model.mechanisms))
 
 
 @partial(jax.jit, static_argnames="size")

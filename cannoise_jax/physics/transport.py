@@ -94,7 +94,8 @@ BRIGHTER_FATTER = Mechanism(
 
 def _lag(key, x, values, maps, context: Context):
     # Before the first frame there was one of the same scene.
-    before = sample_poisson(key, jnp.broadcast_to(context.mean_charge(), x.shape)[:1])
+    mean = context.mean_charge() if context.stage_mean_e is None else context.stage_mean_e
+    before = sample_poisson(key, jnp.broadcast_to(mean, x.shape)[:1])
     kept = values["fraction"]
     return (1 - kept) * x + kept * jnp.concatenate([before, x[:-1]])
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.initial_noise import initial_noise
 from cannoise_jax.physics.mechanism import Scaling
 from cannoise_jax.physics.sensor import ExtrapolationWarning, IsoTable, SensorModel, Settings
+from cannoise_jax.physics.sensor_json import write_sensor
 from cannoise_jax.physics.settings import baseline_at, context_of, resolve
 from cannoise_jax.recordings import BadInput
 from cannoise_jax.recordings.packing import pack
@@ -150,11 +152,61 @@ def test_n_init_is_packed_noise_of_the_given_level_function():
     clean = pack(np.stack([FLAT, FLAT * 0.1, FLAT * 2]), "RGGB")
     shot = jnp.asarray([[1e-3] * 4, [2e-3] * 4, [5e-4, 1e-3, 2e-3, 4e-3]])
     read = jnp.full((3, 4), 3e-5)
-    noise = jnp.concatenate([draw(jax.random.key(k), clean, shot, read) for k in range(12)], axis=1)
+    noise = jnp.concatenate([draw(jax.random.key(k), clean, shot, read)[0] for k in range(12)], axis=1)
     assert noise.shape == (3, 12 * 16, 16, 4)
     sigma = np.sqrt(np.asarray(shot) * np.asarray([0.2, 0.02, 0.4])[:, None] + 3e-5)
     np.testing.assert_allclose(np.asarray(noise).std(axis=(1, 2)), sigma, rtol=0.07)
     assert np.abs(np.asarray(noise).mean(axis=(1, 2)) / sigma).max() < 5 / np.sqrt(12 * 256)
+
+
+def test_n_init_serves_training_with_maps_larger_than_the_patch():
+    model = MODEL.with_mechanism("row_noise", sigma_dn=6.0).with_mechanism("gain_error", error=0.5)
+    model = model.with_mechanism("dsnu", sigma_dn=3.0).with_maps((64, 48))
+    draw = jax.jit(initial_noise(model.n_init()))
+    clean = pack(np.stack([FLAT, FLAT * 0.5]), "RGGB")
+    shot, read = jnp.full((2, 4), 1e-3), jnp.full((2, 4), 3e-5)
+    drawn = [draw(jax.random.key(k), clean, shot, read) for k in range(40)]
+    sigma = np.asarray(drawn[0][1])
+    assert sigma.shape == clean.shape
+    seen = np.stack([noise for noise, _ in drawn]).std(axis=(0, 2, 3))
+    dsnu = 3.0 / (1084 - np.asarray((60, 64, 68, 72)).mean())
+    np.testing.assert_allclose(seen, np.sqrt((sigma**2).mean(axis=(1, 2)) + dsnu**2), rtol=0.06)
+    with pytest.raises(BadInput, match="frames of that size"):
+        model.with_maps((16, 16)).n_init()(KEY, pack(np.zeros((1, 96, 96)), "RGGB"), shot[:1], read[:1])
+
+
+def test_initial_noise_by_name_of_a_preset_or_a_file(tmp_path):
+    write_sensor(tmp_path / "sensor.json", SensorModel.preset("imx686").with_unit(jax.random.key(0)))
+    clean = pack(np.stack([FLAT]), "RGGB")
+    shot, read = jnp.full((1, 4), 1e-3), jnp.full((1, 4), 3e-5)
+    names = ("preset:imx686", f"sensor:{tmp_path / 'sensor.json'}")
+    one, two = (initial_noise(name)(KEY, clean, shot, read) for name in names)
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    with pytest.raises(BadInput, match="no such preset"):
+        initial_noise("preset:gremlin")
+
+
+def test_mechanisms_in_dn_keep_their_strength_beside_an_altered_gain():
+    model = SensorModel.poisson_gaussian(0.5, 1e-3, 500, 65535, "RGGB").with_mechanism("dsnu", sigma_dn=8.0)
+    for altered in (
+        model.with_mechanism("gain_error", error=1.0),
+        model.with_mechanism("dual_gain", iso_switch=50.0, gain_ratio=2.0),
+    ):
+        y = np.asarray(altered.sample(KEY, FLAT * 0, Settings(frames=4)), np.float64).mean(axis=0)
+        assert y.std() == pytest.approx(8, rel=0.08)
+        np.testing.assert_allclose(y, np.asarray(altered.expected(FLAT * 0)), atol=1)
+    current = SensorModel.poisson_gaussian(0.5, 1.0, 500, 65535).with_mechanism("dark_current", e_per_s=1e4)
+    current = current.with_mechanism("gain_error", error=1.0)
+    y = np.asarray(current.sample(KEY, FLAT * 0, Settings(frames=4)), np.float64)
+    assert y.mean() == pytest.approx(float(current.expected(FLAT * 0).mean()), rel=0.01)
+
+
+def test_the_frame_before_the_first_has_the_mean_of_the_others():
+    model = SensorModel.poisson_gaussian(0.5, 1.0, 500, 65535).with_mechanism("image_lag", fraction=0.4)
+    model = model.with_mechanism("gain_error", error=1.0).with_mechanism("dark_current", e_per_s=1e5)
+    y = np.asarray(model.sample(KEY, FLAT * 0.05, Settings(frames=4)), np.float64).mean(axis=(1, 2))
+    np.testing.assert_allclose(y - y.mean(), 0, atol=0.01 * (y.mean() - 500))
 
 
 def test_bad_tables_are_refused():
