@@ -19,6 +19,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.physics import likelihood_accuracy as accuracy
 from cannoise_jax.physics.estimators.coverage import CASES, coverage, format_rows
 from cannoise_jax.physics.likelihood import CodeGrid
@@ -55,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
+    parser = OneLineParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
     commands = parser.add_subparsers(required=True, metavar="simulate|coverage|likelihood|train")
     simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
     simulate.add_argument(

@@ -10,6 +10,7 @@ import logging
 import sys
 from pathlib import Path
 
+from cannoise_jax.commands.parser import OneLineParser, numbers
 from cannoise_jax.physics.sensor_json import write_sensor
 from cannoise_jax.physics.transfer import PhotonTransfer, photon_transfer
 from cannoise_jax.physics.transfer_baseline import Baseline
@@ -64,18 +65,8 @@ def _check_output(path: Path) -> None:
         raise BadInput(f"{path}: no such folder {path.parent}")
 
 
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) not in (1, 4):
-        raise argparse.ArgumentTypeError(f"{text!r}: give one value, or four as a,b,c,d in mosaic order")
-    return values
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog="bin/calibrate",
         description="Measures the noise of a camera from a folder of its recordings: flats and darks, or "
         "scenes with repeated frames. Prints photon transfer (EMVA 1288 definitions) and the mechanisms "
@@ -89,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
         "--cfa", choices=CFA_PATTERNS, help="colour order, where the files are wrong or silent"
     )
     parser.add_argument(
-        "--black-level", type=_numbers, metavar="DN", help="one value, or a,b,c,d in mosaic order"
+        "--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d in mosaic order"
     )
     parser.add_argument("--white-level", type=float, metavar="DN", help="highest code")
     return parser

@@ -8,6 +8,7 @@ import re
 import sys
 from pathlib import Path
 
+from cannoise_jax.commands.parser import OneLineParser, numbers
 from cannoise_jax.recordings.join import join_recordings
 from cannoise_jax.recordings.load import load_recording, supported
 from cannoise_jax.recordings.native import write_recording
@@ -62,12 +63,8 @@ def _gathered(argv: list[str]) -> list[str]:
     return [*argv[:start], *([",".join(argv[start:end])] if end > start else []), *argv[end:]]
 
 
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in text.split(","))
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog="bin/convert",
         description="Converts recordings into one file of the native format (HDF5). Several inputs of the "
         "same camera, size and settings become one recording, in the order given.",
@@ -77,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("output", type=Path, metavar="OUT.h5")
     parser.add_argument("--cfa", choices=CFA_PATTERNS, help="colour order of the 2x2 cell")
     parser.add_argument(
-        "--black-level", type=_numbers, metavar="DN", help="one value, or four in mosaic order"
+        "--black-level", type=numbers, metavar="DN", help="one value, or four in mosaic order"
     )
     parser.add_argument("--white-level", type=float, metavar="DN")
     parser.add_argument("--kind", choices=KINDS)

@@ -125,7 +125,6 @@ def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
     refused(capsys, "good.h5: exists", good, good)
     refused(capsys, "no such folder", good, tmp_path / "none" / "out.h5")
     refused(capsys, "ends in .h5", good, tmp_path / "out.tif")
-    refused(capsys, "1 or 4 numbers", good, out, "--black-level", "1", "2")
     refused(capsys, "is not below white level", good, out, "--black-level", "2000")
     refused(capsys, "not a SIDD folder", tmp_path, out)
 
@@ -157,3 +156,13 @@ def test_usage(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == (0 if arguments == ["--help"] else 2)
+
+
+@pytest.mark.parametrize("level", ["abc", "1,2", "1,2,3,x"])
+def test_a_black_level_that_is_none_is_refused_in_one_line(level, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["a.h5", "b.h5", "--black-level", level])
+    error = capsys.readouterr().err
+    assert caught.value.code == 2 and error.count("\n") == 1
+    assert error.startswith("bin/convert: argument --black-level: ") and repr(level) in error
+    assert "four as a,b,c,d" in error and error.endswith("(see --help)\n")
