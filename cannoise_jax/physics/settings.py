@@ -157,14 +157,34 @@ def resolve(model: Any, context: Context) -> tuple[dict[str, Array], ...]:
 
 
 def warn_outside(model: Any, settings: Settings) -> None:
-    iso = settings.iso
-    if isinstance(iso, jax.core.Tracer) or isinstance(model.iso, jax.core.Tracer):
+    """One `ExtrapolationWarning` that names every setting beyond what the model was calibrated for, and the
+    law that is used there. Silent under jit, where the settings are unknown."""
+    iso, exposure, temperature = settings.iso, settings.exposure_s, settings.temperature_c
+    if any(isinstance(v, jax.core.Tracer) for v in (iso, exposure, temperature, model.iso)):
         return
     low, high = float(model.iso[0]), float(model.iso[-1])
+    said = []
     if not low <= iso <= high:
-        warnings.warn(
-            f"{model.camera}: ISO {iso:g} is outside the calibrated {low:g} to {high:g}: "
-            "the gain is taken as proportional to ISO, the read noise in e- as constant",
-            ExtrapolationWarning,
-            stacklevel=3,
+        said.append(
+            f"ISO {iso:g} is outside the calibrated {low:g} to {high:g}: "
+            "the gain is taken as proportional to ISO, the read noise in e- as constant"
         )
+    for fitted in model.mechanisms:
+        said += _beyond(fitted.mechanism, fitted.scaling, temperature)
+    if said:
+        warnings.warn(f"{model.camera}: {'; '.join(said)}", ExtrapolationWarning, stacklevel=3)
+
+
+def _beyond(id: str, law: Scaling, temperature: float | None) -> list[str]:
+    """What to say of one mechanism whose strength depends on the temperature."""
+    if law.doubling_c is None or temperature is None or isinstance(law.doubling_c, jax.core.Tracer):
+        return []
+    reference = law.reference_temperature_c
+    if reference is None:
+        return [f"{temperature:g} C does not change {id}: its reference temperature is unknown"]
+    if isinstance(reference, jax.core.Tracer) or abs(temperature - reference) <= law.doubling_c:
+        return []
+    return [
+        f"{temperature:g} C is far from the {float(reference):g} C of {id}: "
+        f"it is taken to double every {float(law.doubling_c):g} K"
+    ]

@@ -89,9 +89,19 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
         values: dict[str, Any] = {
             name: float(np.clip(e.value, *bounds[name])) for name, e in finding.estimates.items()
         }
-        law = dataclasses.replace(record.scaling, reference_iso=float(np.asarray(model.iso)[0]))
+        law = dataclasses.replace(
+            record.scaling,
+            reference_iso=float(np.asarray(model.iso)[0]),
+            reference_temperature_c=_temperature(first.statistics) if record.scaling.doubling_c else None,
+        )
         model = model.with_mechanism(finding.mechanism, scaling=law, **values)
     return model
+
+
+def _temperature(statistics: Sequence[FrameStatistics]) -> float | None:
+    """The temperature at which thermal charge was measured: of the longest recording that states one, C."""
+    known = [s.recording for s in statistics if s.recording.temperature_c is not None]
+    return max(known, key=lambda r: r.exposure_s or 0.0).temperature_c if known else None
 
 
 def format_findings(findings: Sequence[Finding]) -> str:

@@ -127,6 +127,23 @@ def test_scaling_laws_and_tables():
     np.testing.assert_allclose(values_at(dark, iso=100.0, exposure_s=2.0)["e_per_s"], 6, rtol=1e-5)
 
 
+def test_a_temperature_that_no_law_covers_is_said_once():
+    known = Scaling(exposure=1.0, doubling_c=7.0, reference_temperature_c=20.0)
+    blind = MODEL.with_mechanism("dark_current", e_per_s=3.0)
+    told = MODEL.with_mechanism("dark_current", e_per_s=3.0, scaling=known)
+    for model, celsius, words in (
+        (blind, 40.0, "reference temperature is unknown"),
+        (told, 40.0, "double every 7 K"),
+    ):
+        with pytest.warns(ExtrapolationWarning, match=words) as caught:
+            model.sample(KEY, FLAT, Settings(temperature_c=celsius))
+        assert len(caught) == 1 and "dark_current" in str(caught[0].message)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        told.sample(KEY, FLAT, Settings(temperature_c=22.0))
+        blind.sample(KEY, FLAT)
+
+
 def test_a_place_in_the_grammar_without_a_name_can_be_sampled():
     point = Point("readout", "signal", "column", "redrawn", signal=0.5, distribution="tukey_lambda")
     model = MODEL.with_mechanism("zebra", point=point, sigma_dn=20.0, tukey_lambda=0.1)
