@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.recordings.load import load_capture_set, load_recording
+from cannoise_jax.commands.parser import OneLineParser, count, numbers
+from cannoise_jax.recordings.load import load_recording, recording_paths
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order, unpack
 from cannoise_jax.recordings.recording import (
@@ -29,6 +30,8 @@ from cannoise_jax.recordings.references import mean_frame
 
 _PATCH, _PATCHES = 64, 16
 """Reference patches: side in packed pixels, as in training, and how many of a recording, on a 4x4 grid."""
+_RANGE = (-0.05, 1.5)
+"""Least and largest value of a clean array: what lies beyond is no normalised signal, but codes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +127,7 @@ def _clean_images(arguments) -> list[Clean]:
         raise BadInput(f"{path}: no such file or folder")
     if not path.is_dir():
         return [_clean_image(path, arguments)]
-    arrays = sorted(p for p in path.iterdir() if p.suffix.lower() == ".npy")
-    if arrays:
-        return [_clean_image(p, arguments) for p in arrays]
-    return [_from_recording(r) for r in load_capture_set(path, **_overrides(arguments)).recordings]
+    return [_clean_image(p, arguments) for p in recording_paths(path)]
 
 
 def _clean_image(path: Path, arguments) -> Clean:
@@ -140,6 +140,11 @@ def _clean_image(path: Path, arguments) -> Clean:
         if np.issubdtype(image.dtype, np.floating):
             if image.ndim != 2:
                 raise BadInput(f"{path}: shape {image.shape}: expected one clean mosaic, [H, W]")
+            if np.any((image < _RANGE[0]) | (image > _RANGE[1])):  # NaN has its own words
+                raise BadInput(
+                    f"{path}: values from {np.nanmin(image):g} to {np.nanmax(image):g}: a clean mosaic is "
+                    "(DN - black) / (white - black), from 0 to 1"
+                )
             return _checked(Clean(path, image.astype(np.float32), arguments.cfa or "RGGB", None))
     return _from_recording(load_recording(path, **_overrides(arguments)))
 
@@ -185,7 +190,7 @@ def _target(arguments, model) -> Target:
     if not Path(name).exists():
         cameras = ", ".join(model.cameras) or "none"
         raise BadInput(f"{name}: neither a file nor a camera of the model, which are {cameras}")
-    return _target_recording(load_recording(name), iso)
+    return _target_recording(load_recording(name, **_overrides(arguments)), iso)
 
 
 def _target_recording(recording: Recording, iso: float | None) -> Target:
@@ -243,21 +248,8 @@ def _overrides(arguments) -> dict[str, Any]:
     return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
 
 
-def _count(text: str) -> int:
-    if (value := int(text)) < 1:
-        raise argparse.ArgumentTypeError(f"{value}: at least 1")
-    return value
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    values = tuple(float(part) for part in text.split(","))
-    if len(values) not in (1, 4):
-        raise argparse.ArgumentTypeError(f"{text}: one value, or four in mosaic order: a,b,c,d")
-    return values
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog="bin/sample",
         description="Writes synthetic noisy frames, in the native format, of clean images: recordings of any "
         "format (their clean signal, or the mean of their frames) or floating-point NPY mosaics in 0..1.",
@@ -269,10 +261,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR")
-    parser.add_argument("--frames", type=_count, default=1, metavar="N", help="frames per clean image")
+    parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cfa", choices=CFA_PATTERNS, help="colour order of the clean images")
-    parser.add_argument("--black-level", type=_numbers, metavar="DN", help="one value, or a,b,c,d")
+    parser.add_argument(
+        "--cfa", choices=CFA_PATTERNS, help="colour order, of the clean images and a reference file"
+    )
+    parser.add_argument("--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d")
     parser.add_argument("--white-level", type=float, metavar="DN")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
     return parser

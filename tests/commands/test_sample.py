@@ -88,6 +88,32 @@ def test_the_seed_decides(model, tmp_path):
     assert np.array_equal(one, two) and not np.array_equal(one, three)
 
 
+def test_flags_hold_for_the_reference_file_too(model, tmp_path):
+    frames = np.random.default_rng(0).normal(BLACK + 200, 8, (2, 64, 64)).astype(np.uint16)
+    np.save(tmp_path / "ref.npy", frames)
+    np.save(tmp_path / "clean.npy", np.full((64, 64), 0.2, np.float32))
+    flags = ("--cfa", "GBRG", *LEVELS)
+    assert run(model, tmp_path / "clean.npy", tmp_path / "ref.npy", tmp_path / "out", *flags) == 0
+    made = read_recording(tmp_path / "out" / f"clean_{tmp_path.name}.h5")
+    assert (made.cfa, made.black_level, made.white_level) == ("GBRG", (BLACK,) * 4, WHITE)
+    assert abs(np.std(np.asarray(made.frames)) / 8 - 1) < 0.15
+
+
+def test_a_folder_of_arrays_and_recordings_gives_one_file_each(model, tmp_path):
+    (tmp_path / "in").mkdir()
+    np.save(tmp_path / "in" / "a.npy", np.full((64, 64), 0.1, np.float32))
+    for name in ("b", "c"):
+        write(tmp_path / "in" / f"{name}.h5", camera=name)
+    (tmp_path / "in" / "notes.txt").write_text("of no use")
+    assert run(model, tmp_path / "in", "A", tmp_path / "out", "--iso", 100, *LEVELS) == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["a_A.h5", "b_A.h5", "c_A.h5"]
+
+
+def codes(folder):
+    np.save(folder / "codes.npy", np.full((64, 64), 500, np.float32))
+    return folder / "codes.npy"
+
+
 def nan(folder):
     image = np.zeros((64, 64), np.float32)
     image[3, 4] = np.nan
@@ -114,6 +140,7 @@ def good(folder):
     ("clean", "more", "message"),
     [
         (nan, ("--iso", 100, *LEVELS), "NaN"),
+        (codes, ("--iso", 100, *LEVELS), "values from 500 to 500"),
         (odd, ("--iso", 100, *LEVELS), "even sizes"),
         (packed, ("--iso", 100, *LEVELS), "expected one clean mosaic"),
         (good, ("--iso", 100), "levels unknown"),

@@ -1,0 +1,44 @@
+"""Flags that cannot be read: one line and exit status 2, the same for every command."""
+
+import argparse
+
+import pytest
+
+from cannoise_jax.commands import bench, calibrate, convert, sample, simulate
+from cannoise_jax.commands.parser import OneLineParser, count, numbers
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        (bench, [], "required"),
+        (bench, ["coverage", "--simulations", "many"], "--simulations"),
+        (calibrate, ["--out", "a.json"], "--recordings"),
+        (convert, ["a.h5"], "OUT.h5"),
+        (sample, ["--frames", "0"], "--frames: '0': give a whole number"),
+        (sample, ["--frames", "two"], "--frames: 'two': give a whole number"),
+        (sample, ["--black-level", "abc"], "--black-level: 'abc': give one value"),
+        (simulate, ["--out", "x", "--size", "5"], "--size"),
+        (simulate, ["--out", "x", "--nonsense"], "--nonsense"),
+    ],
+)
+def test_one_line_and_status_2(command, arguments, message, capsys):
+    with pytest.raises(SystemExit) as caught:
+        command.main(arguments)
+    error = capsys.readouterr().err
+    assert caught.value.code == 2 and error.count("\n") == 1
+    assert error.startswith(f"bin/{command.__name__.split('.')[-1]}") and message in error
+    assert error.endswith("(see --help)\n")
+
+
+def test_a_message_of_several_lines_becomes_one(capsys):
+    with pytest.raises(SystemExit):
+        OneLineParser(prog="bin/x").error("one\n  two")
+    assert capsys.readouterr().err == "bin/x: one two (see --help)\n"
+
+
+def test_values():
+    assert numbers("64") == (64.0,) and numbers("1,2,3,4.5") == (1, 2, 3, 4.5) and count("3") == 3
+    for read, text in ((numbers, "1,2"), (numbers, ""), (count, "-1"), (count, "1.5")):
+        with pytest.raises(argparse.ArgumentTypeError, match=repr(text)):
+            read(text)
