@@ -9,6 +9,7 @@ from cannoise_jax.physics import registry
 from cannoise_jax.physics.estimate import NotMeasurable, root, variance_difference
 from cannoise_jax.physics.estimators import ESTIMATORS
 from cannoise_jax.physics.estimators.circle import circle
+from cannoise_jax.physics.estimators.codes import black_level_errors
 from cannoise_jax.physics.estimators.coverage import CASES, Row, assumed_baseline, coverage, format_rows
 from cannoise_jax.physics.estimators.spectra import _expected_rows, power_law_correlation
 from cannoise_jax.physics.transfer_frames import frame_statistics
@@ -24,6 +25,7 @@ SLICE = (
     "in_camera_denoising",
     "hot_pixels",
     "pink_noise",
+    "bookkeeping",
 )
 
 
@@ -35,13 +37,12 @@ def darks(frames, exposure_s=1.0, kind="dark"):
 
 
 def test_every_core_mechanism_has_an_estimator_and_a_case_for_its_parameters():
-    wanted = set(core_ids()) - {"bookkeeping"}
-    assert wanted <= set(ESTIMATORS)
+    assert set(core_ids()) <= set(ESTIMATORS)
     assert {c.mechanism for c in CASES} == set(ESTIMATORS)
     for case in CASES:
         names = {p.name for p in registry.mechanism(case.mechanism).parameters}
         assert set(case.truth) <= names, case.mechanism
-        assert set(case.truth) == names or case.mechanism in ("row_noise",), case.mechanism
+        assert set(case.truth) == names or case.mechanism in ("row_noise", "bookkeeping"), case.mechanism
 
 
 @pytest.mark.parametrize(
@@ -59,6 +60,23 @@ def test_intervals_hold_the_truth(case):
 def test_intervals_are_calibrated(case):
     for row in coverage(case, 300):
         assert row.calibrated, format_rows([row])
+
+
+def test_wrong_black_and_white_levels_are_found_per_channel():
+    rng = np.random.default_rng(6)
+    wrong = np.tile([[1.0, -2.0], [0.5, 3.0]], (32, 48))
+    dark = darks(rng.normal(200, 6, (12, 64, 96)) + wrong)
+    errors = black_level_errors([dark])
+    for error, truth in zip(errors, (1.0, -2.0, 0.5, 3.0), strict=True):
+        assert abs(error.value - truth) < 4 * error.stderr < 0.3
+    unlit = ESTIMATORS["bookkeeping"]([dark], assumed_baseline())
+    assert set(unlit) == {"black_dn"}
+    assert abs(unlit["black_dn"].value - 0.625) < 4 * unlit["black_dn"].stderr
+    full = darks(np.minimum(rng.normal(12000, 100, (4, 64, 96)), 12000), kind="flat")
+    found = ESTIMATORS["bookkeeping"]([dark, full], assumed_baseline())["white_error"]
+    assert found.value == pytest.approx((12000 - 200) / (16383 - 200) - 1, abs=1e-4)
+    cut = darks(np.maximum(rng.normal(200, 6, (4, 64, 96)), 198))
+    assert isinstance(ESTIMATORS["bookkeeping"]([cut], assumed_baseline()), NotMeasurable)
 
 
 def test_white_noise_shows_no_mechanism():

@@ -47,4 +47,5 @@ ESTIMATORS: dict[str, Estimator] = {
     "flicker": light.flicker,
     "illumination_drift": light.illumination_drift,
     "reference_error": light.reference_error,
+    "bookkeeping": codes.bookkeeping,
 }

@@ -7,7 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable, normal_estimate
+from cannoise_jax.physics.estimate import (
+    Estimate,
+    Estimates,
+    NotMeasurable,
+    normal_estimate,
+    scatter_estimate,
+)
 from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, column_offsets, darkest
 from cannoise_jax.physics.transfer_frames import FrameStatistics
 from cannoise_jax.recordings.codes import code_histogram
@@ -55,6 +61,43 @@ def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
     half = max(dark.code_step, 1.0) / 2
     value = float(np.mean(ends))
     return {"level_dn": Estimate(value, half / np.sqrt(3), (value - half, value + half))}
+
+
+def black_level_errors(statistics: Sequence[FrameStatistics]) -> tuple[Estimate, ...] | NotMeasurable:
+    """True minus stated black level of each mosaic site, DN, from the means of darks frame by frame: what all
+    pixels of a frame do together is in the errors."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    if np.isfinite(dark.low).any():
+        return NotMeasurable(
+            "darks are cut off at their lower end: record with a black level above the noise"
+        )
+    offsets = dark.frame_means - np.asarray(dark.recording.black_level)
+    return tuple(scatter_estimate(offsets[:, c]) for c in range(4))
+
+
+def bookkeeping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """black_dn: mean over the channels of true minus stated black level, from darks. white_error: only where
+    a recording saturates, of the code at which its values pile up; known to half a code step."""
+    errors = black_level_errors(statistics)
+    dark = darkest(statistics)
+    if isinstance(errors, NotMeasurable) or dark is None:
+        return errors if isinstance(errors, NotMeasurable) else REPEATED_DARKS
+    stated = np.asarray(dark.recording.black_level)
+    found = {"black_dn": scatter_estimate((dark.frame_means - stated).mean(1))}
+    tops = [(float(np.nanmax(s.high)), s) for s in statistics if np.isfinite(s.high).any()]
+    if tops:
+        code, saturated = max(tops, key=lambda top: top[0])
+        step = max(saturated.code_step, 1.0)
+        # The stated level may lie between two codes: a white pixel then holds the lower one.
+        highest = np.floor(saturated.recording.white_level / step) * step
+        span, half = float(highest - stated.mean()), step / 2
+        value = (code - found["black_dn"].value - float(stated.mean())) / span - 1
+        stderr = float(np.hypot(half / np.sqrt(3), found["black_dn"].stderr)) / span
+        reach = (half + 1.645 * found["black_dn"].stderr) / span
+        found["white_error"] = Estimate(value, stderr, (value - reach, value + reach))
+    return found
 
 
 def channel_offset(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:

@@ -112,6 +112,7 @@ CASES: tuple[Case, ...] = (
         {"sigma_dn": 3.0, "blur": 0.05, "shift_y": 0.1, "shift_x": -0.05, "scale": 0.01},
         (Shot("scene", scene=True),),
     ),
+    Case("bookkeeping", {"black_dn": 2.0}, _DARK),
 )
 
 
