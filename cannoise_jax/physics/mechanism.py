@@ -58,6 +58,7 @@ class Scaling:
     hold.
     doubling_c: kelvin per doubling; None: no dependence on temperature. reference_iso None: the first ISO of
     the model's baseline. An unknown temperature counts as the reference.
+    exposure_low_s, exposure_high_s: exposures between which it was measured; high 0: unknown.
     """
 
     gain: float = 0.0
@@ -66,6 +67,8 @@ class Scaling:
     reference_iso: float | None = None
     reference_exposure_s: float = 1.0
     reference_temperature_c: float | None = None
+    exposure_low_s: float = 0.0
+    exposure_high_s: float = 0.0
 
 
 @jax.tree_util.register_dataclass

@@ -170,19 +170,27 @@ def warn_outside(model: Any, settings: Settings) -> None:
             "the gain is taken as proportional to ISO, the read noise in e- as constant"
         )
     for fitted in model.mechanisms:
+        if isinstance(fitted.scaling.exposure, jax.core.Tracer):
+            return
         said += _beyond(fitted.mechanism, fitted.scaling, temperature)
+        shortest, longest = fitted.scaling.exposure_low_s, fitted.scaling.exposure_high_s
+        if fitted.scaling.exposure and longest > 0 and not shortest <= exposure <= longest:
+            said.append(
+                f"{exposure:g} s is outside the calibrated {shortest:g} to {longest:g} s of "
+                f"{fitted.mechanism}: it is taken to grow as exposure^{fitted.scaling.exposure:g}"
+            )
     if said:
         warnings.warn(f"{model.camera}: {'; '.join(said)}", ExtrapolationWarning, stacklevel=3)
 
 
 def _beyond(id: str, law: Scaling, temperature: float | None) -> list[str]:
     """What to say of one mechanism whose strength depends on the temperature."""
-    if law.doubling_c is None or temperature is None or isinstance(law.doubling_c, jax.core.Tracer):
+    if law.doubling_c is None or temperature is None:
         return []
     reference = law.reference_temperature_c
     if reference is None:
         return [f"{temperature:g} C does not change {id}: its reference temperature is unknown"]
-    if isinstance(reference, jax.core.Tracer) or abs(temperature - reference) <= law.doubling_c:
+    if abs(temperature - reference) <= law.doubling_c:
         return []
     return [
         f"{temperature:g} C is far from the {float(reference):g} C of {id}: "

@@ -18,7 +18,7 @@ import numpy as np
 from cannoise_jax.physics import registry
 from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.estimators import ESTIMATORS
-from cannoise_jax.physics.estimators.pick import darkest, row_offsets
+from cannoise_jax.physics.estimators.pick import darkest, darks_by_exposure, row_offsets
 from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law_correlation
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.physics.transfer import PhotonTransfer
@@ -93,6 +93,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
             record.scaling,
             reference_iso=float(np.asarray(model.iso)[0]),
             reference_temperature_c=_temperature(first.statistics) if record.scaling.doubling_c else None,
+            **(_exposures(first.statistics) if record.scaling.exposure else {}),
         )
         model = model.with_mechanism(finding.mechanism, scaling=law, **values)
     return model
@@ -102,6 +103,12 @@ def _temperature(statistics: Sequence[FrameStatistics]) -> float | None:
     """The temperature at which thermal charge was measured: of the longest recording that states one, C."""
     known = [s.recording for s in statistics if s.recording.temperature_c is not None]
     return max(known, key=lambda r: r.exposure_s or 0.0).temperature_c if known else None
+
+
+def _exposures(statistics: Sequence[FrameStatistics]) -> dict[str, float]:
+    """The range of exposures of the darks, seconds; empty where none is known."""
+    known = [s.recording.exposure_s or 0.0 for s in darks_by_exposure(statistics)]
+    return {"exposure_low_s": min(known), "exposure_high_s": max(known)} if known else {}
 
 
 def format_findings(findings: Sequence[Finding]) -> str:

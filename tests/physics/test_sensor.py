@@ -141,7 +141,12 @@ def test_a_temperature_that_no_law_covers_is_said_once():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         told.sample(KEY, FLAT, Settings(temperature_c=22.0))
+        measured = Scaling(exposure=1.0, exposure_low_s=0.001, exposure_high_s=30.0)
+        ranged = MODEL.with_mechanism("dark_current", e_per_s=3.0, scaling=measured)
+        ranged.sample(KEY, FLAT)
         blind.sample(KEY, FLAT)
+    with pytest.warns(ExtrapolationWarning, match=r"0.001 to 30 s of dark_current.*exposure\^1"):
+        ranged.sample(KEY, FLAT, Settings(exposure_s=100.0))
 
 
 def test_a_place_in_the_grammar_without_a_name_can_be_sampled():
