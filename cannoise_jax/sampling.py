@@ -30,7 +30,7 @@ from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.recording import BadInput
 
 SMALLEST = 16
-"""Least height and width of clean and reference images, packed pixels."""
+"""Least height and width of clean images, packed pixels; smaller references are repeated up to it."""
 MODEL_FILE = "model.npz"
 _FORMAT = "cannoise/model/1"
 _MULTIPLE, _MARGIN = 32, 32
@@ -97,18 +97,23 @@ def sample_noise(
 ) -> Float[Array, "*b h w 4"]:
     """Noise as the camera of `noisy_ref` would put on `clean`: float32, normalised units, not clipped.
 
-    clean, noisy_ref: packed R, Gr, Gb, B, normalised; h, w, y, x at least 16, h and w even. Several
-    references are of one camera and setting: their latents are averaged. nlf: (shot, read) of the setting
-    wanted, one value or four in packed order, or `[*b, 4]`; without it, that of `noisy_ref`, estimated from
-    its pixels. A noisy image is `clip(clean + noise, 0, 1)`. Pure; use `jax.vmap` for one reference per clean
-    image.
+    clean, noisy_ref: packed R, Gr, Gb, B, normalised; h and w even and at least 16; references of any
+    size, at least one. Several are of one camera and setting: their latents are averaged. nlf: (shot, read)
+    of the setting wanted, one value or four in packed order, or `[*b, 4]`; without it, that of `noisy_ref`,
+    estimated from its pixels. A noisy image is `clip(clean + noise, 0, 1)`. Pure; use `jax.vmap` for one
+    reference per clean image.
 
     Raises ValueError for images of other shapes.
     """
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
     _check(clean, "clean")
     _check(noisy_ref, "noisy_ref")
+    if not noisy_ref.size:
+        raise ValueError(f"noisy_ref must hold at least one image, got shape {noisy_ref.shape}")
+    noisy_ref = _repeated(noisy_ref)
     height, width = clean.shape[-3:-1]
+    if min(height, width) < SMALLEST:
+        raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
     if height % 2 or width % 2:
         raise ValueError(f"clean must have even height and width, got {height}x{width}")
     shot, read = estimate_nlf(noisy_ref) if nlf is None else nlf
@@ -130,8 +135,15 @@ def sample_noise(
 def _check(image, name):
     if image.ndim < 3 or image.shape[-1] != 4:
         raise ValueError(f"{name} must be packed, [..., h, w, 4], got shape {image.shape}")
-    if min(image.shape[-3:-1]) < SMALLEST:
-        raise ValueError(f"{name} must be at least {SMALLEST}x{SMALLEST}, got shape {image.shape}")
+
+
+def _repeated(image):
+    """The image tiled up to the least size: copies keep the noise's own distribution, reflections do not."""
+    for axis in (-3, -2):
+        size = image.shape[axis]
+        if size < SMALLEST:
+            image = jnp.take(image, np.arange(SMALLEST) % size, axis)
+    return image
 
 
 def _latent(params, noisy_ref):

@@ -95,6 +95,38 @@ def test_jit_vmap_and_grad(model):
     assert bool(jnp.all(jnp.isfinite(slope))) and float(jnp.max(jnp.abs(slope))) > 0
 
 
+@pytest.mark.parametrize("size", [(8, 8), (3, 40), (1, 1)])
+def test_a_reference_of_any_size(model, size):
+    small = noisy(jax.random.key(2))[: size[0], : size[1]]
+    noise = sample(model, jax.random.key(1), scene(16, 16), small)
+    assert bool(jnp.all(jnp.isfinite(noise)))
+    tiled = jnp.tile(small, (16, 16, 1))[: max(16, size[0]), : max(16, size[1])]
+    np.testing.assert_array_equal(noise, sample(model, jax.random.key(1), scene(16, 16), tiled))
+
+
+def test_small_references_tell_the_noise_level(model):
+    patches = jnp.stack([noisy(k)[:8, :8] for k in jax.random.split(jax.random.key(7), 64)])
+    given = sample(model, jax.random.key(1), scene(32, 32), patches, NLF)
+    estimated = sample(model, jax.random.key(1), scene(32, 32), patches)
+    assert 0.85 < float(jnp.std(estimated) / jnp.std(given)) < 1.15
+
+
+@pytest.mark.parametrize("level", [0.0, 0.1, 1.0])
+def test_the_slope_at_a_reference_without_noise_is_finite(model, level):
+    def energy(reference):
+        return jnp.mean(jnp.square(sample_noise(model, jax.random.key(1), scene(16, 16), reference)))
+
+    slope = jax.jit(jax.grad(energy), compiler_options=FAST)(jnp.full((16, 16, 4), level))
+    assert bool(jnp.all(jnp.isfinite(slope)))
+
+
+def test_a_negative_shot_counts_as_zero(model):
+    clean, reference = scene(16, 16), noisy(jax.random.key(2))[:32, :32]
+    negative, zero = (sample(model, jax.random.key(1), clean, reference, (s, READ)) for s in (-1e-3, 0.0))
+    assert bool(jnp.all(jnp.isfinite(negative)))
+    np.testing.assert_array_equal(negative, zero)
+
+
 def test_the_key_alone_decides(model):
     clean, reference = scene(16, 16), noisy(jax.random.key(2))[:32, :32]
     first, again, other = (sample(model, jax.random.key(k), clean, reference, NLF) for k in (1, 1, 2))
@@ -187,7 +219,9 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
         ((16, 16, 3), (16, 16, 4), "clean must be packed"),
         ((14, 16, 4), (16, 16, 4), "clean must be at least 16x16"),
         ((17, 16, 4), (16, 16, 4), "even"),
-        ((16, 16, 4), (8, 16, 4), "noisy_ref must be at least 16x16"),
+        ((16, 16, 4), (16, 16, 3), "noisy_ref must be packed"),
+        ((16, 16, 4), (0, 16, 16, 4), "noisy_ref must hold at least one image"),
+        ((16, 16, 4), (0, 16, 4), "noisy_ref must hold at least one image"),
     ],
 )
 def test_other_shapes_are_refused(model, clean, reference, message):

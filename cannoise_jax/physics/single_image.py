@@ -60,7 +60,9 @@ def estimate_nlf(
         else:
             # Blocks within the spread of plain noise count in full, textured ones hardly.
             weight = 1 / (1 + jnp.square(jnp.maximum(ratio - 1, 0) / (2 * _SPREAD)) ** 2)
-        shot, read = _weighted_line(level, power, weight / jnp.square(predicted))
+        # Only ratios of weights count; against the least variance the squares stay inside float32.
+        least = lax.stop_gradient(jnp.min(predicted, 0))
+        shot, read = _weighted_line(level, power, weight * jnp.square(least / predicted))
     return _BIAS * shot, _BIAS * read
 
 
