@@ -28,7 +28,8 @@ class CodeGrid(NamedTuple):
     """The codes a converter can give: their spacing and the two rails, DN; broadcast to the pixels.
 
     step: spacing of the codes; 0: not on a lattice, log-probabilities are then log-densities per DN.
-    low, high: codes at or beyond are censored: black clip (often 0) and the white level.
+    low, high: codes at or beyond are censored: black clip (often 0) and the white level. A white level that
+      is no code itself (65535 with steps of 16) stands for the highest code below it, see `highest_code`.
     """
 
     step: Values = 1.0
@@ -153,6 +154,17 @@ def _log_normal_cdf_jvp(primals, tangents):
     return log_normal_cdf(x), _hazard(x) * tangents[0]
 
 
+def highest_code(codes: Values, grid: CodeGrid) -> Real:
+    """The highest code at or below `grid.high` on the lattice of `codes`, wherever its origin lies; without a
+    lattice or a rail `grid.high` itself."""
+    step, high = jnp.asarray(grid.step, jnp.float32), jnp.asarray(grid.high, jnp.float32)
+    bound = (step > 0) & jnp.isfinite(high)
+    spacing, rail = jnp.where(step > 0, step, 1.0), jnp.where(bound, high, 0.0)
+    # The thousandth keeps a rail on the lattice there when black has been taken out in float32.
+    steps = jnp.floor((rail - codes) / spacing + 1e-3)
+    return jnp.where(bound, jnp.minimum(codes + steps * spacing, high), high)
+
+
 def censored(codes: Values, inner: Real, below: Real, above: Real, grid: CodeGrid) -> Real:
     """`inner` between the rails; at or beyond a rail the log-mass of everything past it."""
     return jnp.where(codes <= grid.low, below, jnp.where(codes >= grid.high, above, inner))
@@ -171,6 +183,7 @@ def gaussian_log_prob(codes: Values, mean: Values, variance: Values, grid: CodeG
     broadcast, so maps of means and of pixel read noise need nothing else.
     """
     codes = jnp.asarray(codes, jnp.float32)
+    grid = grid._replace(high=highest_code(codes, grid))
     step = jnp.asarray(grid.step, jnp.float32)
     half = step / 2
     sigma = jnp.sqrt(jnp.maximum(variance, 1e-12 * jnp.where(step > 0, step * step, 1.0)))

@@ -90,7 +90,9 @@ def fit_baseline(
     for site in range(4):
         black = float(np.mean([r.black_level[site] for r in recordings]))
         codes, signal, light = _gather(recordings, site, black, pixels, seed)
-        grid = CodeGrid(steps[site], low - black, high - black)
+        step = steps[site]
+        top = np.floor(high / step) * step if step > 0 else high  # the highest code, which is a white pixel's
+        grid = CodeGrid(step, low - black, top - black)
         fit = _fit_site(codes, signal, light, grid, factor, trim)
         fits.append(fit._replace(black_level=fit.black_level + black))
     columns = [np.array(column) for column in zip(*fits, strict=True)]

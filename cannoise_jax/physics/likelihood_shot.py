@@ -21,6 +21,7 @@ from cannoise_jax.physics.likelihood import (
     Values,
     censored,
     gaussian_log_prob,
+    highest_code,
     log_normal_cdf,
     log_normal_interval,
     rail_edge,
@@ -91,6 +92,7 @@ def skewed_log_prob(
     variance = gain * gain * jnp.maximum(electrons, 1e-6) + read_sigma**2
     sigma = jnp.sqrt(variance)
     skewness = gain**3 * jnp.maximum(electrons, 1e-6) / (variance * sigma)
+    grid = grid._replace(high=highest_code(codes, grid))
     half = jnp.asarray(grid.step, jnp.float32) / 2
 
     def score(x):  # w -> 6 / g * ((1 + g w / 2)^(1/3) - 1) + g / 6, without cancellation at small g
@@ -162,6 +164,7 @@ def shot_error(electrons: float, gain: float, read_sigma: float, grid: CodeGrid,
     sigma = float(np.hypot(gain * np.sqrt(electrons), read_sigma)) + float(grid.step)
     mean = gain * electrons
     step = float(grid.step)
+    grid = grid._replace(high=np.floor(grid.high / step) * step)
     low = np.maximum(np.floor((mean - 12 * sigma) / step) * step, grid.low)
     high = np.minimum(np.ceil((mean + 16 * sigma) / step) * step, grid.high)
     codes = np.arange(low, high + step / 2, step)

@@ -20,6 +20,7 @@ from cannoise_jax.physics.likelihood import (
     Values,
     censored,
     gaussian_log_prob,
+    highest_code,
     rail_edge,
 )
 
@@ -120,6 +121,7 @@ def tukey_logit(x: Values, shape: Values) -> Real:
 def _tukey_codes(codes: Values, mean: Values, scale: Values, shape: Values, grid: CodeGrid) -> Real:
     """Log-probability of codes for Tukey-lambda noise alone; mass between logits a < b: s(b) s(-a) (1 -
     e^(a-b))."""
+    grid = grid._replace(high=highest_code(codes, grid))
     half = jnp.asarray(grid.step, jnp.float32) / 2
     edges = (codes - half, codes + half, rail_edge(grid.low, half), rail_edge(grid.high, -half))
     offsets = jnp.stack(jnp.broadcast_arrays(*((edge - mean) / scale for edge in edges)))

@@ -25,7 +25,7 @@ from cannoise_jax.physics.likelihood_crossed import (
 )
 from cannoise_jax.physics.likelihood_fit import fit_baseline, reference_factor
 from cannoise_jax.physics.likelihood_shared import as_groups, shared_log_prob
-from cannoise_jax.physics.likelihood_shot import choose_shot, shot_error
+from cannoise_jax.physics.likelihood_shot import choose_shot, shot_error, skewed_log_prob
 from cannoise_jax.physics.likelihood_tails import student_log_prob, tukey_log_prob
 from cannoise_jax.recordings.recording import BadInput, Recording
 
@@ -73,6 +73,39 @@ def test_probabilities_over_all_codes_sum_to_one_between_the_rails():
         codes = step * np.arange(65.0)
         log_prob = gaussian_log_prob(codes, 3 * step, (2.5 * step) ** 2, grid)
         assert abs(float(jnp.exp(log_prob).sum()) - 1) < 1e-5
+
+
+@pytest.mark.parametrize(("step", "top"), [(4.0, 65532.0), (16.0, 65520.0), (1.0, 65535.0)])
+@pytest.mark.parametrize("black", [0.0, 200.3])
+def test_the_highest_code_is_censored_though_the_white_level_is_no_code(step, top, black):
+    grid = CodeGrid(step, -black, 65535.0 - black)
+    mean, sigma = 65700.0 - black, 40.0
+    exact = stats.norm.logsf((top - step / 2 - 65700) / sigma)
+    code = np.float32(top - black)
+    forms = (
+        gaussian_log_prob(code, mean, sigma**2, grid),
+        skewed_log_prob(code, 1e7, 1e-4, mean - 1e3, sigma, grid),
+        tukey_log_prob(code, mean, 1.0, sigma, 0.135, grid),
+    )
+    assert float(forms[0]) == pytest.approx(exact, rel=0.02) and -2e-5 < exact < -1e-6
+    for value in forms:
+        assert -1e-4 < float(value) < 1e-6
+    below = float(gaussian_log_prob(code - np.float32(step), mean, sigma**2, grid))
+    edges = (np.array([top - 1.5 * step, top - 0.5 * step]) - 65700) / sigma
+    assert below == pytest.approx(np.log(np.diff(stats.norm.cdf(edges))[0]), abs=0.01)
+
+
+def test_baseline_of_saturated_light_is_not_pulled_to_the_highest_code():
+    rng = np.random.default_rng(5)
+    clean = np.broadcast_to(np.linspace(0.9, 1.0, 64, dtype=np.float32), (32, 64))
+    signal = clean * (65535.0 - 256)
+    frames = 256 + signal + rng.normal(size=(6, 32, 64)) * np.sqrt(20.0 * signal)
+    codes = np.clip(np.round(frames / 16) * 16, 0, 65520).astype(np.uint16)
+    assert np.mean(codes == 65520) > 0.02
+    recording = Recording(codes, "RGGB", (256.0,) * 4, 65535.0, kind="scene", clean=clean, code_step=16.0)
+    found = fit_baseline([recording], trim=None)
+    offset = (np.asarray(found.black_level) - 256) / np.asarray(found.black_error)
+    assert np.abs(offset).max() < 4 and np.abs(offset.mean()) < 2
 
 
 def test_mean_log_likelihood_of_rounded_data_is_minus_their_entropy():
