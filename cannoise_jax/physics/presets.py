@@ -52,6 +52,8 @@ def preset(name: str, iso: float | None = None) -> SensorModel:
             listed = ", ".join(f"{i:g}" for i in isos)
             raise BadInput(f"{name}: no values for ISO {iso:g}, use one of {listed}")
         table = {**table, **{k: [table[k][list(isos).index(iso)]] for k in _ROWS if k in table}}
+    elif name in _SWITCHES:
+        table = _stepped(table, _SWITCHES[name])
     return _model(name, table)
 
 
@@ -63,6 +65,24 @@ def read_table(name: str) -> dict[str, Any]:
 
 
 _ROWS = ("iso", "gain", "read", "row", "lambda", "drift", "channel_offset")
+
+_SWITCHES = {"sony_a7s2": 2000.0}
+"""First ISO of the high conversion gain, where the published read noise in e- falls by a factor of three."""
+
+
+def _stepped(table: dict[str, Any], switch: float) -> dict[str, Any]:
+    """The table with one more ISO just below the switch, of the last row before it at a gain proportional to
+    ISO: a camera has one conversion gain or the other, nothing in between."""
+    at = table["iso"].index(switch)
+    iso = float(np.nextafter(np.float32(switch), np.float32(0)))
+    grown = {
+        k: iso / table["iso"][at - 1] if k in ("iso", "gain", "read", "row", "drift") else 1.0 for k in _ROWS
+    }
+    return {
+        **table,
+        **{k: [*table[k][:at], table[k][at - 1] * grown[k], *table[k][at:]] for k in _ROWS if k in table},
+    }
+
 
 # Which mechanism and parameter a column of the table sets.
 _MECHANISMS = {

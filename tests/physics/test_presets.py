@@ -11,6 +11,7 @@ import pytest
 from cannoise_jax.physics import tukey_lambda
 from cannoise_jax.physics.presets import PHONES, preset, preset_names, read_table
 from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.settings import baseline_at
 from cannoise_jax.recordings.recording import BadInput
 
 SIZE = (256, 256)
@@ -85,6 +86,14 @@ def test_every_table_names_its_source():
     for table in (*read_table("cameras")["cameras"].values(), read_table("phones")["published"]):
         assert table["source"]
     assert {short for short, _ in PHONES.values()} <= set(read_table("phones")["published"])
+
+
+def test_the_dual_gain_switches_between_isos_at_once(sony):
+    reads = [float(baseline_at(sony, iso)[1][0]) for iso in (1600, 1800, 1990, 2000, 2200)]
+    np.testing.assert_allclose(reads[:3], 6.2992 / 1.53008, rtol=1e-3)
+    assert max(reads[3:]) < 1.5
+    gains = [float(baseline_at(sony, iso)[0][0]) / iso for iso in (1600, 1800, 1990, 2000)]
+    np.testing.assert_allclose(gains, gains[0], rtol=1e-3)
 
 
 def test_unknown_names_and_isos_are_refused():
