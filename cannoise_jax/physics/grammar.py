@@ -224,7 +224,7 @@ def mechanism_from_grammar(
     """The mechanism at a point of the grammar. What is not given follows from the point.
 
     scaling: default: a field in DN follows the gain, for it arises before the amplifier.
-    likelihood: default: frozen maps shift the mean, so "exact"; white Gaussian fields of rows, columns or
+    likelihood: default: frozen maps shift the mean, so "exact"; Gaussian fields of rows, columns or
       frames are integrated, "approximate"; anything else "none".
     strength: name of the parameter that sets the strength, when `parameters` name it otherwise.
     """
@@ -232,7 +232,10 @@ def mechanism_from_grammar(
         parameters = point_parameters(point, default if default is not None else 0.01)
     name = strength or amplitude_name(point)
     if likelihood is None:
-        integrable = point.over in ("row", "column", "whole", "pixel") and point.time == "redrawn"
+        normal = point.distribution == "gaussian" and point.spectrum != "sinusoid"
+        lines = point.over in ("row", "column", "whole")
+        white = point.over == "pixel" and point.spectrum == "white"
+        integrable = point.time == "redrawn" and normal and (lines or white)
         likelihood = "exact" if point.time == "frozen" else "approximate" if integrable else "none"
     if scaling is None:
         scaling = Scaling(gain=1.0 if name.endswith("_dn") else 0.0)
