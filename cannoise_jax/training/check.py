@@ -49,7 +49,8 @@ def check_config(config: ConfigDict) -> None:
             if value is not None and not (math.isfinite(value) and holds(value)):
                 raise _wrong(name, value, rule)
     choices = dict(_CHOICES)
-    if not callable(config.initial_noise):
+    noise = config.initial_noise
+    if not callable(noise) and not str(noise).startswith(("sensor:", "preset:")):
         choices["initial_noise"] = tuple(INITIAL_NOISE)
     for name, allowed in choices.items():
         if _value(config, name) not in allowed:

@@ -25,6 +25,13 @@ def test_a_function_may_be_the_initial_noise():
     check_config(FrozenConfigDict(config))
 
 
+@pytest.mark.parametrize("choice", ["preset:sony_a7s2", "sensor:camera.json", "gaussian"])
+def test_a_sensor_model_may_be_the_initial_noise(choice):
+    config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
+    config.initial_noise = choice
+    check_config(config)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
