@@ -6,7 +6,10 @@ into an abstract state of the same structure, never by guessing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -71,14 +74,16 @@ class Checkpoints:
         if step in self._manager.all_steps():
             return
         try:
-            self._manager.save(
-                step,
-                args=ocp.args.Composite(
-                    state=ocp.args.StandardSave(state._asdict()), iterator=ocp.args.JsonSave(dict(iterator))
-                ),
-                metrics=None if score is None else {SCORE: float(score)},
-            )
-            self._manager.wait_until_finished()
+            with _without_logs():
+                self._manager.save(
+                    step,
+                    args=ocp.args.Composite(
+                        state=ocp.args.StandardSave(state._asdict()),
+                        iterator=ocp.args.JsonSave(dict(iterator)),
+                    ),
+                    metrics=None if score is None else {SCORE: float(score)},
+                )
+                self._manager.wait_until_finished()
         except (OSError, ValueError) as error:
             if not _is_disk_error(error):
                 raise
@@ -109,10 +114,27 @@ class Checkpoints:
         self._manager.close()
 
 
+@contextmanager
+def _without_logs() -> Iterator[None]:
+    """Orbax's threads log the traceback of an error that is raised here as well."""
+    logger, hook = logging.getLogger("absl"), sys.excepthook
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    sys.excepthook = lambda *_: None  # a late callback of its storage layer is printed through this one
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+        sys.excepthook = hook
+
+
 def _is_disk_error(error: BaseException) -> bool:
     """Orbax reports some failed writes as ValueError with the system's message inside."""
     text = str(error).lower()
-    signs = ("no space", "enospc", "resource_exhausted", "disk quota", "read-only", "permission denied")
+    signs = (
+        "no space", "enospc", "resource_exhausted", "disk quota", "read-only", "permission denied",
+        "os_error_code",
+    )  # fmt: skip
     return isinstance(error, OSError) or any(sign in text for sign in signs)
 
 

@@ -21,6 +21,7 @@ from cannoise_jax.evaluation.evaluators import EVALUATORS
 from cannoise_jax.physics.initial_noise import initial_noise
 from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.training.check import check_config
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.metrics import MetricWriter, noise_panel
@@ -49,26 +50,35 @@ class NonFiniteLoss(RuntimeError):
 
 
 def check_workdir(config: ConfigDict, workdir: Path) -> None:
-    """Makes the workdir and puts config.json there. Raises BadInput where it holds another config."""
+    """Makes the workdir. Raises BadInput where it cannot be written, or holds another config."""
     path = workdir / "config.json"
-    text = config.to_json_best_effort(indent=1, sort_keys=True)
     try:
         workdir.mkdir(parents=True, exist_ok=True)
         if path.exists():
-            difference = _difference(json.loads(path.read_text()), json.loads(text))
+            difference = _difference(json.loads(path.read_text()), json.loads(_text(config)))
             if difference:
                 raise BadInput(
                     f"{workdir}: holds a run with another config ({difference}): use another --workdir, "
                     "or the same config to resume"
                 )
-            return
-        unfinished = workdir / ".config.json.partial"
-        unfinished.write_text(text + "\n")
-        unfinished.replace(path)
     except json.JSONDecodeError as error:
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
     except OSError as error:
         raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+
+
+def _write_config(config: ConfigDict, workdir: Path) -> None:
+    """config.json, which marks the workdir as this run's: only once the run is known to start."""
+    unfinished = workdir / ".config.json.partial"
+    try:
+        unfinished.write_text(_text(config) + "\n")
+        unfinished.replace(workdir / "config.json")
+    except OSError as error:
+        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+
+
+def _text(config: ConfigDict) -> str:
+    return config.to_json_best_effort(indent=1, sort_keys=True)
 
 
 def _difference(old: Any, new: Any, name: str = "") -> str:
@@ -144,12 +154,15 @@ def train(
     """Trains from the newest checkpoint of the workdir, or from the start, to `config.steps`.
 
     progress: (steps done, steps in all) -> what shows progress.
-    Raises NonFiniteLoss, and BadInput for a full disk or a workdir that holds another config.
+    Raises NonFiniteLoss, and BadInput for a full disk, a workdir that holds another config, or a config that
+    cannot be trained.
     """
+    check_config(config)
     check_workdir(config, workdir)
     source = batches(
         data.train, config.batch_size, seed=config.seed, size=config.patch, triplet=bool(config.loss.triplet)
     )
+    _write_config(config, workdir)
     checkpoints = Checkpoints(workdir)
     newest = checkpoints.newest()
     if newest is None:
@@ -159,11 +172,10 @@ def train(
         source.set_state(position)
     train_step = make_train_step(config, len(data.cameras))
     sampler = make_sampler(config)
-    writer = MetricWriter(workdir)
     validation = data.validation.some(config.validation_patches)
     step, scored = int(state.step), None
     try:
-        with stop_requested() as stopping:
+        with stop_requested() as stopping, MetricWriter(workdir) as writer:
             bar = progress(step, config.steps)
             while step < config.steps and not stopping():
                 state, metrics = train_step(state, next(source))
@@ -177,6 +189,7 @@ def train(
                     writer.write_scalars(step, numbers)
                 scored = None
                 if step % config.evaluate_every == 0 or last:
+                    _check_state(state, metrics, checkpoints)
                     scored = _validate(writer, step, sampler(state), validation, data.cameras)
                 if step % config.checkpoint_every == 0 or scored is not None:
                     _save(checkpoints, state, metrics, source, scored)
@@ -189,17 +202,20 @@ def train(
             state, _ = checkpoints.restore(state, best)
         return Outcome(finished, state, int(state.step))
     finally:
-        writer.close()
         checkpoints.close()
 
 
 def _save(checkpoints: Checkpoints, state: State, metrics, source, score: float | None) -> None:
     """A checkpoint is good by definition: what is not finite is never stored."""
+    _check_state(state, metrics, checkpoints)
+    checkpoints.save(state, source.get_state(), score)
+
+
+def _check_state(state: State, metrics, checkpoints: Checkpoints) -> None:
     _check_finite({name: float(value) for name, value in metrics.items()}, int(state.step), checkpoints)
     trained = (state.generator, state.encoder, state.critic)
     if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(trained)):
         _check_finite({"a parameter": np.nan}, int(state.step), checkpoints)
-    checkpoints.save(state, source.get_state(), score)
 
 
 def _check_finite(numbers: dict[str, float], step: int, checkpoints: Checkpoints) -> None:

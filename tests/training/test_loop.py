@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
+import resource
 import signal
 from pathlib import Path
 from runpy import run_path
@@ -13,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.recordings.pipeline import Subset
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import loop
 from cannoise_jax.training.checkpoint import Checkpoints
@@ -160,6 +163,55 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_saved(first_state, finished,
     assert "\n" not in str(refused.value)
     assert checkpoints.newest() == before
     checkpoints.close()
+
+
+def test_a_failed_write_is_one_line_without_tracebacks(first_state, tmp_path, capfd, caplog):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(first_state, {})
+    capfd.readouterr()
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))  # writes fail as on a full disk
+    try:
+        with pytest.raises(BadInput, match="cannot be written") as refused:
+            checkpoints.save(first_state._replace(step=jnp.asarray(1)), {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert "\n" not in str(refused.value)
+    printed = capfd.readouterr()
+    assert "Traceback" not in printed.out + printed.err + caplog.text
+    assert checkpoints.newest() == 0
+    checkpoints.close()
+
+
+def test_a_full_disk_under_the_metrics_ends_training_in_one_line(config, data, tmp_path, monkeypatch):
+    class Full(loop.MetricWriter):
+        def _write_event(self, step, summary):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(loop, "MetricWriter", Full)
+    monkeypatch.setattr(
+        loop, "make_train_step", lambda *_: lambda state, batch: (state, {"critic/wasserstein": 0.0})
+    )
+    with pytest.raises(BadInput, match=r"cannot be written \(No space left on device\)") as refused:
+        run(config, tmp_path, data)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_start_that_fails_leaves_the_workdir_free(config, data, tmp_path):
+    few = dataclasses.replace(data, train=Subset(data.train, np.arange(1)))
+    with pytest.raises(BadInput, match="at least two"):
+        run(config, tmp_path, few)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parameters_that_are_not_finite_are_not_scored(config, data, tmp_path, monkeypatch):
+    def poisoned(state, batch):
+        average = jax.tree.map(lambda leaf: leaf * jnp.nan, state.generator)
+        return state._replace(generator=average, step=state.step + 1), {"critic/wasserstein": 0.0}
+
+    monkeypatch.setattr(loop, "make_train_step", lambda *_: poisoned)
+    with pytest.raises(loop.NonFiniteLoss, match="step 3: a parameter is not finite"):
+        run(config, tmp_path, data)
 
 
 def test_the_best_checkpoint_and_the_newest_are_kept(first_state, tmp_path):
