@@ -5,8 +5,12 @@ Trains, resumes where it was stopped, and ends with a table, a picture and resul
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from absl import flags
@@ -42,7 +46,8 @@ def _flags(arguments: list[str]) -> flags.FlagValues:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Trains; returns 0, also after a signal; 1 when a loss is not finite; 2 after bad input, in one line."""
+    """Trains; returns 0, also when a signal stops it between steps; 1 when a loss is not finite; 2 after bad
+    input, 130 when interrupted elsewhere, each in one line."""
     arguments = sys.argv[1:] if argv is None else argv
     if any(a in ("-h", "--help", "-help") for a in arguments):
         print(__doc__)
@@ -51,11 +56,28 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     started = time.monotonic()
     try:
-        config, workdir = _read_flags(arguments)
-        return _run(config, workdir, started)
+        with _interrupted_by_sigterm():
+            config, workdir = _read_flags(arguments)
+            return _run(config, workdir, started)
     except BadInput as error:
         print(f"bin/train: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("bin/train: interrupted: the same command goes on from the last checkpoint", file=sys.stderr)
+        return 130
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Within it SIGTERM is what Ctrl-C is; training itself stops at its next step for either."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals cannot be caught here
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
@@ -64,8 +86,11 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
         rest = values(["bin/train", *arguments])[1:]
         config = values.config
         config.to_dict()  # a file that could not be loaded says so only when it is looked at
-    except (flags.Error, OSError, SyntaxError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except flags.Error as error:
         raise BadInput(" ".join(str(error).split())) from error
+    except Exception as error:  # a config file is a program: it may raise anything
+        reason = " ".join(str(error).split())
+        raise BadInput(f"--config: cannot be read: {type(error).__name__}: {reason}") from error
     if rest:
         raise BadInput(f"{rest[0]}: not understood: see bin/train --help")
     if not values.workdir:
@@ -94,10 +119,12 @@ def _run(config: ConfigDict, workdir: Path, started: float) -> int:
 
     from cannoise_jax.evaluation.figures import noise_figure
     from cannoise_jax.evaluation.tables import results_table, write_results
+    from cannoise_jax.training.check import check_config
     from cannoise_jax.training.data import load_data
     from cannoise_jax.training.loop import NonFiniteLoss, check_workdir, train
     from cannoise_jax.training.result import compare, sampler_of, write_model
 
+    check_config(config)
     check_workdir(config, workdir)
     print(f"{workdir}: reading the data", flush=True)
     data = load_data(config, workdir)

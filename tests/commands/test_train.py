@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 from pathlib import Path
 
 import pytest
 
 from cannoise_jax.commands import train
+from cannoise_jax.training import data
 
 CI = str(Path(__file__).resolve().parents[2] / "configs" / "ci.py")
 
@@ -65,6 +69,62 @@ def test_a_workdir_of_another_config_is_left_alone(tmp_path, capsys):
     assert "another config" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
     assert (tmp_path / "config.json").read_text() == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def get_config(:",
+        "",
+        "get_config = lambda: nothing",
+        "get_config = lambda: {'steps': 1}",
+        "import nothing_of_this_name",
+        "1 / 0",
+        "def get_config():\n    raise RuntimeError('two\\nlines')",
+    ],
+)
+def test_a_broken_config_file_is_one_line(text, tmp_path, capsys):
+    (tmp_path / "broken.py").write_text(text)
+    assert train.main(["--workdir", str(tmp_path / "run"), "--config", str(tmp_path / "broken.py")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("bin/train: ") and message.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "field", ["batch_size=0", "patch=33", "initial_noise=nothing", "log_every=0", "optimiser.schedule=x"]
+)
+def test_a_config_that_makes_no_sense_is_refused_before_the_data(field, tmp_path, capsys):
+    arguments = ["--workdir", str(tmp_path / "run"), "--config", CI, f"--config.{field}"]
+    assert train.main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert f"config.{field.partition('=')[0]}" in printed.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_after_a_start_that_failed_another_config_may_follow(tmp_path, capsys):
+    def start(*arguments):
+        assert train.main(["--workdir", str(tmp_path), "--config", CI, *arguments]) == 2
+        return capsys.readouterr().err
+
+    nowhere = str(tmp_path / "nowhere")
+    assert "no such folder" in start("--recordings", nowhere)
+    assert "no such folder" in start("--recordings", nowhere, "--config.loss.triplet=0")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_outside_training_is_one_line(number, tmp_path, capsys, monkeypatch):
+    def interrupted(config, workdir):
+        os.kill(os.getpid(), number)
+        time.sleep(10)
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(data, "load_data", interrupted)
+    assert train.main(["--workdir", str(tmp_path), "--config", CI]) == 130
+    message = capsys.readouterr().err
+    assert message.startswith("bin/train: interrupted") and message.count("\n") == 1
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_help(capsys):
