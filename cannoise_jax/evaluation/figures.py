@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -78,13 +76,13 @@ def _draw(clean, columns: dict[str, np.ndarray], labels: list[str]) -> Figure:
 
 def _save(figure: Figure, path: Path) -> None:
     """Write the PNG atomically."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+    unfinished = path.with_name(f".{path.name}.partial")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with unfinished.open("wb") as file:
             FigureCanvasAgg(figure).print_png(file)
-        os.replace(name, path)
+        unfinished.replace(path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        unfinished.unlink(missing_ok=True)
         raise
 
 
