@@ -48,7 +48,6 @@ class Discriminator(nn.Module):
     rows: bool = True
     moments: bool = True
     level_input: bool = True
-    gain_input: bool = False
 
     @nn.compact
     def __call__(
@@ -69,7 +68,7 @@ class Discriminator(nn.Module):
         if self.literal:
             x = pixels = jnp.concatenate([clean, noise], -1)
         else:
-            x = pixels = in_sigma_units(clean, noise, sigma, level=self.level_input, gain=self.gain_input)
+            x = pixels = in_sigma_units(clean, noise, sigma, level=self.level_input)
             if self.moments:
                 size = jnp.abs(noise / sigma)
                 x = pixels = jnp.concatenate([x, size, 4 * jnp.tanh(jnp.square(size) / 16)], -1)

@@ -112,8 +112,6 @@ class Generator(nn.Module):
     spectral norm on every layer as released); all further fields are then unused.
     spectral, norm ("channel", "instance", "none"): of the U-Net. hidden: channels of the full-resolution
     branch. level_input: show log sigma to G. Without it G can know the camera from the latent only.
-    gain_input: also show log(sigma^2 / signal), the log of the gain where shot noise rules. The error of a
-    published noise level depends on it, and networks learn a quotient late from its parts.
     direct: also let the latent set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
 
@@ -126,7 +124,6 @@ class Generator(nn.Module):
     norm: str = "channel"
     hidden: int = 32
     level_input: bool = True
-    gain_input: bool = False
     row_noise: bool = True
     direct: bool = False
 
@@ -145,7 +142,7 @@ class Generator(nn.Module):
             return n_init + jnp.tanh(
                 UNet(self.width, 4, True, "instance", True, name="unet")(x, latent, train=train)
             )
-        x = in_sigma_units(clean, n_init, sigma, level=self.level_input, gain=self.gain_input)
+        x = in_sigma_units(clean, n_init, sigma, level=self.level_input)
         features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
         x = jnp.concatenate([x, features], -1)
         maps = PixelBranch(self.hidden, 12, name="pixels")(x, latent, train=train)
@@ -168,15 +165,9 @@ def in_sigma_units(
     sigma: Float[Array, "b h w 4"],
     *,
     level: bool,
-    gain: bool = False,
 ) -> Float[Array, "b h w c"]:
-    """What G and D see: clean, noise / sigma; if `level`, log sigma; if `gain`, log(sigma^2 / signal).
-
-    Both logarithms are brought to about -1.5..1.5.
-    """
+    """What G and D see: clean, noise / sigma and, if `level`, log sigma brought to about -1.5..1.5."""
     parts = [clean, noise / sigma]
     if level:
         parts.append((jnp.log(sigma) + 4.5) / 1.5)
-    if gain:
-        parts.append((2 * jnp.log(sigma) - jnp.log(jnp.maximum(clean, 0) + 0.002) + 6.5) / 1.5)
     return jnp.concatenate(parts, -1)
