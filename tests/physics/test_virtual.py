@@ -77,7 +77,9 @@ def test_rows_of_n6_share_slow_noise_and_those_of_gp_hardly(flats):
         power = np.abs(np.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1)) ** 2
         return power[:, 1:9].mean() / power[:, 33:].mean()
 
-    assert low_over_high(flats["N6"]) > 3
+    # White rows give 1 +- 0.13: the mean of 64 exponentials over one of many. The pink share of N6's rows
+    # lifts that to about 3, with a scatter of its own of a sixth.
+    assert low_over_high(flats["N6"]) > 2
     assert low_over_high(flats["GP"]) < 1.6
 
 
