@@ -72,15 +72,18 @@ def test_published_function_is_wrong_by_the_measured_ratio(name, iso, ratio):
 
 
 def test_rows_of_n6_share_slow_noise_and_those_of_gp_hardly(flats):
-    def low_over_high(noise):
+    def power(noise):
         rows = pack(noise, "BGGR")[..., 1].mean(axis=2)
-        power = np.abs(np.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1)) ** 2
-        return power[:, 1:9].mean() / power[:, 33:].mean()
+        return np.abs(np.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1)) ** 2
 
-    # White rows give 1 +- 0.13: the mean of 64 exponentials over one of many. The pink share of N6's rows
-    # lifts that to about 3, with a scatter of its own of a sixth.
-    assert low_over_high(flats["N6"]) > 2
-    assert low_over_high(flats["GP"]) < 1.6
+    def low_over_high(spectra):
+        return spectra[:, 1:9].mean() / spectra[:, 33:].mean()
+
+    # Eight frames give 3.16 +- 0.52 over 24 draws of them, too loose for the bound: pool the draws.
+    camera, flat = CAMERAS["N6"], np.full(SIZE, 0.2, np.float32)
+    draws = [shots(camera, jax.random.key(100 + n), flat, camera.isos[-1]) for n in range(24)]
+    assert low_over_high(np.concatenate([power(frames - clean) for clean, frames in draws])) > 3
+    assert low_over_high(power(flats["GP"])) < 1.6
 
 
 def test_only_g4_correlates_neighbours_of_one_colour(flats):
