@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib
 from collections.abc import Callable
@@ -33,7 +34,22 @@ _CHAIN: tuple[Mechanism, ...] = (
     *digital.MECHANISMS,
 )
 
-MECHANISMS: dict[str, Mechanism] = {m.id: m for m in _CHAIN}
+
+def _mutual(records: tuple[Mechanism, ...]) -> dict[str, Mechanism]:
+    """By id; what one record says it is confused with is said of the other as well, after its own list."""
+    return {
+        m.id: dataclasses.replace(
+            m,
+            confused_with=(
+                *m.confused_with,
+                *(o.id for o in records if m.id in o.confused_with and o.id not in m.confused_with),
+            ),
+        )
+        for m in records
+    }
+
+
+MECHANISMS: dict[str, Mechanism] = _mutual(_CHAIN)
 
 _ACTS_ON = ("mean", "charge", "signal", "code")
 

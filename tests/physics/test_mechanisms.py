@@ -282,7 +282,8 @@ def test_record_is_complete(id):
     assert (record.sample is None) != (record.baseline is None), "a mechanism acts in one way"
     assert record.sentence.endswith(".") and record.equation and record.reference and record.needs
     assert record.confused_with and id not in record.confused_with
-    assert all(other in VOCABULARY for other in record.confused_with)
+    assert all(id in mechanism(other).confused_with for other in record.confused_with), "confusion is mutual"
+    assert len(set(record.confused_with)) == len(record.confused_with)
     if term.core:
         assert record.effect is not None
     else:
