@@ -45,7 +45,15 @@ STRONG = (
 )
 CURVE = (*STRONG, "rts", "dark_current", "channel_offset", "flicker", "illumination_drift", "lens_shading")
 ADVERSARIES = ("misregistered", "short_burst", "nyquist", "lamp_drift", "wrong_black", "wrong_white")
-SHARES = {"null": 0.25, "strong": 0.25, "curve": 0.25, "double": 0.075, "unknown": 0.1, "adversarial": 0.075}
+SHARES = {
+    "null": 0.25,
+    "strong": 0.25,
+    "curve": 0.25,
+    "double": 0.075,
+    "unlisted": 0.05,
+    "concealed": 0.05,
+    "adversarial": 0.075,
+}
 
 
 @dataclass(frozen=True)
@@ -66,35 +74,57 @@ def concealed_with(mechanism: str) -> tuple[str, ...]:
     return tuple(name for name in VOCABULARY if contains(name, mechanism) and name != "unknown")
 
 
-def compose(rng: np.random.Generator, sets: int, nulls: int) -> list[Spec]:
+def numbers(sets: int, kinds: tuple[str, ...] = ()) -> dict[str, int]:
+    """Sets of each category, in the shares of a challenge of 400; every category has one where sets allow.
+
+    kinds: categories to make, shares kept; empty for all. Raises ValueError for an unknown one.
+    """
+    for kind in kinds:
+        if kind not in SHARES:
+            raise ValueError(f"{kind}: no such kind of set; known: {', '.join(SHARES)}")
+    shares = {k: v for k, v in SHARES.items() if not kinds or k in kinds}
+    total = sum(shares.values())
+    exact = {k: v / total * sets for k, v in shares.items()}
+    count = {k: max(int(v), 1) if sets >= len(shares) else int(v) for k, v in exact.items()}
+    while (left := sets - sum(count.values())) != 0:
+        sign = 1 if left > 0 else -1
+        able = [k for k in count if sign > 0 or count[k] > 1 or sets < len(shares)]
+        count[max(able, key=lambda k: sign * (exact[k] - count[k]))] += sign
+    return count
+
+
+def compose(rng: np.random.Generator, sets: int, nulls: int, kinds: tuple[str, ...] = ()) -> list[Spec]:
     """The specs of a challenge of `sets` sets and `nulls` further effect-free ones, in shuffled order."""
-    count = {category: round(share * sets) for category, share in SHARES.items()}
-    count["null"] += sets - sum(count.values())
+    count = {**dict.fromkeys(SHARES, 0), **numbers(sets, kinds)}
     specs: list[Spec] = []
 
     def add(category: str, **fields) -> None:
         specs.append(Spec("", category, **fields))
 
-    half = count["unknown"] // 2
-    hidden = [str(m) for m in rng.permutation(np.resize(STRONG, count["unknown"] - half))]
+    def deal(names, number: int) -> list[str]:
+        """`number` names in random order, each as often as any other, give or take one."""
+        cards = [rng.permutation(names) for _ in range(-(-number // len(names)))]
+        return [str(n) for n in np.concatenate(cards)[:number]] if number else []
+
+    hidden = deal(STRONG, count["concealed"])
     for i in range(count["null"]):
         design = str(rng.choice(("full", "full", "no_flats", "no_darks")))
         add("null", design=design, without=concealed_with(hidden[i]) if i < len(hidden) else ())
-    for mechanism in np.resize(STRONG, count["strong"]):
-        add("strong", effects=((str(mechanism), 4.0),))
-    for mechanism in np.resize(CURVE, count["curve"]):
+    for mechanism in deal(STRONG, count["strong"]):
+        add("strong", effects=((mechanism, 4.0),))
+    for mechanism in deal(CURVE, count["curve"]):
         multiple = float(np.exp(rng.uniform(np.log(0.3), np.log(10))))
-        add("curve", effects=((str(mechanism), multiple),))
+        add("curve", effects=((mechanism, multiple),))
     for _ in range(count["double"]):
         first, second = (str(m) for m in rng.choice(STRONG, 2, replace=False))
         add("double", effects=((first, 4.0), (second, 4.0)))
-    for family in np.resize(tuple(UNLISTED), half):
-        add("unlisted", effects=((str(family), 4.0),))
+    for family in deal(tuple(UNLISTED), count["unlisted"]):
+        add("unlisted", effects=((family, 4.0),))
     for mechanism in hidden:
         add("concealed", effects=((mechanism, 4.0),), without=concealed_with(mechanism))
-    for adversary in np.resize(ADVERSARIES, count["adversarial"]):
+    for adversary in deal(ADVERSARIES, count["adversarial"]):
         reference = "burst_mean" if adversary == "short_burst" else "independent"
-        add("adversarial", adversary=str(adversary), reference=reference)
+        add("adversarial", adversary=adversary, reference=reference)
     for _ in range(nulls):
         add("locate")
     order = rng.permutation(len(specs))

@@ -38,11 +38,19 @@ _STRENGTH_OF = {
 
 
 def seal(
-    out: Path, truth: Path, seed: int, sets: int, nulls: int, progress: Callable[[int, int], None]
+    out: Path,
+    truth: Path,
+    seed: int,
+    sets: int,
+    nulls: int,
+    progress: Callable[[int, int], None],
+    kinds: tuple[str, ...] = (),
+    code: str | None = None,
 ) -> str:
     """Writes the sets below `out` and the truth to `truth`; returns the commitment.
 
-    Raises BadInput when either exists already, or the truth would lie inside `out`.
+    kinds: categories to make, empty for all. code: fingerprint of the analysis that the sets are meant for,
+    noted beside them. Raises BadInput when either exists already, or the truth would lie inside `out`.
     """
     if out.exists() and any(out.iterdir()):
         raise BadInput(f"{out}: not empty: choose a new folder, sealed sets are never written over")
@@ -51,7 +59,7 @@ def seal(
     if out.resolve() in truth.resolve().parents:
         raise BadInput(f"{truth}: lies inside the sets: keep the truth where the analysis does not look")
     rng = np.random.default_rng(seed)
-    specs = compose(rng, sets, nulls)
+    specs = compose(rng, sets, nulls, kinds)
     entries, manifest = [], {}
     out.mkdir(parents=True, exist_ok=True)
     for i, spec in enumerate(specs):
@@ -63,7 +71,7 @@ def seal(
     content = canonical({"schema": SCHEMA, "seed": seed, "salt": secrets.token_hex(16), "sets": entries})
     commitment = hashlib.sha256(content.encode()).hexdigest()
     write_atomically(truth, content)
-    public = {"schema": SCHEMA, "truth_sha256": commitment, "sets": manifest}
+    public = {"schema": SCHEMA, "truth_sha256": commitment, "code_sha256": code, "sets": manifest}
     write_atomically(out / "manifest.json", json.dumps(public, indent=1))
     return commitment
 
