@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics import tukey_lambda
@@ -12,24 +13,34 @@ from cannoise_jax.physics.poisson_gaussian import centred_uniform, sample_normal
 excess_kurtosis = tukey_lambda.excess_kurtosis
 
 
-def site_shape(over: str, size: tuple[int, int], blocks: tuple[int, int]) -> tuple[int, ...]:
-    """Shape of one number per site: rows (H,), raster (H*W,), pixels (H, W), channels (2, 2), blocks."""
+def group_of(point, size: tuple[int, int]) -> np.ndarray:
+    """The group to which every row (or column) belongs, for a point whose rows (or columns) share numbers."""
+    return (np.arange(size[0] if point.over == "row" else size[1]) + point.phase) // point.group
+
+
+def site_shape(point, size: tuple[int, int]) -> tuple[int, ...]:
+    """Shape of one number per site of a `grammar.Point`: rows (H,), raster (H*W,), pixels (H, W), channels
+    (2, 2), blocks, or the groups of rows or columns."""
     height, width = size
+    if point.group > 1:
+        return (int(group_of(point, size)[-1]) + 1,)
     return {
         "pixel": (height, width),
         "row": (height,),
         "column": (width,),
         "raster": (height * width,),
         "channel": (2, 2),
-        "block": blocks,
+        "block": point.blocks,
         "whole": (),
-    }[over]
+    }[point.over]
 
 
-def spread(drawn: Float[Array, "t ..."], over: str, size: tuple[int, int]) -> Float[Array, "t ..."]:
+def spread(drawn: Float[Array, "t ..."], point, size: tuple[int, int]) -> Float[Array, "t ..."]:
     """Site numbers [T, sites...] in a shape that broadcasts against [T, H, W]."""
     height, width = size
-    frames = drawn.shape[0]
+    frames, over = drawn.shape[0], point.over
+    if point.group > 1:
+        drawn = drawn[:, group_of(point, size)]
     if over == "row":
         return drawn.reshape(frames, height, 1)
     if over == "column":
@@ -44,6 +55,18 @@ def spread(drawn: Float[Array, "t ..."], over: str, size: tuple[int, int]) -> Fl
             i, j = jnp.arange(height) * rows // height, jnp.arange(width) * columns // width
         return drawn[:, i[:, None], j[None, :]]
     return drawn.reshape(frames, height, width)
+
+
+def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Array]:
+    """Covariance at lags one and two across grouped rows or columns: `power` where both are of one group."""
+    group = group_of(point, size)
+    lags = {}
+    for k in (1, 2):
+        alike = np.zeros(group.size, np.float32)
+        alike[:-k] = group[k:] == group[:-k]
+        shape = (-1, 1) if point.over == "row" else (1, -1)
+        lags[lag(point.over, k, size[1])] = power * alike.reshape(shape)
+    return lags
 
 
 def numbers(key: Key[Array, ""], shape: tuple[int, ...], distribution: str, values) -> Float[Array, "..."]:

@@ -44,6 +44,8 @@ class Point:
     combine: "add" or "multiply" into what the stage carries. signal: exponent p of a further factor
       (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
     spectrum: along the sites. distribution: of one number; "sparse": a few sites, exponential heights.
+    group, phase: so many neighbouring rows (or columns) share one number, as where two are read at once;
+      `phase` of the first group's lie before the frame.
     """
 
     stage: Stage
@@ -55,6 +57,8 @@ class Point:
     spectrum: Spectrum = "white"
     distribution: Distribution = "gaussian"
     blocks: tuple[int, int] = (1, 2)
+    group: int = 1
+    phase: int = 0
 
 
 def amplitude_name(point: Point) -> str:
@@ -94,7 +98,7 @@ def point_parameters(point: Point, default: float, low: float = 0.0, high: float
 def _fields(key, frames: int, point: Point, values: Values, context: Context) -> Array:
     """Unit-rms (unit-peak for a sinusoid) field [frames, ...] that broadcasts against x[T, H, W]."""
     size = context.size
-    sites = fields.site_shape(point.over, size, point.blocks)
+    sites = fields.site_shape(point, size)
     if point.spectrum == "sinusoid":
         drawn = fields.sinusoid(key, frames, sites, values["frequency"], redrawn=point.time != "frozen")
     elif point.time == "telegraph":
@@ -107,15 +111,16 @@ def _fields(key, frames: int, point: Point, values: Values, context: Context) ->
         if coloured:
             raw = fields.colour(raw, values["exponent"])
         drawn = fields.remember(raw, values["memory_frames"]) if point.time == "drifting" else raw
-    return fields.spread(drawn, point.over, size)
+    return fields.spread(drawn, point, size)
 
 
 def _draw_maps(point: Point):
     def draw(unit_key, values: Values, context: Context) -> dict[str, Array]:
         if point.time == "telegraph":
-            sites = fields.site_shape(point.over, context.size, point.blocks)
-            where = fields.sparse_sites(unit_key, (1, *sites), values["fraction"])
-            return {"field": fields.spread(where, point.over, context.size)}
+            where = fields.sparse_sites(
+                unit_key, (1, *fields.site_shape(point, context.size)), values["fraction"]
+            )
+            return {"field": fields.spread(where, point, context.size)}
         return {"field": _fields(unit_key, 1, point, values, context)}
 
     return draw if point.time in ("frozen", "telegraph") else None
@@ -184,6 +189,8 @@ def _effect(point: Point, name: str):
             width = context.size[1]
             steps = fields.correlations(values["exponent"], point.over, context.size)
             changes["lags"] = {fields.lag(point.over, k, width): power * r for k, r in steps.items()}
+        if point.group > 1:
+            changes["lags"] = fields.group_lags(point, context.size, power)
         if point.spectrum == "sinusoid":
             changes["lags"] = {
                 fields.lag(point.over, k, context.size[1]): power
@@ -221,13 +228,16 @@ def mechanism_from_grammar(
     amplitude=None,
     strength: str | None = None,
 ) -> Mechanism:
-    """The mechanism at a point of the grammar. What is not given follows from the point.
+    """The mechanism at a point of the grammar. What is not given follows from the point. Raises ValueError
+    for groups of anything but rows or columns with a white spectrum.
 
     scaling: default: a field in DN follows the gain, for it arises before the amplifier.
     likelihood: default: frozen maps shift the mean, so "exact"; Gaussian fields of rows, columns or
       frames are integrated, "approximate"; anything else "none".
     strength: name of the parameter that sets the strength, when `parameters` name it otherwise.
     """
+    if point.group > 1 and (point.over not in ("row", "column") or point.spectrum != "white"):
+        raise ValueError(f"{id}: only rows and columns with a white spectrum come in groups")
     if parameters is None:
         parameters = point_parameters(point, default if default is not None else 0.01)
     name = strength or amplitude_name(point)

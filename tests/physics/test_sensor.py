@@ -236,3 +236,22 @@ def test_bad_tables_are_refused():
         SensorModel.poisson_gaussian([[1], [2]], [[1], [1]], iso=(400, 100))
     with pytest.raises(ValueError, match="1 or 4 values"):
         SensorModel.poisson_gaussian((1, 2), 3)
+
+
+def test_rows_that_are_read_in_pairs_share_their_offset():
+    point = Point("readout", "signal", "row", "redrawn", group=2, phase=1)
+    base = SensorModel.poisson_gaussian(1.0, 1.0, 200, 4095, "RGGB")
+    model = base.with_mechanism("row_pairs", point=point, sigma_dn=5.0)
+    frames = np.asarray(model.sample(jax.random.key(0), np.zeros((33, 64), np.float32), Settings(frames=400)))
+    rows = frames.astype(float).mean(2) - 200
+    pixel = (1 + 1 / 12) / 64
+    assert np.mean(rows**2) == pytest.approx(25 + pixel, rel=0.05)
+    inside, across = rows[:, 1:-1:2] * rows[:, 2::2], rows[:, 0:-1:2] * rows[:, 1::2]
+    assert inside.mean() == pytest.approx(25, rel=0.05) and abs(across.mean()) < 1.2
+    fitted = model.mechanisms[0]
+    context = context_of(model, jnp.zeros((1, 33, 64)), Settings())
+    lags = fitted.record.effect({"sigma_dn": jnp.float32(5.0)}, {}, context).lags
+    np.testing.assert_array_equal(np.broadcast_to(lags[1, 0], (33, 64))[:4, 0], [0, 25, 0, 25])
+    assert np.all(np.asarray(lags[2, 0]) == 0)
+    with pytest.raises(ValueError, match="groups"):
+        base.with_mechanism("pixel_pairs", point=Point("readout", "signal", "pixel", "redrawn", group=2))

@@ -123,6 +123,7 @@ def rename_map(entry, name):
         (lambda d: mechanism(d, "stripes")["grammar"].update(over="moon"), "grammar over is 'moon'"),
         (lambda d: mechanism(d, "stripes")["grammar"].update(signal="x"), "grammar signal"),
         (lambda d: mechanism(d, "stripes")["grammar"].update(blocks=[0, 2]), "grammar blocks"),
+        (lambda d: mechanism(d, "stripes")["grammar"].update(group=2, phase=2), "grammar group"),
         (damage(unit_key=[-1, 2]), "unit_key"),
         (damage(unit_key=[1, 2, 3]), "unit_key"),
         (damage(unit_key=[10**30, 2]), "unit_key"),

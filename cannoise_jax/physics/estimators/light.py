@@ -136,42 +136,60 @@ def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Est
     recording = s.recording
     black = recording.black_map().astype(np.float64)
     reference = np.asarray(recording.clean, np.float64) * (recording.white_level - black)
-    templates = {
-        "scale": reference,
-        "blur": reference - _nearest(reference, [(2, 0), (-2, 0), (0, 2), (0, -2)]),
-    }
-    slopes = {"shift_y": ((2, 0), (-2, 0)), "shift_x": ((0, 2), (0, -2))}
-    for name, (ahead, behind) in slopes.items():
-        templates[name] = (_nearest(reference, [ahead]) - _nearest(reference, [behind])) / 4
     inner = np.zeros(reference.shape, bool)
     inner[3:-3, 3:-3] = True
     inner &= ~s.clipped
     assert s.variance is not None
-    difference = (s.mean - black - reference)[inner]
+    target = (s.mean - black)[inner]
     noise = s.variance[inner] / recording.count
-    names = [n for n, t in templates.items() if np.std(t[inner]) > 1e-9 * max(np.abs(reference).max(), 1)]
-    design = np.stack([templates[n][inner] for n in names], -1)
-    fitted, *_ = np.linalg.lstsq(design, difference, rcond=None)
-    # A shift between pixels mixes two of them: from here on the slope towards the side it comes from.
-    for k, name in enumerate(names):
-        if name in slopes:
-            side = slopes[name][0] if fitted[k] > 0 else slopes[name][1]
-            sign = 1.0 if fitted[k] > 0 else -1.0
-            templates[name] = sign * (_nearest(reference, [side]) - reference) / 2
-    design = np.stack([templates[n][inner] for n in names], -1)
-    fitted, *_ = np.linalg.lstsq(design, difference, rcond=None)
-    rest = difference - design @ fitted
+    found = dict.fromkeys(("scale", "blur", "shift_y", "shift_x"), 0.0)
+    for _ in range(4):  # Gauss and Newton: blur, shift and scale act on each other
+        expected, slopes = _referred(reference, **found)
+        names = [n for n, t in slopes.items() if np.std(t[inner]) > 1e-9 * max(np.abs(reference).max(), 1)]
+        design = np.stack([slopes[n][inner] for n in names], -1)
+        rest = target - expected[inner]
+        move, *_ = np.linalg.lstsq(design, rest, rcond=None)
+        for name, by in zip(names, move, strict=True):
+            found[name] += float(by)
+    rest = rest - design @ move
     dof = rest.size - len(names)
     square = float(rest @ rest) / dof
     inverse = np.linalg.inv(design.T @ design)
     spread = inverse @ (design.T * rest**2) @ design @ inverse  # sandwich: pixels differ in noise
     out = {
-        n: normal_estimate(float(f), float(np.sqrt(v)))
-        for n, f, v in zip(names, fitted, np.diag(spread), strict=True)
+        n: normal_estimate(found[n], float(np.sqrt(v))) for n, v in zip(names, np.diag(spread), strict=True)
     }
     return {
         "sigma_dn": root(variance_difference(square, dof, float(noise.mean()), noise.size * s.dof)),
         **out,
+    }
+
+
+def _referred(reference: Float[np.ndarray, "H W"], scale: float, blur: float, shift_y: float, shift_x: float):
+    """The true mean that belongs to a reference with these errors, and its slope by each of them, DN."""
+
+    def along(x: np.ndarray, step: float, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        # Between pixels two of one colour mix: the slope is that towards the side it comes from, and at rest
+        # that of both.
+        sides = [
+            _nearest(x, [(2, 0) if axis == 0 else (0, 2)]),
+            _nearest(x, [(-2, 0) if axis == 0 else (0, -2)]),
+        ]
+        if step == 0:
+            return x, (sides[0] - sides[1]) / 4
+        slope = (sides[0] - x if step > 0 else x - sides[1]) / 2
+        return x + step * slope, slope
+
+    detail = reference - _nearest(reference, [(2, 0), (-2, 0), (0, 2), (0, -2)])
+    down, slope_y = along(reference + blur * detail, shift_y, 0)
+    moved, slope_x = along(down, shift_x, 1)
+    moved_detail = along(along(detail, shift_y, 0)[0], shift_x, 1)[0]
+    gain = 1 + scale
+    return gain * moved, {
+        "scale": moved,
+        "blur": gain * moved_detail,
+        "shift_y": gain * along(slope_y, shift_x, 1)[0],
+        "shift_x": gain * slope_x,
     }
 
 

@@ -34,10 +34,14 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     variance = _channel_map(flat) - (_channel_map(dark) if dark is not None else 0.0)
     ratio = variance / signal
     reach, seen, errors = [], [], []
-    for lag, axis in (((0, 1), 1), ((1, 0), 0)):
+    row = flat.recording.size[1] // 2
+    # The means taken out of both colours of a row hold two of these covariances per pixel; those of two rows
+    # that lie below each other one.
+    for lag, axis, lost in (((0, 1), 1, 2 / row), ((1, 0), 0, 1 / row)):
         value, error = shot[lag]
         if read is not None:
             value, error = value - read[lag][0], float(np.hypot(error, read[lag][1]))
+        value, error = value / (1 - lost), error / (1 - lost)
         expected = ratio * np.roll(signal, -1, axis) + np.roll(ratio, -1, axis) * signal
         seen.append(value)
         errors.append(error)
@@ -52,21 +56,54 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
 
 def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """weight of the mean of the four nearest pixels of the same colour, from their correlation in darks (or
-    in flats): 2 (1-w) w/4 / ((1-w)^2 + w^2/4)."""
+    in flats): 2 (1-w) w/4 / ((1-w)^2 + w^2/4), less what row means take with them."""
     s = darkest(statistics) or brightest_flat(statistics)
     if s is None:
         return REPEATED_DARKS
     found = lag_covariances(s)
     power = found[0, 0][0] - s.code_step**2 / 12
-    value = (found[0, 2][0] + found[2, 0][0]) / 2
-    # Taking out row means leaves -1/n between pixels of one row and colour.
-    value += power / (s.recording.size[1] // 2) / 2
-    stderr = float(np.hypot(found[0, 2][1], found[2, 0][1])) / 2 / power
+    seen = (found[0, 2][0] + found[2, 0][0]) / 2 / power
+    height, width = (n // 2 for n in s.recording.size)
+
+    def correlation(w: float) -> float:
+        row = ((1 - w / 2) ** 2 + w**2 / 8) / width  # variance of a row mean
+        rows = (1 - w / 2) * w / 2 / width  # covariance of the means of two rows
+        return ((1 - w) * w / 2 - (row + rows) / 2) / ((1 - w) ** 2 + w**2 / 4 - row)
 
     def blended(r: float) -> float:
-        return _solved(lambda w: (1 - w) * w / 2 / ((1 - w) ** 2 + w**2 / 4), r, 0.8)
+        low, high = -0.5, 0.8
+        if r >= correlation(high):
+            return high
+        return (
+            float(optimize.brentq(lambda w: correlation(w) - r, low, high)) if r > correlation(low) else low
+        )
 
-    return {"weight": _through(blended, value / power, stderr)}
+    pixels = 4 * height * width * (s.recording.count - 1)
+    return {"weight": _through(blended, seen, _correlation_error(blended(seen), pixels))}
+
+
+def _correlation_error(weight: float, pixels: int) -> float:
+    """Standard error of the mean correlation at lags (0, 2) and (2, 0) of a field that was blended with this
+    weight: the formula of Bartlett for the ratio of covariances, in units of same-colour pixels."""
+    kernel = np.zeros((16, 16))
+    kernel[0, 0] = 1 - weight
+    for at in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        kernel[at] = weight / 4
+    own = np.fft.ifft2(np.abs(np.fft.fft2(kernel)) ** 2).real
+    lags = ((0, 1), (1, 0), (0, 0))
+    rho = (own[0, 1] + own[1, 0]) / 2 / own[0, 0]
+    slopes = np.array([0.5, 0.5, -rho]) / own[0, 0]
+    spread = np.array(
+        [
+            [
+                np.sum(own * np.roll(own, (a[0] - b[0], a[1] - b[1]), (0, 1)))
+                + np.sum(np.roll(own, a, (0, 1)) * np.roll(own, (-b[0], -b[1]), (0, 1)))
+                for b in lags
+            ]
+            for a in lags
+        ]
+    )
+    return float(np.sqrt(slopes @ spread @ slopes / pixels))
 
 
 def lag_covariances(s: FrameStatistics) -> dict[tuple[int, int], tuple[float, float]]:
@@ -86,7 +123,8 @@ def lag_covariances(s: FrameStatistics) -> dict[tuple[int, int], tuple[float, fl
     for dy, dx in lags:
         pairs = (height - dy) * (width - dx)
         mean = totals[dy, dx] / pairs / (frames - 1)
-        spread = max(squares[dy, dx] / pairs / (frames - 1) - mean**2, 0.0)
+        # A residual holds (T - 1)/T of the variance, its square as much of that again.
+        spread = max(squares[dy, dx] / pairs * frames / (frames - 1) ** 2 - mean**2, 0.0)
         out[dy, dx] = mean, float(np.sqrt(spread / pairs / (frames - 1)))
     return out
 
