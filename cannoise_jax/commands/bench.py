@@ -14,7 +14,7 @@ import runpy
 import sys
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -29,7 +29,23 @@ from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
 """The camera of the speed comparison: DN/e-, e-, DN, DN (12 bit)."""
-PRNU, DARK_E_S, HOT_FRACTION, HOT_E_S, EXPOSURE_S = 0.01, 2.0, 0.002, 300.0, 1.0
+EXPOSURE_S, DARK_E_S, HOT_E_S = 1.0, 2.0, 300.0
+_DARK: dict[str, Any] = {"dark_current_e_per_s": DARK_E_S}
+EFFECTS: dict[str, tuple[dict[str, dict[str, float]], dict[str, Any]]] = {
+    "PRNU": ({"prnu": {"sigma": 0.01}}, {"prnu": 0.01}),
+    "dark current": ({"dark_current": {"e_per_s": DARK_E_S}}, _DARK),
+    "hot pixels": (
+        {"dark_current": {"e_per_s": DARK_E_S}, "hot_pixels": {"e_per_s": HOT_E_S, "fraction": 0.002}},
+        {**_DARK, "hot_pixel_fraction": 0.002, "hot_pixel_factor": HOT_E_S / DARK_E_S},
+    ),
+    "fixed offsets": ({"dsnu": {"sigma_dn": 1.0}}, {"bias_pixel_spread_adu": 1.0}),
+    "pixel read noise": ({"pixel_read_noise_map": {"spread": 0.2}}, {"read_noise_nonuniformity": 0.2}),
+    "crosstalk": ({"crosstalk": {"fraction": 0.04}}, {"ipc_coupling": 0.01}),
+    "dead pixels": ({"dead_pixels": {"fraction": 0.001}}, {"dead_pixel_fraction": 0.001}),
+}
+"""What both simulators have beyond shot and read noise, rounding, clipping: mechanisms here, fields of a
+CameraConfig there."""
+TOGETHER = ("PRNU", "dark current", "hot pixels")
 
 
 class Speed(NamedTuple):
@@ -94,8 +110,11 @@ def _run_simulate(arguments: argparse.Namespace) -> None:
     print(f"{jax.default_backend()}, {os.cpu_count()} cores, load {load():.1f}; best of {arguments.repeats}")
     print(f"calls of {arguments.frames} frames, taken in turn; one warm-up call each is not counted; Mpx/s.")
     print(f"{'effects':<34}{'side':>6}{'e-':>7}{'ours':>9}{'getframes':>11}{'its float32':>13}{'ratio':>8}")
-    for effects in ("shot, read, rounding, clipping", "+ PRNU, dark current, hot pixels"):
-        for side in arguments.sizes:
+    # One size tells what a single effect costs; the sums are timed at all.
+    single = [side for side in arguments.sizes if side <= 1024][-1:] or arguments.sizes[:1]
+    plan = [((), arguments.sizes), *(((e,), single) for e in EFFECTS), (TOGETHER, arguments.sizes)]
+    for effects, sizes in plan:
+        for side in sizes:
             for electrons in arguments.electrons:
                 s = speed(effects, side, electrons, arguments.frames, arguments.repeats)
                 line = f"{s.effects:<34}{s.side:>6}{s.electrons:>7g}{s.ours:>9.1f}"
@@ -106,10 +125,9 @@ def _run_simulate(arguments: argparse.Namespace) -> None:
     print("ratio: ours over the faster of getframes' two ways.")
 
 
-def speed(effects: str, side: int, electrons: float, frames: int, repeats: int) -> Speed:
-    """Times both simulators on one flat scene; a leading "+" in `effects` adds the fixed patterns."""
-    more = effects.startswith("+")
-    calls = [_our_call(side, electrons, frames, more), *_peer_calls(side, electrons, frames, more)]
+def speed(effects: tuple[str, ...], side: int, electrons: float, frames: int, repeats: int) -> Speed:
+    """Times both simulators on one flat scene: shot noise, read noise, rounding, clipping, and `effects`."""
+    calls = [_our_call(side, electrons, frames, effects), *_peer_calls(side, electrons, frames, effects)]
     best = [np.inf] * len(calls)
     for call in calls:
         call(0)
@@ -119,31 +137,37 @@ def speed(effects: str, side: int, electrons: float, frames: int, repeats: int) 
             call(repeat + 1)
             best[i] = min(best[i], time.perf_counter() - start)
     rates = [frames * side * side / 1e6 / b for b in best]
-    return Speed(effects, side, electrons, rates[0], *(rates[1:] or (None, None)))
+    name = "+ " + ", ".join(effects) if effects else "shot, read, rounding, clipping"
+    return Speed(name, side, electrons, rates[0], *(rates[1:] or (None, None)))
 
 
-def our_model(side: int, more: bool) -> SensorModel:
-    """The camera of the comparison; `more`: with PRNU, dark current and hot pixels, their maps drawn once."""
+def our_model(side: int, effects: tuple[str, ...] = ()) -> SensorModel:
+    """The camera of the comparison with some of `EFFECTS`, its maps drawn once."""
     model = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "MONO")
-    if not more:
-        return model
-    model = model.with_mechanism("prnu", sigma=PRNU).with_mechanism("dark_current", e_per_s=DARK_E_S)
-    return model.with_mechanism("hot_pixels", e_per_s=HOT_E_S, fraction=HOT_FRACTION).with_maps((side, side))
+    mechanisms: dict[str, dict[str, float]] = {}
+    for effect in effects:
+        mechanisms |= EFFECTS[effect][0]
+    for id, parameters in mechanisms.items():
+        model = model.with_mechanism(id, **parameters)  # type: ignore[arg-type]
+    return model.with_maps((side, side)) if effects else model
 
 
-def _our_call(side: int, electrons: float, frames: int, more: bool) -> Callable[[int], object]:
-    model = our_model(side, more)
+def _our_call(side: int, electrons: float, frames: int, effects: tuple[str, ...]) -> Callable[[int], object]:
+    model = our_model(side, effects)
     clean = jax.numpy.full((side, side), electrons * GAIN / (WHITE - BLACK), jax.numpy.float32)
     settings = Settings(iso=100.0, exposure_s=EXPOSURE_S, frames=frames)
     return lambda seed: np.asarray(model.sample(jax.random.key(seed), clean, settings))
 
 
-def peer_config(side: int, more: bool):
+def peer_config(side: int, effects: tuple[str, ...] = ()):
     """The same camera for getframes; None where that package is not installed."""
     try:
         import getframes
     except ImportError:
         return None
+    options: dict[str, Any] = {}
+    for effect in effects:
+        options |= EFFECTS[effect][1]
     return getframes.CameraConfig(
         name="comparison",
         sensor_type=getframes.SensorType.CMOS,
@@ -155,15 +179,14 @@ def peer_config(side: int, more: bool):
         gain_e_per_adu=1 / GAIN,
         bias_offset_adu=BLACK,
         read_noise_e=READ_E,
-        dark_current_e_per_s=DARK_E_S if more else 0.0,
-        prnu=PRNU if more else 0.0,
-        hot_pixel_fraction=HOT_FRACTION if more else 0.0,
-        hot_pixel_factor=HOT_E_S / DARK_E_S,
+        **{"dark_current_e_per_s": 0.0, **options},
     )
 
 
-def _peer_calls(side: int, electrons: float, frames: int, more: bool) -> list[Callable[[int], object]]:
-    config = peer_config(side, more)
+def _peer_calls(
+    side: int, electrons: float, frames: int, effects: tuple[str, ...]
+) -> list[Callable[[int], object]]:
+    config = peer_config(side, effects)
     if config is None:
         return []
     import getframes

@@ -25,9 +25,9 @@ def test_both_simulators_are_given_the_same_camera():
     side, electrons = 256, 40.0
     clean = np.full((side, side), electrons * bench.GAIN / (bench.WHITE - bench.BLACK), np.float32)
     ours = np.asarray(
-        bench.our_model(side, more=False).sample(jax.random.key(0), clean, Settings(exposure_s=1.0, frames=2))
+        bench.our_model(side).sample(jax.random.key(0), clean, Settings(exposure_s=1.0, frames=2))
     ).astype(float)
-    camera = getframes.Camera(bench.peer_config(side, more=False), seed=1)
+    camera = getframes.Camera(bench.peer_config(side), seed=1)
     theirs = np.stack([camera.expose(np.full((side, side), electrons), 1.0).data for _ in range(2)]).astype(
         float
     )
@@ -44,7 +44,7 @@ def test_the_table_reports_both_and_their_ratio(capsys):
     out = capsys.readouterr().out
     assert "warm-up" in out and "load" in out
     rows = [line.split() for line in out.splitlines() if line.startswith(("shot", "+"))]
-    assert len(rows) == 2
+    assert len(rows) == 2 + len(bench.EFFECTS)
     if "not installed" not in out:
         for row in rows:
             ours, peer, fast, ratio = map(float, row[-4:])
