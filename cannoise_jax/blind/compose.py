@@ -44,6 +44,12 @@ STRONG = (
     "in_camera_denoising",
 )
 CURVE = (*STRONG, "rts", "dark_current", "channel_offset", "flicker", "illumination_drift", "lens_shading")
+PARTIAL = ("no_flats", "no_darks", "single_frames")
+SHOWS = {
+    **dict.fromkeys(("prnu", "column_gain", "nonlinearity", "green_imbalance", "crosstalk"), "no_darks"),
+    **dict.fromkeys(("flicker", "illumination_drift", "lens_shading"), "no_darks"),
+}
+"""The lesser design that still shows a mechanism, where it is not the one without flats."""
 ADVERSARIES = ("misregistered", "short_burst", "nyquist", "lamp_drift", "wrong_black", "wrong_white")
 SHARES = {
     "null": 0.25,
@@ -108,13 +114,14 @@ def compose(rng: np.random.Generator, sets: int, nulls: int, kinds: tuple[str, .
 
     hidden = deal(STRONG, count["concealed"])
     for i in range(count["null"]):
-        design = str(rng.choice(("full", "full", "no_flats", "no_darks")))
+        design = str(rng.choice(("full", "full", *PARTIAL)))
         add("null", design=design, without=concealed_with(hidden[i]) if i < len(hidden) else ())
     for mechanism in deal(STRONG, count["strong"]):
         add("strong", effects=((mechanism, 4.0),))
     for mechanism in deal(CURVE, count["curve"]):
         multiple = float(np.exp(rng.uniform(np.log(0.3), np.log(10))))
-        add("curve", effects=((mechanism, multiple),))
+        design = str(rng.choice(("full", "full", "full", SHOWS.get(mechanism, "no_flats"))))
+        add("curve", effects=((mechanism, multiple),), design=design)
     for _ in range(count["double"]):
         first, second = (str(m) for m in rng.choice(STRONG, 2, replace=False))
         add("double", effects=((first, 4.0), (second, 4.0)))

@@ -166,15 +166,18 @@ def black_clipping(amplitude: float) -> Effect:
 
 
 def in_camera_denoising(amplitude: float) -> Effect:
-    """Each pixel is blended with the mean of its four same-colour neighbours; amplitude is the weight."""
+    """Each pixel is blended with the mean of its four same-colour neighbours; amplitude is the weight.
 
-    def apply(code: np.ndarray, c: Context) -> np.ndarray:
+    The camera averages with more bits than it stores: rounding first would undo a small blend.
+    """
+
+    def apply(y: np.ndarray, c: Context) -> np.ndarray:
         kernel = np.zeros((1, 5, 5))
         kernel[0, 0, 2] = kernel[0, 4, 2] = kernel[0, 2, 0] = kernel[0, 2, 4] = amplitude / 4
         kernel[0, 2, 2] = 1 - amplitude
-        return digitise(ndimage.convolve(code, kernel, mode="mirror"), c.camera)
+        return ndimage.convolve(y, kernel, mode="mirror")
 
-    return Effect("in_camera_denoising", amplitude, "code", apply)
+    return Effect("in_camera_denoising", amplitude, "analog", apply)
 
 
 def hot_pixel_suppression(amplitude: float) -> Effect:

@@ -19,22 +19,16 @@ import numpy as np
 from scipy import ndimage
 
 from cannoise_jax.blind.chain import Effect
-from cannoise_jax.blind.compose import Spec, compose
+from cannoise_jax.blind.compose import CURVE, Spec, compose
 from cannoise_jax.blind.effects import effect
+from cannoise_jax.blind.effects_unlisted import CARDS
 from cannoise_jax.blind.sets import SIZE, Design, draw_design, draw_scene, record, write_set
-from cannoise_jax.blind.strength import Exposed, Strength, strength
+from cannoise_jax.blind.strength import reachable
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.vocabulary import VOCABULARY
 
 SCHEMA = "cannoise/blind/1"
-# Effects of no listed family, and the listed one whose law of strength they share (groups of like size).
-_STRENGTH_OF = {
-    "tile_noise": "row_noise",
-    "row_gain_noise": "flicker",
-    "diagonal_noise": "row_noise",
-    "parity_jitter": "offset_drift",
-    "column_breathing": "flicker",
-}
+_TRIES = 60
 
 
 def seal(
@@ -78,24 +72,26 @@ def seal(
 
 def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[str, Any]]:
     """The recordings of one set and its entry in the truth."""
-    design = draw_design(rng, spec.design, spec.reference)
-    exposed = design.exposed()
+    for _ in range(_TRIES):
+        design = draw_design(rng, spec.design, spec.reference)
+        exposed = design.exposed()
+        amplitudes = [reachable(name, multiple, design.camera, exposed) for name, multiple in spec.effects]
+        if None not in amplitudes:
+            break
+    else:
+        raise BadInput(f"{spec.effects}: no set of design {spec.design!r} shows it at a moderate strength")
     injected: list[dict[str, Any]] = []
     effects: list[Effect] = []
-    for name, multiple in spec.effects:
-        law = strength_of(name, design, exposed)
-        amplitude = law.amplitude_at(multiple)
-        effects.append(effect(name, amplitude))
-        unit = VOCABULARY[name].unit if name in VOCABULARY else "DN"
+    for (name, multiple), amplitude in zip(spec.effects, amplitudes, strict=True):
+        effects.append(effect(name, float(amplitude or 0)))
+        unit = VOCABULARY[name].unit if name in VOCABULARY else unlisted_unit(name)
+        least = reachable(name, 1.0, design.camera, exposed)
         injected.append(
-            {
-                "mechanism": name,
-                "amplitude": amplitude,
-                "unit": unit,
-                "multiple": multiple,
-                "mde": law.amplitude_at(1.0),
-            }
+            {"mechanism": name, "amplitude": amplitude, "unit": unit, "multiple": multiple, "mde": least}
         )
+    blank = None
+    if spec.category in ("null", "curve"):
+        blank = [m for m in CURVE if m != "rts" and reachable(m, 1.0, design.camera, exposed) is None]
     design, described, more = _mislead(spec.adversary, design, rng)
     recordings = [described(r) for r in record(design, (*effects, *more), rng)]
     camera = {k: v for k, v in asdict(design.camera).items() if k != "unit"}
@@ -105,6 +101,7 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
         "effects": injected,
         "adversary": spec.adversary,
         "without": list(spec.without),
+        "nothing_shows": blank,
         "design": spec.design,
         "reference": design.reference,
         "camera": camera,
@@ -112,12 +109,9 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
     return recordings, entry
 
 
-def strength_of(name: str, design: Design, exposed: list[Exposed]) -> Strength:
-    """The law of strength of a listed effect, or of the listed one an unlisted effect resembles."""
-    law = strength(_STRENGTH_OF.get(name, name), design.camera, exposed)
-    if law is None:
-        raise BadInput(f"{name}: no law of strength is known for it in these recordings")
-    return law
+def unlisted_unit(name: str) -> str:
+    """Unit of an effect that the vocabulary does not hold."""
+    return "1" if CARDS[name].scaling == "signal" else "DN"
 
 
 def _mislead(adversary: str | None, design: Design, rng: np.random.Generator):

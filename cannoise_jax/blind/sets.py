@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from cannoise_jax.blind.chain import Camera, Effect, Shot, expose
-from cannoise_jax.blind.strength import Exposed
+from cannoise_jax.blind.shifts import Exposed
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import Recording
 
@@ -46,6 +46,7 @@ class Design:
                 s.exposure_s / longest,
                 s.exposure_s,
                 s.kind != "scene" or self.reference == "independent",
+                s.kind != "flat" or self.flat_clean,
             )
             for s in self.shots
         ]

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cannoise_jax.blind import sparse
 from cannoise_jax.blind.chain import Shot, expose
 from cannoise_jax.blind.effects import LISTED, UNLISTED, effect
-from cannoise_jax.blind.seal import strength_of
 from cannoise_jax.blind.sets import Design, draw_camera
+from cannoise_jax.blind.strength import reachable, strength
 
 SIZE = (48, 64)
 FRAMES = 6
@@ -51,7 +52,7 @@ def groups_statistic(plan: Design, frames: list[np.ndarray], group: str) -> floa
 )
 def test_the_minimum_detectable_effect_shifts_its_own_score_by_five(mechanism, group):
     plan = design()
-    amplitude = strength_of(mechanism, plan, plan.exposed()).amplitude_at(1.0)
+    amplitude = strength(mechanism, plan.camera, plan.exposed()).amplitude_at(1.0)
 
     def draw(effects, seed):
         rng = np.random.default_rng([seed, 7])
@@ -64,6 +65,41 @@ def test_the_minimum_detectable_effect_shifts_its_own_score_by_five(mechanism, g
     shift = (with_it.mean() - null.mean()) / null.std()
     error = np.hypot(with_it.std(), 5 * null.std() / np.sqrt(2)) / null.std() / np.sqrt(150)
     assert abs(shift - 5) < 3.5 * error + 0.3, (shift, error)
+
+
+def test_few_hot_pixels_shift_their_likelihood_ratio_as_tabulated():
+    information, pixels = 0.8, 4000
+    law = sparse.hot(information, pixels)
+    amplitude = law.amplitude_at(1.0)
+    assert law.shift(amplitude) == pytest.approx(5, rel=1e-6) and law.amplitude_at(0.5) < amplitude
+    mean_height = amplitude / np.sqrt(2 * sparse.HOT_FRACTION) * np.sqrt(information)
+    heights = np.linspace(0.01, 14, 150) * mean_height
+    weights = np.exp(-heights / mean_height)
+    weights /= weights.sum()
+    rng = np.random.default_rng(2)
+
+    def statistic(hot: bool) -> float:
+        z = rng.standard_normal(pixels)
+        if hot:
+            z += (rng.random(pixels) < sparse.HOT_FRACTION) * rng.exponential(mean_height, pixels)
+        ratio = np.exp(z[:, None] * heights - heights**2 / 2) @ weights
+        return float(np.log1p(sparse.HOT_FRACTION * (ratio - 1)).sum())
+
+    null = np.array([statistic(False) for _ in range(300)])
+    hot = np.array([statistic(True) for _ in range(300)])
+    shift = (hot.mean() - null.mean()) / null.std()
+    assert abs(shift - 5) < 4 * (hot.std() / null.std() / 17 + 0.3), shift
+
+
+@pytest.mark.parametrize("reference", ["independent", "burst_mean"])
+def test_what_no_recording_shows_has_no_strength(reference):
+    camera = draw_camera(np.random.default_rng(0))
+    flat = Shot("f", "flat", np.full(SIZE, 0.3), 4, 1.0)
+    scene = Shot("s", "scene", 0.1 + 0.5 * np.random.default_rng(1).random(SIZE), 4, 1.0)
+    sets = Design(camera, (flat, scene), reference, False, "no_darks").exposed()
+    assert (reachable("nonlinearity", 1.0, camera, sets) is None) == (reference == "burst_mean")
+    assert reachable("prnu", 1.0, camera, sets) is not None
+    assert reachable("dark_current", 1.0, camera, sets[:1]) is None
 
 
 @pytest.mark.parametrize("name", sorted({**LISTED, **UNLISTED}))
