@@ -145,7 +145,7 @@ MISREGISTRATION = Mechanism(
 
 def _move_scene(key, x, values, maps, context):
     dy, dx = _shift(values)
-    t = jnp.arange(x.shape[0], dtype=jnp.float32)
+    t = context.first_frame + jnp.arange(x.shape[0], dtype=jnp.float32)
     return moved(x, t * jnp.reshape(dy, ()), t * jnp.reshape(dx, ()))
 
 
@@ -179,8 +179,9 @@ SCENE_MOTION = Mechanism(
 
 
 def _bookkeeping(key, x, values, maps, context: Context):
-    # The frames are right and their description is wrong: seen through it, they are shifted and stretched.
-    signal = x - context.black_level
+    # The frames are right and their description is wrong: seen through it, they are shifted and stretched,
+    # and so is the level at which they saturate.
+    signal = jnp.minimum(x - context.black_level, context.span_dn)
     return context.black_level + values["black_dn"] + signal * (1 + values["white_error"])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -94,25 +95,35 @@ def shot_noise(key: Key[Array, ""], mean: Float[Array, "t h w"], share) -> Float
     return mean + share * counts + jnp.sqrt((1 - share**2) * mean) * sample_normal(gaussian, mean.shape)
 
 
+def _twice(values: Array, scenes: int) -> Array:
+    """Every scene two times in a row, where the values have a first axis of scenes."""
+    return jnp.repeat(values, 2, axis=0) if values.ndim == 3 and values.shape[0] == scenes else values
+
+
 def run_chain(
     model, key: Key[Array, ""], context: Context, values, frames: int
 ) -> tuple[Float[Array, "t h w"], Array]:
     """Analogue values in DN just before rounding, and the code step: [T, H, W]."""
     noise = altered_noise(model, context, values)
-    gain = noise.gain_dn_per_e
-    shape = (frames, *context.size)
-    inner = inside(context, noise)
-    mean = jnp.broadcast_to(context.mean_dn / gain, shape)
+    gain, read_noise, drawn = noise.gain_dn_per_e, noise.read_noise_e, frames
+    inner, mean, keep = inside(context, noise), context.mean_dn / gain, slice(None)
+    if any(fitted.record.looks_back for fitted in model.mechanisms):
+        if mean.shape[0] > 1:  # a scene per frame, each there before its own
+            inner, mean, noise = jax.tree.map(partial(_twice, scenes=mean.shape[0]), (inner, mean, noise))
+            keep, drawn = slice(1, None, 2), 2 * frames
+        else:
+            inner = dataclasses.replace(inner, first_frame=-1)
+            keep, drawn = slice(1, None), frames + 1
+    mean = jnp.broadcast_to(mean, (drawn, *context.size))
     mean = _stage(model, key, mean, "mean", inner, values)
     charge = shot_noise(jax.random.fold_in(key, _SHOT), mean, noise.poisson_share)
-    inner = dataclasses.replace(inner, stage_mean_e=mean)
-    charge = _stage(model, key, charge, "charge", inner, values)
+    charge = _stage(model, key, charge, "charge", inner, values)[keep]
     read_key = jax.random.fold_in(key, _READ)
     if noise.tukey_lambda is None:
-        read = sample_normal(read_key, shape)
+        read = sample_normal(read_key, charge.shape)
     else:
-        read = tukey_lambda.standard_quantile(centred_uniform(read_key, shape), noise.tukey_lambda)
-    y = context.black_level + gain * (charge + noise.read_noise_e * read)
+        read = tukey_lambda.standard_quantile(centred_uniform(read_key, charge.shape), noise.tukey_lambda)
+    y = context.black_level + gain * (charge + read_noise * read)
     return _stage(model, key, y, "signal", context, values), noise.code_step
 
 

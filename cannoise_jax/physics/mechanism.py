@@ -78,8 +78,8 @@ class Context:
 
     mean_dn: expected signal above black without any mechanism, DN. gain_dn_per_e, read_noise_e: the
     baseline's; for mechanisms of the charge, as other mechanisms altered them.
-    cfa, size: colour pattern and (H, W), static under jit. stage_mean_e: expected charge with the mechanisms
-    that act on the mean, e-, for those that act on charge; None: that of the baseline.
+    cfa, size: colour pattern and (H, W), static under jit. first_frame: number of the first frame of x,
+    static: -1 where a frame before the recording is drawn along.
     """
 
     mean_dn: Array
@@ -93,7 +93,7 @@ class Context:
     temperature_c: Array | None
     cfa: str = field(metadata={"static": True})
     size: tuple[int, int] = field(metadata={"static": True})
-    stage_mean_e: Array | None = None
+    first_frame: int = field(default=0, metadata={"static": True})
 
     @property
     def span_dn(self) -> Array:
@@ -177,6 +177,7 @@ class Mechanism:
     setting.
     score(z, parameters, maps, context) -> statistic of standardised residuals z[T, H, W] that is standard
       normal for white Gaussian z: how strongly the data look like this mechanism.
+    looks_back: it needs the frame before; one more is then drawn through the same chain and dropped.
     likelihood: "exact" and "approximate": the discretised likelihood integrates it; "none": composite score.
     needs: data kinds that identify it, of "pair", "pair_independent", "burst", "dark", "flat", "iso",
       "exposure", "temperature". confused_with: ids. equation: LaTeX without dollar signs.
@@ -199,6 +200,7 @@ class Mechanism:
     draw_maps: Callable[[Key[Array, ""], Values, Context], dict[str, Array]] | None = None
     effect: Callable[[Values, Maps, Context], Effect] | None = None
     score: Callable[[Array, Values, Maps, Context], Array] | None = None
+    looks_back: bool = False
     scaling: Scaling = field(default_factory=Scaling)
     scales: str | None = None
 

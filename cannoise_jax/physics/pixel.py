@@ -200,4 +200,4 @@ EXCESS_NOISE = Mechanism(
     score=_excess_score,
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (COSMIC_RAYS, SATURATION, EXCESS_NOISE, NONLINEARITY, RTS, DSNU)
+MECHANISMS: tuple[Mechanism, ...] = (SATURATION, EXCESS_NOISE, NONLINEARITY, RTS, DSNU)

@@ -27,6 +27,7 @@ _CHAIN: tuple[Mechanism, ...] = (
     *photons.MECHANISMS,
     *dark_charge.MECHANISMS,
     *noise_steps.MECHANISMS,
+    pixel.COSMIC_RAYS,  # their charge is there before any moves
     *transport.MECHANISMS,
     *pixel.MECHANISMS,
     *readout.MECHANISMS,

@@ -10,7 +10,6 @@ from cannoise_jax.physics import scores
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.mechanism import Context, Mechanism, Parameter, effect_in_dn
 from cannoise_jax.physics.mosaic_ops import neighbour_mean, shifted
-from cannoise_jax.physics.poisson_gaussian import sample_poisson
 
 
 def _share(x, fraction):
@@ -93,11 +92,9 @@ BRIGHTER_FATTER = Mechanism(
 
 
 def _lag(key, x, values, maps, context: Context):
-    # Before the first frame there was one of the same scene.
-    mean = context.mean_charge() if context.stage_mean_e is None else context.stage_mean_e
-    before = sample_poisson(key, jnp.broadcast_to(mean, x.shape)[:1])
+    # The first frame of x lies before the recording and is dropped; its own ghost does not matter.
     kept = values["fraction"]
-    return (1 - kept) * x + kept * jnp.concatenate([before, x[:-1]])
+    return (1 - kept) * x + kept * jnp.concatenate([x[:1], x[:-1]])
 
 
 def _lag_effect(values, maps, context):
@@ -120,6 +117,7 @@ IMAGE_LAG = Mechanism(
     likelihood="none",
     amplitude=lambda values, context: values["fraction"],
     sample=_lag,
+    looks_back=True,
     effect=_lag_effect,
     score=lambda z, values, maps, context: scores.temporal_score(z),
 )

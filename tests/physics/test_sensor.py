@@ -255,3 +255,23 @@ def test_rows_that_are_read_in_pairs_share_their_offset():
     assert np.all(np.asarray(lags[2, 0]) == 0)
     with pytest.raises(ValueError, match="groups"):
         base.with_mechanism("pixel_pairs", point=Point("readout", "signal", "pixel", "redrawn", group=2))
+
+
+def test_the_ghost_in_the_first_frame_is_of_a_whole_frame():
+    """What lands in the pixels beside the light leaves a ghost too, in the first frame as in the others."""
+    model = SensorModel.poisson_gaussian(1.0, 0.1, 500, 65535).with_mechanism("image_lag", fraction=0.4)
+    model = model.with_mechanism("cosmic_rays", rate=2e4, charge_e=4000.0)
+    frames = np.asarray(
+        model.sample(jax.random.key(3), np.zeros((128, 128)), Settings(exposure_s=1.0, frames=3))
+    )
+    share = (frames.astype(float) - 500 > 100).mean(axis=(1, 2))
+    assert share[1] > 0.05 and share[0] == pytest.approx(share[1], rel=0.1)
+
+
+def test_initial_noise_sees_no_ghost_of_another_patch():
+    model = SensorModel.poisson_gaussian(1.0, 0.1, 500, 65535).with_mechanism("image_lag", fraction=0.4)
+    clean = np.zeros((3, 16, 16, 4), np.float32)
+    clean[1] = 0.5
+    shot, read = np.full((3, 4), 1e-4, np.float32), np.full((3, 4), 1e-10, np.float32)
+    noise, _ = model.n_init()(jax.random.key(0), jnp.asarray(clean), jnp.asarray(shot), jnp.asarray(read))
+    np.testing.assert_allclose(np.asarray(noise).mean(axis=(1, 2, 3)), 0, atol=2e-3)

@@ -113,6 +113,7 @@ CASES: tuple[Case, ...] = (
         (Shot("scene", scene=True),),
     ),
     Case("bookkeeping", {"black_dn": 2.0}, _DARK),
+    Case("bookkeeping", {"white_error": -0.05}, (Shot("dark"), Shot("flat", 1.2)), exact=True, note="white"),
 )
 
 
