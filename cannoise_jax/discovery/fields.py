@@ -8,6 +8,7 @@ noise all of them are independent and, divided by the fitted standard deviation,
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -58,10 +59,13 @@ class Fields(NamedTuple):
         return self.usable * self.signal / self.sigma
 
 
+@lru_cache(maxsize=8)
 def channel_index(size: tuple[int, int]) -> np.ndarray:
-    """Mosaic site 0..3 of every pixel."""
+    """Mosaic site 0..3 of every pixel; read-only."""
     rows, columns = np.indices(size)
-    return 2 * (rows % 2) + columns % 2
+    out = 2 * (rows % 2) + columns % 2
+    out.setflags(write=False)
+    return out
 
 
 def least_squares(basis: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:

@@ -3,7 +3,7 @@ description."""
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -125,11 +125,12 @@ def _minus(field: Fields, standardised: np.ndarray) -> Fields:
     return field._replace(static=(field.static - np.sqrt(field.frames) * standardised).astype(np.float32))
 
 
-def glow_templates(size: tuple[int, int]) -> list[tuple[str, np.ndarray]]:
-    """Exponential falls from every corner and edge, of four lengths, each of rms 1."""
+@lru_cache(maxsize=4)
+def glow_templates(size: tuple[int, int]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Exponential falls from every corner and edge, of four lengths, each of rms 1: names, [32, H W]."""
     h, w = size
     y, x = np.indices(size)
-    out = []
+    names, out = [], []
     places = {
         "top left": np.hypot(y, x),
         "top right": np.hypot(y, w - 1 - x),
@@ -143,8 +144,9 @@ def glow_templates(size: tuple[int, int]) -> list[tuple[str, np.ndarray]]:
     for place, distance in places.items():
         for length in (0.05, 0.1, 0.2, 0.4):
             g = np.exp(-distance / (length * max(h, w)))
-            out.append((f"{place}, {length * max(h, w):.0f} px", g / np.sqrt(np.mean(g**2))))
-    return out
+            names.append(f"{place}, {length * max(h, w):.0f} px")
+            out.append((g / np.sqrt(np.mean(g**2))).ravel().astype(np.float32))
+    return tuple(names), np.array(out)
 
 
 def glow_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
@@ -154,15 +156,38 @@ def glow_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         return None
     known = [f.exposure_s for f in dark if f.exposure_s]
     thermal = len(known) == len(dark)
-    scale = [(f.exposure_s or 1.0) / max(known) if thermal else 1.0 for f in dark]
-    best: Score | None = None
-    for place, g in glow_templates(dark[0].mean.shape):
-        pairs = [(f, project(f, g * s)) for f, s in zip(dark, scale, strict=True)]
-        score = linear_score(probe, pairs, 24, "DN", "glow", {"axis": "edge", "edge": place}, 1, payload=g)
-        if best is None or score.gain > best.gain:
-            best = score
-    assert best is not None
-    return best._replace(payload=(best.payload, best.amplitude, max(known) if thermal else None))
+    names, g = glow_templates(dark[0].mean.shape)
+    channel = channel_index(dark[0].mean.shape).ravel()
+    u, i = np.zeros(len(g)), np.zeros(len(g))
+    for f in dark:
+        assert f.static is not None
+        scale = (f.exposure_s or 1.0) / max(known) if thermal else 1.0
+        w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
+        u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
+        i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
+        for c in range(4):  # the level of every channel is fitted too
+            square = w[channel == c] ** 2
+            total = max(float(np.sum(square, dtype=np.float64)), 1e-30)
+            along = (g[:, channel == c] @ square).astype(np.float64)
+            level = float(np.sum(w[channel == c] * static[channel == c], dtype=np.float64))
+            u -= np.sqrt(f.frames) * scale * along * level / total
+            i -= f.frames * scale**2 * along**2 / total
+    z = u / np.sqrt(np.maximum(i, 1e-30))
+    k = int(np.argmax(z))
+    amplitude, error = float(u[k] / max(i[k], 1e-30)), float(1 / np.sqrt(max(i[k], 1e-30)))
+    return Score(
+        probe,
+        sidak(normal_log_p(float(z[k]), 1), 24),
+        0.5 * max(float(z[k]), 0.0) ** 2,
+        float(np.log(24) + 0.5 * np.log(1e5)) / 2,
+        abs(amplitude),
+        error,
+        error,
+        1,
+        {"glow": (amplitude, "DN", error)},
+        {"axis": "edge", "edge": names[k]},
+        (g[k].reshape(dark[0].mean.shape), abs(amplitude), max(known) if thermal else None),
+    )
 
 
 def glow_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:

@@ -71,6 +71,19 @@ def normal_log_p(z: float, sides: int = 2) -> float:
     return float(min(0.0, stats.norm.logsf(abs(z) if sides == 2 else z) + math.log(sides)))
 
 
+def skewed_log_p(z: float, skewness: float, sides: int = 2) -> float:
+    """log p of a standardised sum whose law has this (positive) skewness: a shifted gamma."""
+    if skewness < 2e-3:
+        return normal_log_p(z, sides)
+    shape = 4 / skewness**2
+    x = shape + z * math.sqrt(shape)
+    log_p = chi2_log_sf(2 * x, 2 * shape) if x > 0 else 0.0
+    if sides == 2:
+        below = float(stats.gamma.logcdf(x, shape)) if x > 0 else -600.0
+        log_p = min(log_p, below) + math.log(2)
+    return min(0.0, log_p)
+
+
 def student_log_p(z: float, freedom: float, sides: int = 2) -> float:
     """log p of a value whose standard error rests on `freedom` degrees of freedom."""
     if freedom < 1:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
-from cannoise_jax.discovery.fields import Fields, each_frame
+from cannoise_jax.discovery.fields import Fields, channel_index, each_frame
 from cannoise_jax.discovery.statistics.lines import pixel_sums
-from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, sidak
+from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, sidak, skewed_log_p
 
 _DARK = ("dark", "bias")
-_FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0)
+_FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0)
 _SPREADS = (0.05, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 _EDGES = np.linspace(-40, 40, 4001)
 _JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
@@ -27,65 +28,107 @@ def _dark(fields: tuple[Fields, ...]) -> list[Fields]:
     return [f for f in fields if f.kind in _DARK and len(f.contrasts) and _rounded_enough(f)]
 
 
+def rounding_kurtosis(mean: np.ndarray, sigma: np.ndarray, step: float) -> np.ndarray:
+    """Excess kurtosis of normal noise after rounding: of given mean and standard deviation of the rounded
+    values, DN. Below one step it depends on where between two codes the mean lies (Sheppard's correction is
+    its mean over that place)."""
+    place, wide = np.broadcast_arrays(np.asarray(mean, float) / step, np.asarray(sigma, float) / step)
+    out = -1.0 / (120 * wide**4)
+    for at in np.ndindex(wide.shape):
+        if wide[at] > 1.5:
+            continue
+        latent, fraction = np.sqrt(max(wide[at] ** 2 - 1 / 12, 0.02)), place[at] % 1.0
+        codes = np.arange(np.floor(fraction - 9 * latent) - 1, np.ceil(fraction + 9 * latent) + 2)
+        for _ in range(3):  # the latent width whose rounded variance is the given one
+            p = np.diff(special.ndtr((np.append(codes, codes[-1] + 1) - 0.5 - fraction) / latent))
+            centre = float(p @ codes)
+            variance = float(p @ (codes - centre) ** 2)
+            latent = np.sqrt(max(latent**2 + wide[at] ** 2 - variance, 1e-3))
+        out[at] = float(p @ (codes - centre) ** 4) / variance**2 - 3
+    return out
+
+
+def _known_kurtosis(field: Fields) -> np.ndarray:
+    """Excess kurtosis of each pixel by Poisson noise and by rounding."""
+    poisson = float(np.mean(field.gain)) ** 3 * field.signal / field.sigma**4
+    if field.kind not in _DARK:
+        return poisson - field.step**4 / 120 / field.sigma**4
+    channel = channel_index(field.mean.shape)
+    chosen = [channel == c for c in range(4)]
+    mean = np.array([np.median(field.mean[m]) for m in chosen])
+    sigma = np.array([np.median(field.sigma[m]) for m in chosen])
+    return poisson + rounding_kurtosis(mean, sigma, field.step)[channel]
+
+
 def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     """Fourth moment beyond Poisson and rounding, weighted by the share of read noise; gain of Student's t."""
-    u = i = 0.0
-    pooled = np.zeros(_EDGES.size - 1)
+    u = squares = cubes = scatter = 0.0
+    pooled = []
     for f in fields:
-        if f.static is None or not _rounded_enough(f):
+        narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
+        # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
+        if f.static is None or np.sqrt(np.median(f.sigma**2 * (1 - f.shot))) < narrow:
             continue
-        w = (1 - np.clip(f.shot, 0, 1)) ** 2 * f.usable * (np.abs(f.static) < 7)
-        system = float(np.mean(f.gain))
-        base = (system**3 * f.signal - f.step**4 / 120) / f.sigma**4
-        i += float(np.sum(w**2)) * f.frames * 24
+        read = np.clip(1 - f.shot - f.step**2 / 12 / f.sigma**2, 0, 1)
+        w = (read**2 * f.usable * (np.abs(f.static) < 7)).astype(np.float64)
+        base = _known_kurtosis(f)
+        squares += float(np.sum(w**2)) * f.frames
+        cubes += float(np.sum(w**3)) * f.frames
         for values in each_frame(f):
             z2 = values**2
-            u += float(np.sum(w * (z2 * z2 - 6 * z2 + 3 - base), dtype=np.float64))
+            terms = w * (z2 * z2 - 6 * z2 + 3 - base)
+            u += float(np.sum(terms))
+            scatter += float(np.sum(terms**2))
             if f.kind in _DARK:
-                pooled += np.histogram(np.clip(values[w > 0.5], -39.9, 39.9), _EDGES)[0]
-    if i == 0:
+                width = f.step / float(np.median(f.sigma))
+                pooled.append((np.histogram(np.clip(values[w > 0], -39.9, 39.9), _EDGES)[0], width))
+    if squares < 1:
         return None
-    z = u / float(np.sqrt(i))
-    kappa = u * 24 / i
-    error = 24 / float(np.sqrt(i))
-    gain, nu = _student_gain(pooled) if pooled.any() and z > 0 else (0.5 * max(z, 0) ** 2, np.inf)
-    amplitude = 6 / (nu - 4) if 4 < nu < np.inf else max(kappa, 0.0)
-    skewness = 14.7 / np.sqrt(max(i / 24, 1.0))
-    corrected = z - skewness / 6 * (z**2 - 1) if 0 < z < 20 else z
+    z, kappa = u / np.sqrt(24 * squares), u / squares
+    gain, nu = _student_gain(pooled) if pooled and z > 0 else (0.5 * max(z, 0) ** 2, np.inf)
+    # The moment is the definition; of very heavy tails it scatters too much to be used.
+    amplitude = 6 / (nu - 4) if kappa > 1 and 4 < nu < np.inf else max(kappa, 0.0)
+    error = float(max(np.sqrt(24 * squares), np.sqrt(scatter)) / squares)
     return Score(
         probe,
-        normal_log_p(corrected),
+        skewed_log_p(z, 14.7 * cubes / squares**1.5, 2),
         gain,
-        0.5 * float(np.log(i / 24)),
+        0.5 * float(np.log(squares)),
         float(amplitude),
-        float(error),
-        float(error),
+        error,
+        float(np.sqrt(24 / squares)),
         1,
-        {"excess_kurtosis": (float(amplitude), "1", float(error))},
+        {"excess_kurtosis": (float(amplitude), "1", error)},
         {"axis": "signal", "range": [0.0, 0.0]},
         kappa,
     )
 
 
-def _student_gain(counts: np.ndarray) -> tuple[float, float]:
-    """Log-likelihood gain of the best scaled Student t over the best normal on counts of values in `_EDGES`;
-    its freedoms."""
-    centre = (_EDGES[1:] + _EDGES[:-1]) / 2
-    used = counts > 0
-    counts, centre = counts[used], centre[used]
-    variance = float(np.sum(counts * centre**2) / counts.sum())
-    normal = float(np.sum(counts * stats.norm.logpdf(centre, scale=np.sqrt(variance))))
-    best, at = 0.0, np.inf
-    for nu in _FREEDOMS:
-        fit = optimize.minimize_scalar(
-            lambda s, n=nu: -float(np.sum(counts * stats.t.logpdf(centre, n, scale=s))),
-            bounds=(0.5, 1.1),
-            method="bounded",
-            options={"xatol": 2e-3},
+def _student_gain(pooled: list[tuple[np.ndarray, float]]) -> tuple[float, float]:
+    """Log-likelihood gain of the best scaled Student t over the best normal, and its freedoms. pooled: counts
+    of standardised values in `_EDGES` with the code step in the same units: each value stands for the
+    interval that was rounded to it."""
+    middle = (_EDGES[1:] + _EDGES[:-1]) / 2
+    merged: dict[float, np.ndarray] = {}
+    for n, width in pooled:
+        merged[round(width, 3)] = merged.get(round(width, 3), 0) + n
+    counts = np.concatenate([n[n > 0] for n in merged.values()]).astype(float)
+    centre = np.concatenate([-np.abs(middle[n > 0]) for n in merged.values()])
+    half = np.concatenate([np.full(int((n > 0).sum()), width / 2) for width, n in merged.items()])
+
+    def fit(cdf: Callable[[np.ndarray], np.ndarray]) -> float:
+        def loss(scale: float) -> float:
+            inside = cdf((centre + half) / scale) - cdf((centre - half) / scale)
+            return -float(np.sum(counts * np.log(np.maximum(inside, 1e-300))))
+
+        return -float(
+            optimize.minimize_scalar(loss, bounds=(0.5, 1.1), method="bounded", options={"xatol": 1e-3}).fun
         )
-        if -fit.fun - normal > best:
-            best, at = -float(fit.fun) - normal, nu
-    return best, at
+
+    normal = fit(special.ndtr)
+    gains = np.array([fit(partial(special.stdtr, nu)) - normal for nu in _FREEDOMS])
+    k = int(np.argmax(gains))
+    return (float(gains[k]), _parabola_peak(np.array(_FREEDOMS), gains, k)) if gains[k] > 0 else (0.0, np.inf)
 
 
 def skew_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
@@ -138,8 +181,14 @@ def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | Non
     return None if found is None else (found[0][found[1]], found[2])
 
 
-def _dispersion_log_p(squares: np.ndarray, n: int) -> tuple[float, float]:
-    """Over-dispersion of the sums of squares against chi-square, far pixels capped; log p and z."""
+def _rounded_dispersion(fields: tuple[Fields, ...]) -> float:
+    """What the kurtosis of rounding adds to the variance of a pixel's sum of squares over all darks."""
+    return float(sum(np.mean(_known_kurtosis(f)) * (f.frames - 1.0) ** 2 / f.frames for f in _dark(fields)))
+
+
+def _dispersion_log_p(squares: np.ndarray, n: int, known: float) -> tuple[float, float]:
+    """Over-dispersion of the sums of squares against chi-square, far pixels capped; log p and z. known: what
+    rounding adds to the variance of a sum of squares."""
     cap = stats.chi2.isf(1e-4, n)
     grid = np.linspace(0, cap, 4001)
     density = stats.chi2.pdf(grid, n)
@@ -155,11 +204,10 @@ def _dispersion_log_p(squares: np.ndarray, n: int) -> tuple[float, float]:
     third = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 3))
     variance = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 2))
     capped = np.minimum(squares, cap)
-    total = float(np.sum((capped - n) ** 2 - mean - linear * (capped - n)))
+    total = float(np.sum((capped - n) ** 2 - mean - known - linear * (capped - n)))
     z = total / np.sqrt(variance * squares.size)
     skewness = third / variance**1.5 / np.sqrt(squares.size)
-    corrected = z - skewness / 6 * (z**2 - 1) if 0 < z < 30 else z
-    return normal_log_p(corrected, 1), z
+    return skewed_log_p(z, skewness, 1), z
 
 
 def spread_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
@@ -168,7 +216,7 @@ def spread_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     if found is None:
         return None
     squares, n = found
-    log_p, z = _dispersion_log_p(squares, n)
+    log_p, z = _dispersion_log_p(squares, n, _rounded_dispersion(fields))
     nodes, weights = np.polynomial.hermite_e.hermegauss(15)
     counts, centre = _histogram(squares)
     best, at = 0.0, 0.0

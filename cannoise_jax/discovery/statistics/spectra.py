@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 from scipy import fft, optimize, special
 
 from cannoise_jax.discovery.fields import Fields
@@ -186,7 +187,7 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
     where = np.unravel_index(np.argmax(power), power.shape)
     peak = float(power[where])
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
-    trials = h * w / 2 * 2.5
+    trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
     log_p = sidak(chi2_log_sf(2 * peak, 2 * count), trials)
     # A wave of peak A in every frame adds A^2 I / 4 to the power of a field of information I.
     excess = max(peak - count, 0.0)
@@ -227,6 +228,13 @@ def _rician_gain(peak: float, count: int, mean_lambda: float) -> float:
     return float(max(bessel - total - order / 2 * np.log(peak * total) + special.gammaln(count), 0.0))
 
 
+def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
+    """Orthonormal rows that span those of the basis, by its small Gram matrix."""
+    values, vectors = np.linalg.eigh(np.einsum("kn,ln->kl", basis, basis))
+    kept = values > 1e-6 * values[-1]
+    return ((vectors[:, kept] / np.sqrt(values[kept])).T @ basis).astype(np.float32)
+
+
 def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Projects the wave out of every field, and its near neighbours on the frequency grid."""
     fy, fx, _ = score.payload
@@ -240,8 +248,7 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
             for dx in (-0.5 / w, 0.0, 0.5 / w):
                 phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
                 basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
-        q = np.linalg.svd(np.array(basis), full_matrices=False)
-        q = q[2][q[1] > 1e-3 * q[1][0]].astype(np.float32)
+        q = orthonormal(np.array(basis))
         both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
         new = [v - ((v.reshape(len(v), -1) @ q.T) @ q).reshape(v.shape) for v in both]
         out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
@@ -317,8 +324,7 @@ def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ..
             for d in (-0.5 / h, 0, 0.5 / h)
             for g in (np.cos, np.sin)
         ]
-        s = np.linalg.svd(np.array(basis), full_matrices=False)
-        q = s[2][s[1] > 1e-3 * s[1][0]].astype(np.float32)
+        q = orthonormal(np.array(basis))
         both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
         new = [v - ((v.reshape(len(v), -1) @ q.T) @ q).reshape(v.shape) for v in both]
         out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
