@@ -10,13 +10,14 @@ from scipy import optimize, special, stats
 
 from cannoise_jax.discovery.fields import Fields, channel_index, each_frame
 from cannoise_jax.discovery.statistics.lines import pixel_sums
-from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, sidak, skewed_log_p
+from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, skewed_log_p
 
 _DARK = ("dark", "bias")
 _FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0)
-_SPREADS = (0.05, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
+_SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 _EDGES = np.linspace(-40, 40, 4001)
 _JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
+_SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
 
 
 def _rounded_enough(field: Fields) -> bool:
@@ -271,6 +272,18 @@ def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
 
 
+def sparse_log_p(counts: np.ndarray, log_ratios: list[np.ndarray]) -> float:
+    """log p that a few values follow another law: log_ratios holds, for several sizes of the effect, the log
+    of its density over the null's at the values. The likelihood ratio averaged over sizes and shares has mean
+    one under the null, so its inverse is a p-value (Markov)."""
+    logs = [
+        float(np.sum(counts * np.log1p(share * np.expm1(np.minimum(ratio, 600.0)))))
+        for ratio in log_ratios
+        for share in _SHARES
+    ]
+    return min(0.0, float(np.log(len(logs)) - special.logsumexp(logs)))
+
+
 def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     """A small share of pixels with extra fluctuation of exponentially spread size."""
     found = _sums_of_squares(fields)
@@ -281,11 +294,14 @@ def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     extra = 1 + _JUMPS**2 / 4
     single = -n / 2 * np.log(extra) + 0.5 * centre[:, None] * (1 - 1 / extra)
     best, at, share = 0.0, 1.0, 0.0
+    ratios = []
     widths = np.gradient(_JUMPS)
     for mean in np.exp(np.linspace(np.log(0.7), np.log(30), 12)):
         weight = np.exp(-_JUMPS / mean) * widths
         top = single.max(1, keepdims=True)
         mixed = (top[:, 0] + np.log(np.exp(single - top) @ (weight / weight.sum()))).clip(-50, 600)
+        if mean > 2:  # smaller ones change the bulk, which rounding changes too
+            ratios.append(mixed)
         f = 0.005
         for _ in range(40):
             responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
@@ -293,9 +309,8 @@ def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
         if gain > best:
             best, at, share = gain, float(mean), f
-    limit = stats.chi2.isf(1e-5, n)
-    number, expected = int(np.sum(squares > limit)), squares.size * 1e-5
-    log_p = float(stats.poisson.logsf(number - 1, expected)) if number else 0.0
+    number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
+    log_p = sparse_log_p(counts, ratios)
     sigma = float(np.mean([np.median(f.sigma) for f in _dark(fields)]))
     amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
     error = amplitude / np.sqrt(max(share * squares.size, 1.0))
@@ -327,13 +342,14 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
     spread = max(1.4826 * float(np.median(np.abs(u - np.median(u)))), 1.0)
     number = int(np.sum(u > 4.6 * spread))
-    log_p = float(stats.poisson.logsf(number - 1, u.size * stats.norm.sf(4.6))) if number else 0.0
+    ratios = []
     root = float(np.sqrt(np.median(sums.information[seen])))
     best, at, share = 0.0, 1.0, 0.0
-    counts, edges = np.histogram(np.clip(u, -20, 400), np.linspace(-20, 400, 8401))
+    counts, edges = np.histogram(np.clip(u / spread, -20, 400), np.linspace(-20, 400, 8401))
     used = counts > 0
     counts, centre = counts[used], ((edges[1:] + edges[:-1]) / 2)[used]
-    for mean in np.exp(np.linspace(np.log(2), np.log(200), 14)):
+    root /= spread
+    for mean in np.exp(np.linspace(np.log(1.5), np.log(200), 14)):
         # Density of normal + exponential over the normal density.
         log_ratio = (
             0.5 / mean**2
@@ -343,6 +359,7 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
             - stats.norm.logpdf(centre)
         )
         log_ratio = np.clip(log_ratio, -50, 600)
+        ratios.append(log_ratio)
         f = 1e-3
         for _ in range(40):
             responsibility = f * np.exp(log_ratio) / (1 - f + f * np.exp(log_ratio))
@@ -361,7 +378,7 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     width = fields[0].mean.shape[1]
     return Score(
         probe,
-        sidak(max(log_p, -700.0), 1),
+        max(sparse_log_p(counts, ratios), -700.0),
         best,
         float(np.log(u.size)) + 2,
         float(amplitude),
