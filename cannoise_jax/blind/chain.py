@@ -68,7 +68,7 @@ class Context(NamedTuple):
 
     def frozen(self, name: str) -> np.random.Generator:
         """A generator that gives the same draws whenever this unit is asked for `name`."""
-        return np.random.default_rng([self.camera.unit, zlib.crc32(name.encode())])
+        return frozen(self.camera.unit, name)
 
     @property
     def exposure(self) -> float:
@@ -89,6 +89,11 @@ class Effect(NamedTuple):
     amplitude: float
     stage: str
     apply: Callable[[np.ndarray, Context], np.ndarray]
+
+
+def frozen(unit: int, name: str) -> np.random.Generator:
+    """A generator of the unit's draws called `name`."""
+    return np.random.default_rng([unit, zlib.crc32(name.encode())])
 
 
 def tile(cell, size: tuple[int, int]) -> np.ndarray:

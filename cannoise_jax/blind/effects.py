@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from cannoise_jax.blind import effects_readout, effects_signal, effects_unlisted
-from cannoise_jax.blind.chain import Effect
+from cannoise_jax.blind.chain import Camera, Effect, frozen
 from cannoise_jax.vocabulary import VOCABULARY
 
 _MODULES = (effects_signal, effects_readout)
@@ -21,3 +22,14 @@ UNLISTED: dict[str, Callable[[float], Effect]] = {
 def effect(name: str, amplitude: float) -> Effect:
     """The effect `name` at an amplitude in the vocabulary's units. Raises KeyError for an unknown name."""
     return {**LISTED, **UNLISTED}[name](amplitude)
+
+
+def facts(name: str, camera: Camera, size: tuple[int, int]) -> dict[str, Any]:
+    """Where the effect lies in this unit, as far as one number says it: period in px, first column."""
+    if name == "banding":
+        return {"period_px": 1 / frozen(camera.unit, "banding").uniform(0.002, 0.45)}
+    if name == "flicker":
+        return {"period_px": frozen(camera.unit, "flicker").uniform(0.15, 0.45) * size[0]}
+    if name == "amplifier_mismatch":
+        return {"columns": [size[1] // 2]}
+    return {}

@@ -1,9 +1,4 @@
-"""Scores claims against the opened truth. Every share comes with its interval and its number of sets.
-
-A *finding* is an entry of a report's `findings`. Named right: the leading finding's first candidate is the
-injected mechanism; an ambiguous finding counts only if its group holds the mechanism and has at most four
-members. A false alarm is a finding of class `sensor`, or `unknown`, where there is nothing to find.
-"""
+"""Scores claims against the opened truth: every figure of the headline table, see `judge` for what counts."""
 
 from __future__ import annotations
 
@@ -11,193 +6,147 @@ import math
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
 
-Report = dict[str, Any]
-Entry = dict[str, Any]
-
-
-def share(hits: int, total: int, level: float = 0.95) -> dict[str, Any]:
-    """A share with its Clopper-Pearson interval."""
-    if total == 0:
-        return {"value": None, "hits": 0, "sets": 0, "ci95": [None, None]}
-    tail = (1 - level) / 2
-    low = float(stats.beta.ppf(tail, hits, total - hits + 1)) if hits else 0.0
-    high = float(stats.beta.ppf(1 - tail, hits + 1, total - hits)) if hits < total else 1.0
-    return {"value": hits / total, "hits": hits, "sets": total, "ci95": [low, high]}
-
-
-def findings(report: Report, classes: tuple[str, ...] = ("sensor", "capture", "bookkeeping")) -> list[dict]:
-    """Findings of the given classes; what is unknown counts as sensor."""
-    return [f for f in report.get("findings", []) if f["class"] in classes or f["mechanism"] == "unknown"]
+from cannoise_jax.blind import curves, measures
+from cannoise_jax.blind.expected import EXPECTED
+from cannoise_jax.blind.judge import (
+    Entry,
+    Report,
+    Rows,
+    alarm,
+    count,
+    findings,
+    group,
+    named,
+    rank,
+    tally,
+    told,
+)
 
 
-def alarm(report: Report) -> bool:
-    """Whether a report blames the sensor, or says that something unknown is there."""
-    return bool(findings(report, ("sensor",)))
+def score(truth: dict[str, Entry], claims: dict[str, Report], known: dict[str, dict] | None = None) -> dict:
+    """All figures, as one JSON-able record.
 
-
-def named(finding: dict, mechanism: str) -> bool:
-    """Whether a finding names the mechanism, see the module's text."""
-    candidates = [c["mechanism"] for c in finding["candidates"] if c["mechanism"] != "unknown"]
-    if finding["outcome"] == "AMBIGUOUS":
-        return mechanism in candidates and len(candidates) <= 4
-    return finding["mechanism"] == mechanism
-
-
-def rank(finding: dict, mechanism: str) -> int | None:
-    """Place of the mechanism among the candidates, from 1."""
-    names = [c["mechanism"] for c in finding["candidates"]]
-    return names.index(mechanism) + 1 if mechanism in names else None
-
-
-def score(truth: dict[str, Entry], claims: dict[str, Report]) -> dict[str, Any]:
-    """All figures of the headline table, as one JSON-able record."""
-    by: dict[str, list[tuple[Entry, Report]]] = {}
+    known: per set what only the truth allows to compute: `mde`, the tool's own minimum detectable effect of
+    the injected mechanism, and `gain`, the held-out gain of the true model, nats.
+    """
+    by: dict[str, Rows] = {}
     for name, entry in truth.items():
         by.setdefault(entry["category"], []).append((entry, claims[name]))
-    nulls = by.get("null", []) + by.get("locate", [])
-    single = [(e, r) for e, r in by.get("strong", []) + by.get("curve", [])]
+
+    def get(*names: str) -> Rows:
+        return [row for name in names for row in by.get(name, [])]
+
+    nulls = get("null", "locate")
+    strong, single = get("strong"), get("strong", "curve")
+    adversarial = get("adversarial")
+    diagnosed = get("null", "strong", "curve", "double", "unlisted", "concealed", "adversarial")
+    families = sorted({EXPECTED[told(e)["mechanism"]].family for e, _ in single})
+    each = sorted({told(e)["mechanism"] for e, _ in single})
+    mild = [(e, r) for e, r in single if 1 <= told(e)["multiple"] <= 2 and findings(r)]
     return {
+        "sets": {name: len(rows) for name, rows in sorted(by.items())},
         "errors": sum("error" in r for r in claims.values()),
-        "false_alarms": share(sum(alarm(r) for _, r in nulls), len(nulls)),
-        "null_p_uniform": null_uniformity([r for _, r in nulls]),
-        "naming": naming(by.get("strong", [])),
-        "detection": {
-            name: detection([(e, r) for e, r in single if e["effects"][0]["mechanism"] == name])
-            for name in sorted({e["effects"][0]["mechanism"] for e, _ in single})
+        "false_alarms": {
+            **count(alarm(r) for _, r in nulls),
+            "diagnosed": count(alarm(r) for _, r in get("null")),
+            "located": count(alarm(r) for _, r in get("locate")),
+            "names": tally(f["mechanism"] for _, r in nulls for f in findings(r, ("sensor",))),
         },
-        "detection_all": detection(single),
-        "confusion": confusion(by.get("strong", [])),
-        "amplitude": amplitude(by.get("strong", [])),
-        "double": double(by.get("double", [])),
-        "unknown": unknown(by.get("unlisted", []), by.get("concealed", [])),
-        "adversarial": {
-            "sensor_false_alarms": share(
-                sum(alarm(r) for _, r in by.get("adversarial", [])), len(by.get("adversarial", []))
-            ),
-            "by_cause": {
-                cause: share(sum(alarm(r) for _, r in rows), len(rows))
-                for cause in sorted({e["adversary"] for e, _ in by.get("adversarial", [])})
-                if (rows := [(e, r) for e, r in by["adversarial"] if e["adversary"] == cause])
+        "null_p_uniform": curves.uniformity(
+            [r["battery_p_value"] for _, r in nulls if r.get("battery_p_value") is not None]
+        ),
+        "naming": naming(strong),
+        "detection": {
+            "all": detection(single),
+            "family": {
+                f: detection([(e, r) for e, r in single if EXPECTED[told(e)["mechanism"]].family == f])
+                for f in families
+            },
+            "mechanism": {
+                m: detection(rows)
+                for m in each
+                if len(rows := [(e, r) for e, r in single if told(e)["mechanism"] == m]) >= curves.LEAST_SETS
             },
         },
-        "seconds": [r.get("seconds") for r in claims.values() if r.get("seconds") is not None],
+        "confusion": confusion(strong),
+        "localisation": measures.localisation(strong),
+        "amplitude": measures.amplitude(strong),
+        "amplitude_mild": measures.amplitude(mild),
+        "gain": measures.gain(strong, known or {}),
+        "mde": measures.mde_ratio(single, known or {}),
+        "double": measures.double(get("double")),
+        "unknown": {
+            **measures.unknown(get("unlisted", "concealed")),
+            "unlisted": measures.unknown(get("unlisted")),
+            "concealed": measures.unknown(get("concealed")),
+            "decoys": count(alarm(r) for e, r in get("null") if e["without"]),
+        },
+        "adversarial": {
+            "sensor_false_alarms": count(alarm(r) for _, r in adversarial),
+            "by_cause": {
+                cause: count(alarm(r) for e, r in adversarial if e["adversary"] == cause)
+                for cause in sorted({e["adversary"] for e, _ in adversarial})
+            },
+        },
+        "abstention": measures.abstention(get("null", "curve")),
+        "ablation": measures.ablation(nulls, strong),
+        "seconds": measures.seconds(diagnosed),
+        "engines": {
+            engine: {
+                "top1": count(
+                    bool(f := findings(r)) and named(f[0], told(e)["mechanism"])
+                    for e, r in strong
+                    if e.get("engine", "own") == engine
+                ),
+                "false_alarms": count(alarm(r) for e, r in nulls if e.get("engine", "own") == engine),
+            }
+            for engine in sorted({e.get("engine", "own") for e in truth.values()})
+        },
     }
 
 
-def null_uniformity(reports: list[Report]) -> dict[str, Any]:
-    """Kolmogorov-Smirnov test of the battery's p-values against the uniform law."""
-    p = [r["battery_p_value"] for r in reports if r.get("battery_p_value") is not None]
-    if len(p) < 5:
-        return {"sets": len(p), "ks_p": None}
-    return {"sets": len(p), "ks_p": float(stats.kstest(p, "uniform").pvalue)}
-
-
-def naming(rows: list[tuple[Entry, Report]]) -> dict[str, Any]:
-    """First choice, first three, log score, findings beside the truth, for single effects at 4 x MDE."""
-    first = third = outside = 0
-    logs, groups = [], []
-    per: dict[str, list[int]] = {}
+def naming(rows: Rows) -> dict[str, Any]:
+    """First choice, first three, in the group, log score, findings beside the truth."""
+    first, third, inside, outside, logs, sizes = [], [], [], [], [], []
+    per: dict[str, list[bool]] = {}
     for entry, report in rows:
-        mechanism = entry["effects"][0]["mechanism"]
-        found = findings(report)
-        hit = bool(found) and named(found[0], mechanism)
-        first += hit
-        per.setdefault(mechanism, []).append(int(hit))
-        place = rank(found[0], mechanism) if found else None
-        third += place is not None and place <= 3
-        chance = next(
-            (c["probability"] for f in found[:1] for c in f["candidates"] if c["mechanism"] == mechanism), 0.0
-        )
+        mechanism, found = told(entry)["mechanism"], findings(report)
+        lead = found[0] if found else None
+        place = rank(lead, mechanism) if lead else None
+        first.append(bool(lead and named(lead, mechanism)))
+        third.append(place is not None and place <= 3)
+        inside.append(bool(lead and (mechanism in group(lead) or lead["mechanism"] == mechanism)))
+        outside.append(any(mechanism not in (f["mechanism"], *group(f)) for f in found))
+        per.setdefault(mechanism, []).append(first[-1])
+        candidates = lead["candidates"] if lead else []
+        chance = sum(c["probability"] for c in candidates if c["mechanism"] == mechanism)
         logs.append(math.log(max(chance, 1e-6)))
-        groups += [len([c for c in f["candidates"] if c["mechanism"] != "unknown"]) for f in found[:1]]
-        outside += any(rank(f, mechanism) is None for f in found)
+        sizes += [max(len(group(lead)), 1)] if lead else []
     return {
-        "top1": share(first, len(rows)),
-        "top3": share(third, len(rows)),
+        "top1": count(first),
+        "top3": count(third),
+        "in_group": count(inside),
         "log_score": float(np.mean(logs)) if logs else None,
-        "mean_group": float(np.mean(groups)) if groups else None,
-        "finding_outside_group": share(outside, len(rows)),
-        "by_mechanism": {m: share(sum(hits), len(hits)) for m, hits in sorted(per.items())},
+        "mean_group": float(np.mean(sizes)) if sizes else None,
+        "finding_outside_group": count(outside),
+        "by_mechanism": {m: count(hits) for m, hits in sorted(per.items())},
     }
 
 
-def detection(rows: list[tuple[Entry, Report]]) -> dict[str, Any]:
-    """Logistic fit of detection in log strength: the multiple of the MDE detected in half of the sets."""
-    multiple = np.array([e["effects"][0]["multiple"] for e, _ in rows])
-    seen = np.array([bool(findings(r)) for _, r in rows], float)
-    out: dict[str, Any] = {
-        "sets": len(rows),
-        "points": [[float(m), bool(s)] for m, s in zip(multiple, seen, strict=True)],
-        "half_at": None,
-    }
-    if len(rows) < 5 or seen.min() == seen.max():
-        return out
-    x = np.log(multiple)
-
-    def loss(
-        parameters: np.ndarray,
-    ) -> float:  # a weak ridge keeps the slope finite when the classes separate
-        margin = np.exp(parameters[1]) * (x - parameters[0])
-        return float(np.sum(np.logaddexp(0, np.where(seen > 0, -margin, margin))) + 0.05 * parameters[1] ** 2)
-
-    fit = optimize.minimize(loss, (0.3, 1.0), method="Nelder-Mead")
-    return {**out, "half_at": float(np.exp(fit.x[0])), "slope": float(np.exp(fit.x[1]))}
+def detection(rows: Rows) -> dict[str, Any]:
+    """Share of sets with any finding, against the strength."""
+    return curves.half_power([told(e)["multiple"] for e, _ in rows], [bool(findings(r)) for _, r in rows])
 
 
-def confusion(rows: list[tuple[Entry, Report]]) -> dict[str, dict[str, int]]:
+def confusion(rows: Rows) -> dict[str, dict[str, int]]:
     """Injected mechanism -> leading finding (or `nothing`) -> number of sets."""
-    table: dict[str, dict[str, int]] = {}
-    for entry, report in rows:
-        found = findings(report)
-        row = table.setdefault(entry["effects"][0]["mechanism"], {})
-        name = found[0]["mechanism"] if found else "nothing"
-        row[name] = row.get(name, 0) + 1
-    return table
-
-
-def amplitude(rows: list[tuple[Entry, Report]]) -> dict[str, Any]:
-    """Median relative error and coverage of the 90 % interval, where the mechanism was named right."""
-    errors, covered = [], []
-    for entry, report in rows:
-        told = entry["effects"][0]
-        for finding in findings(report):
-            if (
-                finding["mechanism"] == told["mechanism"]
-                and (finding.get("amplitude") or {}).get("value") is not None
-            ):
-                errors.append(abs(finding["amplitude"]["value"] / told["amplitude"] - 1))
-                low, high = finding["amplitude"]["ci90"]
-                if low is not None and high is not None:
-                    covered.append(low <= told["amplitude"] <= high)
-                break
+    names = sorted({told(e)["mechanism"] for e, _ in rows})
     return {
-        "median_error": float(np.median(errors)) if errors else None,
-        "coverage90": share(sum(covered), len(covered)),
-    }
-
-
-def double(rows: list[tuple[Entry, Report]]) -> dict[str, Any]:
-    """Precision and recall of the set of names."""
-    right = said = true = 0
-    for entry, report in rows:
-        names = {e["mechanism"] for e in entry["effects"]}
-        claimed = {f["mechanism"] for f in findings(report)}
-        right += len(names & claimed)
-        said += len(claimed)
-        true += len(names)
-    return {"precision": share(right, said), "recall": share(right, true)}
-
-
-def unknown(unlisted: list[tuple[Entry, Report]], concealed: list[tuple[Entry, Report]]) -> dict[str, Any]:
-    """Effects that have no name for the tool: seen at all, called unknown, given a wrong name."""
-    rows = unlisted + concealed
-    seen = [found for _, r in rows if (found := findings(r))]
-    flagged = sum(any(f["mechanism"] == "unknown" for f in found) for found in seen)
-    misnamed = sum(any(f["mechanism"] != "unknown" for f in found) for found in seen)
-    return {
-        "detected": share(len(seen), len(rows)),
-        "flagged": share(flagged, len(rows)),
-        "misnamed": share(misnamed, len(rows)),
+        m: tally(
+            (found[0]["mechanism"] if (found := findings(r)) else "nothing")
+            for e, r in rows
+            if told(e)["mechanism"] == m
+        )
+        for m in names
     }

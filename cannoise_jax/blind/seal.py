@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from cannoise_jax.blind.chain import Effect
 from cannoise_jax.blind.compose import CURVE, Spec, compose
-from cannoise_jax.blind.effects import effect
+from cannoise_jax.blind.effects import effect, facts
 from cannoise_jax.blind.effects_unlisted import CARDS
 from cannoise_jax.blind.sets import SIZE, Design, draw_design, draw_scene, record, write_set
 from cannoise_jax.blind.strength import reachable
@@ -87,7 +87,14 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
         unit = VOCABULARY[name].unit if name in VOCABULARY else unlisted_unit(name)
         least = reachable(name, 1.0, design.camera, exposed)
         injected.append(
-            {"mechanism": name, "amplitude": amplitude, "unit": unit, "multiple": multiple, "mde": least}
+            {
+                "mechanism": name,
+                "amplitude": amplitude,
+                "unit": unit,
+                "multiple": multiple,
+                "mde": least,
+                "where": facts(name, design.camera, SIZE),
+            }
         )
     blank = None
     if spec.category in ("null", "curve"):

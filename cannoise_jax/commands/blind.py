@@ -23,14 +23,18 @@ import jax
 
 import cannoise_jax
 from cannoise_jax.blind import claims, compose
+from cannoise_jax.blind.page import page
 from cannoise_jax.blind.score import score
 from cannoise_jax.blind.seal import seal, write_atomically
+from cannoise_jax.blind.table import text
 from cannoise_jax.commands.parser import OneLineParser, count
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import prepare, split_frames
-from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.diagnose import diagnose, mde
 from cannoise_jax.discovery.locate import Located, locate
+from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document, plain
+from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
 
@@ -79,17 +83,71 @@ def _score(arguments: argparse.Namespace) -> None:
     manifest = claims.read_manifest(arguments.sets)
     said = claims.read_claims(arguments.claims, sorted(manifest["sets"]))
     truth = claims.read_truth(arguments.truth, manifest)
-    result = score(truth, said)
     out = arguments.out or arguments.claims
+    known = {} if arguments.quick else know(arguments.sets, truth, out / "known.json")
+    result = score(truth, said, known)
+    codes = {r.get("code_sha256") for r in said.values()}
+    result["code"] = {
+        "sealed": manifest.get("code_sha256"),
+        "run": sorted(str(c) for c in codes),
+        "unchanged_since_sealing": codes == {manifest.get("code_sha256")},
+    }
+    seed = json.loads(arguments.truth.read_text())["seed"]
+    made_by = (
+        f"{len(truth)} sets sealed with --seed {seed}; the analysis "
+        + ("is" if result["code"]["unchanged_since_sealing"] else "is NOT")
+        + f" the one that was there at sealing. Truth {manifest['truth_sha256'][:16]}."
+    )
     write_atomically(out / "blind.json", json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
-    print(out / "blind.json")
+    write_atomically(out / "blind.html", page(result, made_by))
+    print(f"{made_by}\n{text(result)}\n{out / 'blind.html'}")
+
+
+def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, Any]]:
+    """What takes the truth to compute, for sets with one listed effect: `mde`, by the tool's own definition,
+    and `gain`, see `true_gain`. Kept in `path`, so that a second score need not compute it again."""
+    code = fingerprint()
+    try:
+        kept = json.loads(path.read_text())
+    except (OSError, json.JSONDecodeError):
+        kept = {}
+    known = kept["sets"] if kept.get("code_sha256") == code else {}
+    asked = [e for e in truth.values() if e["category"] in ("strong", "curve")]
+    tell = progress("compared with the true model:")
+    for n, entry in enumerate(asked):
+        if entry["set"] not in known:
+            effect = entry["effects"][0]
+            capture = load_capture_set(sets / entry["set"])
+            known[entry["set"]] = {
+                "mde": mde(effect["mechanism"], capture),
+                "gain": true_gain(capture, effect["mechanism"], effect["amplitude"]),
+            }
+            write_atomically(path, json.dumps(plain({"code_sha256": code, "sets": known})))
+        tell(n + 1, len(asked))
+    return known
+
+
+def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | None:
+    """Held-out gain, nats, of the mechanism at its true population amplitude: maps, offsets, phases and
+    frequencies from the very frames held out, the same composite score. None where no probe looks for it."""
+    held = [split_frames(r.count)[1] for r in capture.recordings]
+    if not any(held):
+        return None
+    prepared = prepare(capture, held, False)
+    scores = [p.score(prepared.fields) for p in prepared.probes if p.mechanism == mechanism]
+    gains = [
+        held_out_gain(s._replace(amplitude=amplitude if s.amplitude >= 0 else -amplitude), s)
+        for s in scores
+        if s is not None
+    ]
+    return max(gains, default=None)
 
 
 def diagnosed(capture: CaptureSet, without: tuple[str, ...], version: str) -> dict[str, Any]:
     """The report of a whole diagnosis, with the p-value of the battery's first pass."""
     found = diagnose(capture, "poisson-gaussian", jax.random.key(0), alpha=ALPHA, without=without)
     report = document(found, key=0, version=version)
-    return {**report, "battery_p_value": smallest_p(found.fitted.first)}
+    return {**report, **smallest_p(found.fitted.first)}
 
 
 def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
@@ -106,16 +164,21 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
             "outcome": "UNKNOWN_STRUCTURE" if name == "unknown" else "FOUND",
             "candidates": [{"mechanism": name, "probability": 1.0}],
             "probe": s.probe,
-            "p_value": math.exp(first.log_p[s.probe]),
+            "p_value": math.exp(max(first.log_p[s.probe], -700.0)),
         }
         for s, name in rejected
     ]
-    return {"findings": findings, "battery_p_value": smallest_p(first)}
+    return {"findings": findings, **smallest_p(first)}
 
 
-def smallest_p(first: Located) -> float | None:
-    """The smallest family-wise p-value of a pass of the battery."""
-    return math.exp(min(first.log_p.values())) if first.log_p else None
+def smallest_p(first: Located) -> dict[str, float | None]:
+    """The smallest p-value of a pass of the battery, family-wise and of its one test alone."""
+    if not first.log_p:
+        return {"battery_p_value": None, "battery_raw_p": None}
+    return {
+        "battery_p_value": math.exp(max(min(first.log_p.values()), -700.0)),
+        "battery_raw_p": math.exp(max(min(s.log_p for s in first.scores.values()), -700.0)),
+    }
 
 
 def fingerprint() -> str:
@@ -200,6 +263,7 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--claims", type=Path, required=True, help="folder that bin/blind run wrote")
     step.add_argument("--truth", type=Path, required=True, help="file that bin/blind seal wrote")
     step.add_argument("--out", type=Path, help="folder for blind.html and blind.json (that of the claims)")
+    step.add_argument("--quick", action="store_true", help="leave out the true model's gain and MDE")
     step.set_defaults(step=_score)
     return parser
 

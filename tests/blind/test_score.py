@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from cannoise_jax.blind.score import alarm, detection, named, score, share
+from cannoise_jax.blind.judge import alarm, named, share
+from cannoise_jax.blind.score import detection, score
 
 
 def finding(mechanism, kind="sensor", outcome="FOUND", others=(), value=1.0, interval=(0.9, 1.1)):
@@ -17,8 +18,8 @@ def finding(mechanism, kind="sensor", outcome="FOUND", others=(), value=1.0, int
 
 
 def entry(name, category, *effects, adversary=None):
-    told = [{"mechanism": m, "amplitude": 1.0, "multiple": k, "mde": 1 / k} for m, k in effects]
-    return {"set": name, "category": category, "effects": told, "adversary": adversary}
+    told = [{"mechanism": m, "amplitude": 1.0, "multiple": k, "mde": 1 / k, "where": {}} for m, k in effects]
+    return {"set": name, "category": category, "effects": told, "adversary": adversary, "without": []}
 
 
 def test_share_is_clopper_pearson():
