@@ -14,10 +14,11 @@ A concealed set must tell the tool what to forget, so as many effect-free sets c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cannoise_jax.blind import peer
 from cannoise_jax.blind.effects import UNLISTED
 from cannoise_jax.vocabulary import VOCABULARY, contains
 
@@ -64,7 +65,7 @@ SHARES = {
 
 @dataclass(frozen=True)
 class Spec:
-    """One set: its category, the effects as (id, multiple of the MDE), the design, what to forget."""
+    """One set: its category, effects as (id, multiple of the MDE), design, what to forget, code."""
 
     name: str
     category: str
@@ -73,6 +74,7 @@ class Spec:
     reference: str | None = None
     adversary: str | None = None
     without: tuple[str, ...] = ()
+    engine: str = "own"
 
 
 def concealed_with(mechanism: str) -> tuple[str, ...]:
@@ -105,7 +107,12 @@ def compose(rng: np.random.Generator, sets: int, nulls: int, kinds: tuple[str, .
     specs: list[Spec] = []
 
     def add(category: str, **fields) -> None:
-        specs.append(Spec("", category, **fields))
+        spec = Spec("", category, **fields)
+        # The second engine makes every other set of the effects it has, and one effect-free set in four.
+        share = 0.5 if spec.effects else 0.25
+        drawn = rng.random() < share and spec.adversary is None
+        second = drawn and peer.able(tuple(name for name, _ in spec.effects))
+        specs.append(replace(spec, engine="getframes" if second else "own"))
 
     def deal(names, number: int) -> list[str]:
         """`number` names in random order, each as often as any other, give or take one."""

@@ -80,6 +80,7 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
             break
     else:
         raise BadInput(f"{spec.effects}: no set of design {spec.design!r} shows it at a moderate strength")
+    design = replace(design, engine=spec.engine)
     injected: list[dict[str, Any]] = []
     effects: list[Effect] = []
     for (name, multiple), amplitude in zip(spec.effects, amplitudes, strict=True):
@@ -111,6 +112,7 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
         "nothing_shows": blank,
         "design": spec.design,
         "reference": design.reference,
+        "engine": design.engine,
         "camera": camera,
     }
     return recordings, entry

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from cannoise_jax.blind.chain import Camera, Effect, Shot, expose
+from cannoise_jax.blind import chain, peer
+from cannoise_jax.blind.chain import Camera, Effect, Shot
 from cannoise_jax.blind.shifts import Exposed
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import Recording
@@ -22,11 +23,12 @@ SIZE = (192, 256)
 FLATS = (0.02, 0.1, 0.25, 0.5, 0.8)
 DESIGNS = ("full", "no_flats", "no_darks", "single_frames")
 BURST = 96
+ENGINES = {"own": chain.expose, "getframes": peer.expose}
 
 
 @dataclass(frozen=True)
 class Design:
-    """A camera and what it records. reference: of the scenes, `independent` or `burst_mean`."""
+    """A camera, what it records, by which code. reference: of the scenes, `independent` or `burst_mean`."""
 
     camera: Camera
     shots: tuple[Shot, ...]
@@ -34,6 +36,7 @@ class Design:
     flat_clean: bool
     kind: str
     burst: int = BURST
+    engine: str = "own"
 
     def exposed(self) -> list[Exposed]:
         """What the computation of strengths needs."""
@@ -115,6 +118,7 @@ def draw_design(rng: np.random.Generator, kind: str = "full", reference: str | N
 def record(design: Design, effects: tuple[Effect, ...], rng: np.random.Generator) -> list[Recording]:
     """Exposes every shot and describes it as a user's files would."""
     recordings = []
+    expose = ENGINES[design.engine]
     exposed = [expose(design.camera, s, effects, rng) for s in design.shots]
     shot, read = fitted_nlf(design, exposed)
     for s, frames in zip(design.shots, exposed, strict=True):
@@ -148,7 +152,7 @@ def _reference(design: Design, s: Shot, effects: tuple[Effect, ...], rng: np.ran
         return s.clean.astype(np.float32), "independent", None
     total, done = np.zeros(s.clean.shape), 0
     while done < design.burst:  # in parts, so that a burst never lies in memory whole
-        part = expose(design.camera, replace(s, frames=8), effects, rng)
+        part = ENGINES[design.engine](design.camera, replace(s, frames=8), effects, rng)
         total += part.astype(np.float64).sum(0)
         done += 8
     camera = design.camera
