@@ -145,7 +145,8 @@ MISREGISTRATION = Mechanism(
 
 def _move_scene(key, x, values, maps, context):
     dy, dx = _shift(values)
-    t = context.first_frame + jnp.arange(x.shape[0], dtype=jnp.float32)
+    t = jnp.arange(x.shape[0], dtype=jnp.float32)
+    t = t.at[-1].set(-1.0) if context.frame_before else t
     return moved(x, t * jnp.reshape(dy, ()), t * jnp.reshape(dx, ()))
 
 

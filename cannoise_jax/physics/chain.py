@@ -37,7 +37,7 @@ def maps_of(model, index: int, values, context: Context) -> dict[str, Array]:
                 if have not in (1, want):
                     raise BadInput(
                         f"{model.camera}: map {name} of {fitted.mechanism} is {values_map.shape[-2:]}, "
-                        f"the frame {context.size}: use frames of that size, or drop the maps by with_unit"
+                        f"the frame {context.size}: use that size, or another unit, whose maps are drawn"
                     )
         return {
             name: jnp.asarray(m).reshape((1,) * (3 - m.ndim) + m.shape) for name, m in fitted.maps.items()
@@ -112,8 +112,9 @@ def run_chain(
             inner, mean, noise = jax.tree.map(partial(_twice, scenes=mean.shape[0]), (inner, mean, noise))
             keep, drawn = slice(1, None, 2), 2 * frames
         else:
-            inner = dataclasses.replace(inner, first_frame=-1)
-            keep, drawn = slice(1, None), frames + 1
+            # Last, so that the others are the frames that the model would draw without looking back.
+            inner = dataclasses.replace(inner, frame_before=True)
+            keep, drawn = slice(frames), frames + 1
     mean = jnp.broadcast_to(mean, (drawn, *context.size))
     mean = _stage(model, key, mean, "mean", inner, values)
     charge = shot_noise(jax.random.fold_in(key, _SHOT), mean, noise.poisson_share)

@@ -78,8 +78,8 @@ class Context:
 
     mean_dn: expected signal above black without any mechanism, DN. gain_dn_per_e, read_noise_e: the
     baseline's; for mechanisms of the charge, as other mechanisms altered them.
-    cfa, size: colour pattern and (H, W), static under jit. first_frame: number of the first frame of x,
-    static: -1 where a frame before the recording is drawn along.
+    cfa, size: colour pattern and (H, W), static under jit. frame_before: whether the last frame of x is the
+    one before the first, static.
     """
 
     mean_dn: Array
@@ -93,7 +93,7 @@ class Context:
     temperature_c: Array | None
     cfa: str = field(metadata={"static": True})
     size: tuple[int, int] = field(metadata={"static": True})
-    first_frame: int = field(default=0, metadata={"static": True})
+    frame_before: bool = field(default=False, metadata={"static": True})
 
     @property
     def span_dn(self) -> Array:
@@ -177,7 +177,8 @@ class Mechanism:
     setting.
     score(z, parameters, maps, context) -> statistic of standardised residuals z[T, H, W] that is standard
       normal for white Gaussian z: how strongly the data look like this mechanism.
-    looks_back: it needs the frame before; one more is then drawn through the same chain and dropped.
+    looks_back: it needs the frame before, x rolled by one: another is drawn through the same chain as the
+      last of x, and dropped.
     likelihood: "exact" and "approximate": the discretised likelihood integrates it; "none": composite score.
     needs: data kinds that identify it, of "pair", "pair_independent", "burst", "dark", "flat", "iso",
       "exposure", "temperature". confused_with: ids. equation: LaTeX without dollar signs.

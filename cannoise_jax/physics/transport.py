@@ -92,9 +92,9 @@ BRIGHTER_FATTER = Mechanism(
 
 
 def _lag(key, x, values, maps, context: Context):
-    # The first frame of x lies before the recording and is dropped; its own ghost does not matter.
+    # The last frame of x is the one before the first.
     kept = values["fraction"]
-    return (1 - kept) * x + kept * jnp.concatenate([x[:1], x[:-1]])
+    return (1 - kept) * x + kept * jnp.roll(x, 1, axis=0)
 
 
 def _lag_effect(values, maps, context):
