@@ -14,13 +14,14 @@ from jaxtyping import Array, Key
 from scipy import stats
 
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import Prepared, prepare, split_frames
+from cannoise_jax.discovery.battery import Prepared, prepare, split_frames, stated_parameters
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.fit import Fitted, Step, refit, stepwise
-from cannoise_jax.discovery.model import extended_model
-from cannoise_jax.discovery.prove import Proof, nll_per_pixel, prove
+from cannoise_jax.discovery.model import baseline_model
+from cannoise_jax.discovery.prove import Proof, Proofs, prove, unproven
+from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
+from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
-from cannoise_jax.discovery.twosample import Verdict, two_sample
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
@@ -31,8 +32,8 @@ SIMULATORS = ("poisson-gaussian", "nlf")
 class Diagnosis:
     """What a run found. `report.document` turns it into the report, `model` is the extended simulator.
 
-    steps of `fitted` and `proofs` go together; before, after: two-sample verdicts (None where not measured);
-    nll: mean negative log-likelihood per pixel of the baseline on the second half, nats.
+    steps of `fitted` and `proofs` go together; proven: also the likelihood of the second half; quality:
+    draws of the simulator before and after against the second half, None where not measured.
     """
 
     capture: CaptureSet
@@ -44,11 +45,14 @@ class Diagnosis:
     first: Prepared
     second: Prepared | None
     fitted: Fitted
-    proofs: tuple[Proof, ...]
-    before: Verdict | None
-    after: Verdict | None
-    nll: float | None
+    proven: Proofs
+    quality: Quality | None
     model: SensorModel
+
+    @property
+    def proofs(self) -> tuple[Proof, ...]:
+        """One for each step."""
+        return self.proven.each
 
     @property
     def findings(self) -> list[str]:
@@ -82,45 +86,67 @@ def diagnose(
     key = jax.random.key(0) if key is None else key
     ids = declare.registered(without, mechanisms)
     judged = simulator != "poisson-gaussian"
-    label = str(simulator) if isinstance(simulator, (str, Path)) else "function"
     if simulator == "nlf" and not any(r.shot and r.read for r in capture.recordings):
         raise BadInput(
             f"{capture.path or 'recordings'}: state no shot and read: use --simulator poisson-gaussian"
         )
-    splits = [split_frames(r.count) for r in capture.recordings]
     tell("calibrate: black level, gain and read noise")
-    drawn = None
+    drawn, handed = None, None
     if simulator not in SIMULATORS:
-        label, draw, dark = open_simulator(simulator, capture)
+        handed = open_simulator(simulator, capture)
         tell("draw: frames of the simulator at the settings of the recordings")
-        drawn = simulate_like(capture, draw, jax.random.fold_in(key, 1), dark)
+        drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
         capture = as_simulated(capture, drawn)
-        splits = [split_frames(r.count) for r in capture.recordings]
-    first = prepare(capture, [a for a, _ in splits], judged, drawn)
+    splits = split_recordings(capture)
+    seen = prepare(capture, [a for a, _ in splits], judged, drawn)
     own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
-    first = first._replace(fields=_take_out(first.fields, own))
+    first = seen._replace(fields=_take_out(seen.fields, own))
     tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
     fitted = stepwise(first.fields, first.probes, frozenset(ids), float(np.log(alpha)), tell)
     yes, no = declare.testable(fitted.first, first.probes, ids)
-    second = None
-    if any(b for _, b in splits):
+    chosen = [b for _, b in splits]
+    second = unseen = None
+    proven = unproven(fitted.steps)
+    if any(chosen):
         tell("prove: on the other half of the frames")
-        second = prepare(capture, [b for _, b in splits], judged, drawn)
-        second = second._replace(fields=_take_out(second.fields, own))
-    proofs = prove(fitted.steps, second) if second else tuple(Proof(None, None, 0.0, 0) for _ in fitted.steps)
-    before = after = None
-    nll = nll_per_pixel(second) if second else None
-    if compare and second is not None and min(first.fields[0].mean.shape) >= 64:
-        tell("prove: two-sample test, before and after")
-        before, after = _compare(key, first, second, fitted)
-    model = extended_model(
-        capture,
-        first,
-        [(s.named.mechanism, p.score or s.named.score) for s, p in zip(fitted.steps, proofs, strict=True)],
-    )
+        unseen = prepare(capture, chosen, judged, drawn)
+        second = unseen._replace(fields=_take_out(unseen.fields, own))
+        proven = prove(fitted.steps, first, second, chosen)
+    if handed is None:
+        stated = stated_parameters(capture, first.baselines) if judged else None
+        sides = simulators(capture, first, fitted.steps, baseline_model(capture, first, stated))
+    else:
+        sides = handed_simulators(capture, first, fitted.steps, own, handed)
+    quality = None
+    if compare and unseen is not None:
+        tell("prove: draws of the simulator before and after")
+        row = first.probes and fitted.first.scores.get("row_additive_temporal")
+        # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
+        sigma = 2 * row.mde / 2**0.25 if row else None
+        composite = proven.after is None or not sides.likelihood
+        quality = compare_models(jax.random.fold_in(key, 2), seen, unseen, sides, sigma, composite)
+        if quality is not None and not sides.likelihood:
+            tell("prove: composite score without each finding")
+            proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
+    if not sides.likelihood:
+        proven = proven._replace(before=None, after=None)
+    label = str(simulator) if handed is None else handed.label
     return Diagnosis(
-        capture, label, alpha, ids, yes, no, first, second, fitted, proofs, before, after, nll, model
+        capture, label, alpha, ids, yes, no, first, second, fitted, proven, quality, sides.exported
     )
+
+
+def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
+    """Frames of every recording that look for effects, and those that prove: every other frame; of scenes of
+    one frame, every other scene."""
+    out, single = [], 0
+    for r in capture.recordings:
+        halves = split_frames(r.count)
+        if r.count == 1:
+            halves = halves if single % 2 == 0 else (halves[1], halves[0])
+            single += 1
+        out.append(halves)
+    return out
 
 
 def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
@@ -140,26 +166,6 @@ def _take_out(fields: tuple[Fields, ...], steps: tuple[Step, ...]) -> tuple[Fiel
     for step in steps:
         fields = refit(step.named.probe.absorb(fields, step.named.score))
     return fields
-
-
-def _compare(key, first: Prepared, second: Prepared, fitted: Fitted) -> tuple[Verdict | None, Verdict | None]:
-    """The two-sample test with the baseline alone, and with everything found taken out of the residuals."""
-    names = {f.number for f in first.fields} & {f.number for f in second.fields}
-
-    def common(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
-        return tuple(f for f in fields if f.number in names and f.frames > 1)
-
-    base_a, base_b = common(first.fields), common(second.fields)
-    if not base_a or not base_b:
-        return None, None
-    rest = second.fields
-    for step in fitted.steps:
-        rest = refit(step.named.probe.absorb(rest, step.named.score))
-    before = two_sample(key, base_a, base_b, base_a, base_b, first.span)
-    if not fitted.steps:
-        return before, before
-    after = two_sample(key, common(fitted.fields), common(rest), base_a, base_b, first.span)
-    return before, after
 
 
 def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:

@@ -1,18 +1,31 @@
-"""The extended simulator: the fitted baseline and every finding as a `SensorModel`, named or from the
-grammar."""
+"""The extended simulator: the baseline and every finding as a `SensorModel`, named or from the grammar.
+
+Everything comes from the frames that looked for effects, so that the frames that prove it have had no part
+in it: strengths, measured maps of frozen patterns, and the noise of the baseline, which was fitted with the
+effects in it and is lowered by what they now add.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
+from scipy import optimize, stats
 
 from cannoise_jax.discovery.battery import Prepared
+from cannoise_jax.discovery.fields import channel_index
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.frozen import frozen_map, noise_factors
+from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps
 from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.chain import closed_form
 from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.settings import context_of, resolve
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
 
-_DIRECT = {
+STRENGTHS = {
     "row_noise": "sigma_dn",
     "column_noise": "sigma_dn",
     "row_fpn": "sigma_dn",
@@ -39,98 +52,166 @@ _DIRECT = {
     "brighter_fatter": "a00",
     "demosaicing": "weight",
     "pixel_read_noise_map": "spread",
+    "lens_shading": "sigma",
 }
 """Name of the simulator's parameter that carries the amplitude."""
 
-_GRAMMAR = {
-    "row_additive_temporal": Point("readout", "signal", "row", "redrawn"),
-    "column_additive_temporal": Point("readout", "signal", "column", "redrawn"),
-    "row_additive_static": Point("readout", "signal", "row", "frozen"),
-    "column_additive_static": Point("readout", "signal", "column", "frozen"),
-    "row_relative_static": Point("photons", "mean", "row", "frozen", "multiply"),
-    "column_relative_static": Point("photons", "mean", "column", "frozen", "multiply"),
-    "row_relative_temporal": Point("photons", "mean", "row", "redrawn", "multiply"),
-    "column_relative_temporal": Point("photons", "mean", "column", "redrawn", "multiply"),
-    "frame_additive": Point("readout", "signal", "whole", "redrawn"),
-    "frame_relative": Point("photons", "mean", "whole", "redrawn", "multiply"),
-    "pixel_additive_static": Point("readout", "signal", "pixel", "frozen"),
-    "pixel_thermal_static": Point("readout", "signal", "pixel", "frozen"),
-    "pixel_relative_static": Point("photons", "mean", "pixel", "frozen", "multiply"),
-    "raster_slope": Point("readout", "signal", "raster", "redrawn", spectrum="power_law"),
-    "row_slope": Point("readout", "signal", "row", "redrawn", spectrum="power_law"),
-    "wave_redrawn": Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"),
-    "wave_frozen": Point("readout", "signal", "raster", "frozen", spectrum="sinusoid"),
-    "flicker": Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
-    "step": Point("readout", "signal", "block", "frozen"),
-    "telegraph": Point("readout", "signal", "pixel", "telegraph"),
-    "hot_additive": Point("readout", "signal", "pixel", "frozen", distribution="sparse"),
-    "hot_thermal": Point("readout", "signal", "pixel", "frozen", distribution="sparse"),
-}
-"""Where in the grammar a probe sits, for findings without a name."""
+_SIGNED = {"nonlinearity": "curvature", "lens_shading": "corner_loss", "amplifier_mismatch": None}
+"""Mechanisms whose parameter has a sign, and where the score keeps it."""
 
 
-def extended_model(capture: CaptureSet, prepared: Prepared, found: list[tuple[str, Score]]) -> SensorModel:
-    """The baseline of the recordings with every finding that can be simulated added, sorted along the
-    chain."""
+def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None = None) -> SensorModel:
+    """The fitted Poisson-Gaussian baseline of the recordings; with gain and read noise (DN) as `stated` per
+    gain setting where given."""
     first = capture.recordings[0]
-    baselines = sorted(prepared.baselines, key=lambda b: b.iso or 0.0)
-    gains = np.stack([np.maximum(b.gain, 1e-6) for b in baselines])
-    reads = np.stack([b.read_dn for b in baselines]) / gains
-    isos = tuple(b.iso if b.iso is not None else 100.0 for b in baselines)
-    model = SensorModel.poisson_gaussian(
-        gains,
-        reads,
+    order = np.argsort([b.iso or 0.0 for b in prepared.baselines])
+    gains, reads = [], []
+    for n in order:
+        baseline = prepared.baselines[n]
+        gain, read = stated[n] if stated is not None and stated[n][0] is not None else (None, None)
+        gains.append(np.maximum(baseline.gain if gain is None else gain, 1e-6))
+        reads.append((baseline.read_dn if read is None else read) / gains[-1])
+    baselines = [prepared.baselines[n] for n in order]
+    return SensorModel.poisson_gaussian(
+        np.stack(gains),
+        np.stack(reads),
         per_channel(baselines[0].black),
         first.white_level,
         first.cfa,
-        iso=isos,
+        iso=tuple(b.iso if b.iso is not None else 100.0 for b in baselines),
         code_step=prepared.step,
         camera=capture.camera,
     )
-    for mechanism, score in found:
-        model = _add(model, mechanism, score, prepared)
-    return model
 
 
-def _add(model: SensorModel, mechanism: str, score: Score, prepared: Prepared) -> SensorModel:
-    value = score.amplitude
-    extra: dict[str, float] = {}
-    point = None
-    name = mechanism
-    parameter = _DIRECT.get(mechanism)
+def extended_model(
+    capture: CaptureSet,
+    prepared: Prepared,
+    steps: tuple[Step, ...],
+    start: SensorModel | None = None,
+    seed: int = 0,
+) -> SensorModel:
+    """The baseline of the recordings with every finding that can be simulated added, sorted along the chain.
+
+    steps: the accepted findings. start: the camera model that was judged; what was found is added to it.
+    seed: of the part of frozen maps that the frames leave open. Capture and bookkeeping errors are not the
+    camera's: they are not in the model.
+    """
+    bare = baseline_model(capture, prepared)
+    model = bare if start is None else start
+    if not steps:
+        return model
+    rng = np.random.default_rng(seed)
+    if any(s.named.mechanism == "bookkeeping" for s in steps):
+        model = dataclasses.replace(model, black_level=bare.black_level)
+    for step in steps:
+        model = _add(model, step, prepared, rng)
+    matched = start is None or np.size(model.iso) == np.size(bare.iso)
+    return _balanced(bare, model, prepared) if matched else model
+
+
+def _add(model: SensorModel, step: Step, prepared: Prepared, rng: np.random.Generator) -> SensorModel:
+    mechanism, score, fields = step.named.mechanism, step.named.score, step.before
+    probe = step.named.probe.name
+    field = frozen_map(probe, score, prepared, fields, rng)
     if mechanism == "unknown":
-        point = _GRAMMAR.get(score.probe)
-        if point is None:
-            return model
-        name = f"unknown_{score.probe}"
-        parameter = "amplitude" if point.spectrum == "sinusoid" else "sigma"
-        parameter += "" if point.combine == "multiply" else "_dn"
-    elif mechanism == "dsnu" and score.probe == "pixel_thermal_static":
-        return model.with_mechanism("dsnu", sigma_dn=value, scaling=_thermal(prepared))
-    elif mechanism == "heavy_tails":
+        return _add_unknown(model, probe, score, prepared, field)
+    gain = float(np.mean(prepared.baselines[0].gain)) or 1.0
+    seconds = max((f.exposure_s or 1.0) for f in prepared.fields)
+    value = score.amplitude
+    if mechanism in _SIGNED and _SIGNED[mechanism] in score.parameters:
+        value = score.parameters[str(_SIGNED[mechanism])][0]
+    if mechanism == "heavy_tails":
         return model.with_mechanism("heavy_tails", tukey_lambda=_lambda_of(value))
-    elif mechanism in ("rts", "hot_pixels", "amp_glow", "saturation"):
-        return _special(model, mechanism, score, prepared)
+    if mechanism == "pixel_read_noise_map":
+        factor = noise_factors(fields, value, rng)
+        return model.with_mechanism(mechanism, spread=value, maps={"factor": _map(factor)})
+    if mechanism == "rts":
+        jump, share = score.parameters["jump"][0], score.parameters["fraction"][0]
+        sites = {"sites": _map(field / (jump / 2))} if field is not None else {}
+        return model.with_mechanism("rts", jump_dn=jump, fraction=share, rate=0.5, maps=sites)
+    if mechanism == "hot_pixels":
+        heat = np.zeros(fields[0].mean.shape) if field is None else field
+        return _hot(model, heat / gain / seconds, probe, score, seconds)
+    if mechanism == "saturation":
+        return model.with_mechanism("saturation", full_well_e=value * prepared.span / gain)
+    if mechanism == "amp_glow" and field is not None:
+        peak = float(field.max())
+        strength = value * peak / gain / seconds
+        return model.with_mechanism("amp_glow", e_per_s=strength, maps={"glow": _map(field / peak)})
+    if mechanism == "channel_offset" and field is not None:
+        black = per_channel(np.asarray(model.black_level) - np.asarray(score.payload))
+        model = dataclasses.replace(model, black_level=np.asarray(black, np.float32))
+        rms = float(np.sqrt(np.mean(field**2)))
+        return model.with_mechanism(mechanism, sigma_dn=rms, maps={"field": _map(field / rms)})
+    parameter = STRENGTHS.get(mechanism)
     if parameter is None:
         return model
+    known: dict = {parameter: value, **_shape_of(score, fields[0].mean.shape[1])}
+    if probe == "wave_frozen":
+        point = POINTS[probe]
+        maps = {} if field is None else {"field": _map(field)}
+        return model.with_mechanism(mechanism, point=point, maps=maps, **known)
+    scaling = _thermal(prepared) if probe.endswith("_thermal_static") else None
+    maps = {}
+    if field is not None:
+        unit = 1.0 if mechanism in ("amplifier_mismatch", "green_imbalance") else max(value, 1e-12)
+        maps = {"field": _map(field / unit)}
+    return model.with_mechanism(mechanism, scaling=scaling, maps=maps, **known)
+
+
+def _add_unknown(
+    model: SensorModel, probe: str, score: Score, prepared: Prepared, field: np.ndarray | None
+) -> SensorModel:
+    """A finding without a name at its place in the grammar; the model as it was where the grammar has
+    none."""
+    point = POINTS.get(probe)
+    if point is None:
+        return model
+    strength, maps = grammar_maps(probe, score, prepared, field)
+    parameter = "amplitude" if point.spectrum == "sinusoid" else "sigma"
+    if point.combine == "add":
+        parameter += "_e" if point.acts_on == "mean" else "_dn"
+    known = {parameter: strength, **_shape_of(score, prepared.fields[0].mean.shape[1])}
+    if point.time == "telegraph":
+        known["rate"] = 0.5
+    if point.distribution == "tukey_lambda":
+        # The field carries most of the read noise, whose Gaussian part is lowered to make room.
+        share = 0.9
+        known[parameter] = share * float(np.mean(prepared.baselines[0].read_dn))
+        known["tukey_lambda"] = _lambda_of(score.amplitude / share**4)
+    thermal = probe.endswith("thermal_static") or probe in ("hot_thermal", "glow", "dark_level")
+    return model.with_mechanism(
+        f"unknown_{probe}",
+        point=point,
+        scaling=_thermal(prepared) if thermal else None,
+        maps={name: jnp.asarray(m, jnp.float32) for name, m in maps.items()},
+        **known,
+    )
+
+
+def _map(values: np.ndarray):
+    """As the chain stores a map: `[1, H, W]`, lines as `[1, H, 1]` or `[1, 1, W]`."""
+    values = np.asarray(values, np.float32)
+    return jnp.asarray(values.reshape((1,) * (3 - values.ndim) + values.shape))
+
+
+def _shape_of(score: Score, width: int) -> dict[str, float]:
+    """Exponent or frequency of a spectrum, by the grammar's names."""
+    out = {}
     if "exponent" in score.parameters:
-        extra["exponent"] = score.parameters["exponent"][0]
+        out["exponent"] = score.parameters["exponent"][0]
     if "frequency" in score.parameters:
-        extra["frequency"] = abs(score.parameters["frequency"][0])
+        out["frequency"] = abs(score.parameters["frequency"][0])
     if "frequency_x" in score.parameters:
-        width = prepared.fields[0].mean.shape[1]
         fy, fx = score.parameters["frequency_y"][0], score.parameters["frequency_x"][0]
-        extra["frequency"] = _raster_frequency(fy, fx, width)
-    known: dict = {parameter: value, **extra}
-    try:
-        return model.with_mechanism(name, point=point, **known)
-    except ValueError:
-        return model.with_mechanism(name, point=point)
+        out["frequency"] = _raster_frequency(fy, fx, width)
+    return out
 
 
 def _thermal(prepared: Prepared) -> Scaling:
     seconds = max(f.exposure_s or 0.0 for f in prepared.fields)
-    return Scaling(exposure=1.0, reference_exposure_s=seconds)
+    return Scaling(exposure=1.0, reference_exposure_s=seconds or 1.0)
 
 
 def _raster_frequency(fy: float, fx: float, width: int) -> float:
@@ -143,7 +224,6 @@ def _raster_frequency(fy: float, fx: float, width: int) -> float:
 
 def _lambda_of(kurtosis: float) -> float:
     """Shape of the Tukey lambda distribution with this excess kurtosis."""
-    from scipy import optimize, stats
 
     def miss(shape: float) -> float:
         return float(stats.tukeylambda.stats(shape, moments="k")) - kurtosis
@@ -151,20 +231,53 @@ def _lambda_of(kurtosis: float) -> float:
     return float(optimize.brentq(miss, -0.24, 0.13)) if miss(0.13) < 0 < miss(-0.24) else 0.0
 
 
-def _special(model: SensorModel, mechanism: str, score: Score, prepared: Prepared) -> SensorModel:
-    gain = float(np.mean(prepared.baselines[0].gain)) or 1.0
-    seconds = max((f.exposure_s or 1.0) for f in prepared.fields)
-    if mechanism == "rts":
-        return model.with_mechanism(
-            "rts", jump_dn=score.parameters["jump"][0], fraction=score.parameters["fraction"][0]
-        )
-    if mechanism == "hot_pixels":
-        share = max(score.parameters["fraction"][0], 1e-7)
-        return model.with_mechanism(
-            "hot_pixels", e_per_s=score.amplitude / gain / seconds / np.sqrt(2 * share), fraction=share
-        )
-    if mechanism == "saturation":
-        span = prepared.span
-        return model.with_mechanism("saturation", full_well_e=score.amplitude * span / gain)
-    g = score.payload[0]
-    return model.with_mechanism("amp_glow", e_per_s=score.amplitude * float(g.max()) / gain / seconds)
+def _hot(model: SensorModel, heat: np.ndarray, probe: str, score: Score, seconds: float) -> SensorModel:
+    """Hot pixels at their places, e-/s; what does not grow with the exposure is an offset map."""
+    share = float(np.clip(np.mean(heat > 0), 1e-7, 0.5))
+    mean = float(heat.sum() / max((heat > 0).sum(), 1)) or 1e-6
+    scaling = None if probe == "hot_thermal" else Scaling(reference_exposure_s=seconds)
+    strength = mean if scaling is None else mean * seconds
+    return model.with_mechanism(
+        "hot_pixels", e_per_s=strength, fraction=share, scaling=scaling, maps={"heat": _map(heat / mean)}
+    )
+
+
+def _balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> SensorModel:
+    """The model with gain and read noise lowered so that its temporal variance of the ordinary pixel, at
+    black and at half of the range, is that of the fitted baseline."""
+    size = prepared.fields[0].mean.shape
+    channel = channel_index(size)
+    dark = [f.exposure_s for f in prepared.fields if not f.lit and f.exposure_s is not None]
+    seconds = min(dark) if dark else 0.01
+    levels = (0.0, 0.4)
+    gains, reads = [], []
+    for n, iso in enumerate(np.asarray(bare.iso)):
+        settings = Settings(float(iso), seconds)
+        wanted = [_variance(bare, level, settings, channel) for level in levels]
+        gain, read = np.array(bare.gain_dn_per_e)[n], np.array(bare.read_noise_e)[n]
+        shot0 = gain.copy()
+        for _ in range(4):
+            trial = _with_noise(model, n, gain, read)
+            have = [_variance(trial, level, settings, channel) for level in levels]
+            slope = (wanted[1] - wanted[0]) / np.maximum(have[1] - have[0], 1e-9)
+            read_dn = np.sqrt(np.maximum((gain * read) ** 2 + wanted[0] - have[0], 0.0025 * wanted[0]))
+            gain = np.clip(gain * slope, 0.3 * shot0, 3 * shot0)
+            read = read_dn / gain
+        gains.append(gain)
+        reads.append(read)
+    gain_table, read_table = (np.stack(table).astype(np.float32) for table in (gains, reads))
+    return dataclasses.replace(model, gain_dn_per_e=gain_table, read_noise_e=read_table)
+
+
+def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) -> SensorModel:
+    gains, reads = np.array(model.gain_dn_per_e), np.array(model.read_noise_e)
+    gains[n], reads[n] = gain, read
+    return dataclasses.replace(model, gain_dn_per_e=gains, read_noise_e=reads)
+
+
+def _variance(model: SensorModel, level: float, settings: Settings, channel: np.ndarray) -> np.ndarray:
+    """Median over the pixels of each channel of the temporal variance before rounding, DN^2."""
+    context = context_of(model, jnp.full((1, *channel.shape), level, jnp.float32), settings)
+    _, variance = closed_form(model, context, resolve(model, context))
+    values = np.broadcast_to(np.asarray(variance)[0], channel.shape)
+    return np.array([np.median(values[channel == c]) for c in range(4)])

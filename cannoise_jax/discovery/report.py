@@ -67,11 +67,6 @@ def document(
     for line, recording in zip(kinds(diagnosis.capture), diagnosis.capture.recordings, strict=True):
         inputs.append({**line, "sha256": _digest(recording.path)})
     verdict = "mismatch" if findings else "match" if diagnosis.testable else "not_testable"
-    gains = [p.gain for p in diagnosis.proofs if p.gain is not None]
-    pixels = max([p.pixels for p in diagnosis.proofs], default=0)
-    after_nll = diagnosis.nll
-    if diagnosis.nll is not None and pixels:
-        after_nll = diagnosis.nll - sum(gains) / pixels
     return plain(
         {
             "schema": SCHEMA,
@@ -85,8 +80,9 @@ def document(
             "not_testable": [{"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable],
             "findings": findings,
             "not_found": missing,
-            "before": _quality(diagnosis.before, diagnosis.nll),
-            "after": _quality(diagnosis.after, after_nll),
+            "before": quality(diagnosis, 0),
+            "after": quality(diagnosis, 1),
+            "two_sample": two_sample(diagnosis),
             "seconds": seconds,
             "peak_memory_mb": peak_memory_mb,
         }
@@ -103,13 +99,43 @@ def _digest(path: str | None) -> str | None:
     return digest.hexdigest()
 
 
-def _quality(verdict, nll: float | None) -> dict[str, Any]:
+def quality(diagnosis: Diagnosis, which: int) -> dict[str, Any]:
+    """The simulator before (0) or after (1) on the frames held back.
+
+    `score` says what `nll_nats_per_pixel` is: minus the mean log-probability of the codes ('likelihood'),
+    or, where a finding has no likelihood, minus the composite score of `physics.likelihood_composite`; the
+    same for before and after.
+    """
+    q = diagnosis.quality
+    side = None if q is None else (q.before, q.after)[which]
+    areas = None if q is None or q.two_sample is None else (q.two_sample.before, q.two_sample.after)[which]
+    nll: float | None = (diagnosis.proven.before, diagnosis.proven.after)[which]
+    score: str | None = "likelihood"
+    if diagnosis.proven.after is None:
+        nll, score = None, None
+        if side is not None and side.composite is not None:
+            nll, score = -float(side.composite.mean()), "composite"
     return {
-        "kl": verdict.kl if verdict else None,
-        "kl_floor": verdict.kl_floor if verdict else None,
+        "kl": side.kl if side else None,
+        "kl_floor": side.kl_floor if side else None,
         "nll_nats_per_pixel": nll,
-        "two_sample_auc": verdict.auc if verdict else None,
-        "two_sample_auc_ci90": [verdict.low, verdict.high] if verdict else None,
+        "score": score,
+        "two_sample_auc": areas.value if areas else None,
+        "two_sample_auc_ci90": [areas.low, areas.high] if areas else None,
+    }
+
+
+def two_sample(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """How far the area under the curve came nearer to 0.5, patches to a decision, and the control."""
+    q = diagnosis.quality
+    if q is None or q.two_sample is None:
+        return None
+    t = q.two_sample
+    return {
+        "distance_change": t.change.value if t.change else None,
+        "distance_change_ci90": [t.change.low, t.change.high] if t.change else None,
+        "patches_per_decision": t.patches,
+        "control_auc": t.control,
     }
 
 
@@ -131,10 +157,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     if proof.gain is not None and proof.pixels:
         per_pixel = {
             "value": proof.gain / proof.pixels,
-            "ci90": [
-                (proof.gain - _Z90 * proof.error) / proof.pixels,
-                (proof.gain + _Z90 * proof.error) / proof.pixels,
-            ],
+            "ci90": [proof.low / proof.pixels, proof.high / proof.pixels],
         }
     out: dict[str, Any] = {
         "mechanism": mechanism,
@@ -148,8 +171,9 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
             for n, (v, u, e) in score.parameters.items()
         },
         "p_value": math.exp(max(step.log_p, -700.0)),
-        "log_e_value": proof.gain,
+        "log_e_value": proof.log_e,
         "heldout_gain_nats": proof.gain,
+        "heldout_basis": proof.basis if proof.gain is not None else None,
         "heldout_pixels": proof.pixels or None,
         "heldout_gain_nats_per_pixel": per_pixel,
     }
@@ -207,11 +231,14 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
         start = f"These recordings cannot separate {others}; as {name} it is {amount}"
     else:
         start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}: {amount}"
-    proven = (
-        f"; on frames that took no part in finding it the fit gains {proof.gain:.0f} nats."
-        if proof.gain is not None and proof.gain > 0
-        else "; not confirmed: too few frames to set some aside."
-        if proof.gain is None
-        else "; not confirmed on the frames held back."
-    )
+    frozen = step.named.probe.axes.get("time") == "frozen"
+    whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
+    if proof.gain is None:
+        proven = "; not confirmed: too few frames to set some aside."
+    elif proof.confirmed:
+        proven = f"; on {whose} the fit gains {proof.gain:.0f} nats."
+    elif math.isfinite(proof.low) or proof.gain <= 0:
+        proven = f"; not confirmed on {whose}."
+    else:
+        proven = f"; on {whose} the fit gains {proof.gain:.0f} nats, from too few frames to confirm it."
     return f"{start} (90 %: {low:.3g} to {high:.3g}){proven}"

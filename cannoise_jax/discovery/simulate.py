@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import split_frames
-from cannoise_jax.discovery.calibrate import code_step, smooth_mean, stack
+from cannoise_jax.discovery.calibrate import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
@@ -29,17 +29,29 @@ Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
 """(key, clean mosaic, normalised, settings) -> DN, `[H, W]` or `[T, H, W]`."""
 
 
-def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureSet) -> tuple[str, Draw, bool]:
-    """Name, drawing function, and whether it also draws darks. Raises BadInput for what is no simulator."""
+class Simulator(NamedTuple):
+    """A simulator that was handed over: its name, how it draws, whether it also draws darks, and the camera
+    model that it is, if it is one."""
+
+    label: str
+    draw: Draw
+    dark: bool
+    model: SensorModel | None = None
+
+
+def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureSet) -> Simulator:
+    """The simulator of a model, a function, a sensor.json or a training folder. Raises BadInput for what is
+    none."""
     if isinstance(simulator, SensorModel):
-        return simulator.camera, simulator.sample, True
+        return Simulator(simulator.camera, simulator.sample, True, simulator)
     if callable(simulator):
-        return getattr(simulator, "__name__", "function"), simulator, True
+        return Simulator(getattr(simulator, "__name__", "function"), simulator, True)
     path = Path(simulator)
     if path.suffix == ".json" and path.is_file():
-        return str(path), read_sensor(path).sample, True
+        model = read_sensor(path)
+        return Simulator(str(path), model.sample, True, model)
     if path.exists():
-        return str(path), _generator(path, capture), False
+        return Simulator(str(path), _generator(path, capture), False)
     raise BadInput(
         f"{simulator}: no such simulator: poisson-gaussian, nlf, a sensor.json, or a training folder"
     )
@@ -69,6 +81,37 @@ def _packed_frame(recording: Recording) -> np.ndarray:
     return np.asarray(pack((frame - black) / (recording.white_level - black), recording.cfa))
 
 
+def codes_of(
+    draw: Draw, capture: CaptureSet, key: Key[Array, ""], step: float, dark: bool
+) -> Callable[[int, np.ndarray, Settings], np.ndarray | None]:
+    """Draws of a function as stored codes, `uint16[T, H, W]` by number of the recording: as many calls as
+    frames where it returns one frame a call, rounded to the step and clipped at the rails. None for darks
+    unless it draws `dark`.
+
+    Raises BadInput when a frame comes back with another size or values that are not finite.
+    """
+
+    def codes(number: int, clean: np.ndarray, settings: Settings) -> np.ndarray | None:
+        recording = capture.recordings[number]
+        if recording.kind in ("dark", "bias") and not dark:
+            return None
+        own = jax.random.fold_in(key, number)
+        given = jnp.asarray(clean)
+        frames = np.asarray(draw(own, given, settings), np.float64)
+        if frames.ndim == 2:
+            more = [draw(jax.random.fold_in(own, t), given, settings) for t in range(1, settings.frames)]
+            frames = np.stack([frames, *(np.asarray(m, np.float64) for m in more)])
+        if frames.shape[1:] != recording.size or not np.isfinite(frames).all():
+            raise BadInput(
+                f"simulator: drew {frames.shape[1:]} with finite values {np.isfinite(frames).all()}: "
+                f"it must return finite DN of the size of clean, {recording.size}"
+            )
+        highest = np.floor(min(recording.white_level, 65535.0) / step) * step
+        return np.clip(np.round(frames / step) * step, 0, highest).astype(np.uint16)
+
+    return codes
+
+
 def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bool) -> CaptureSet:
     """As many frames as every recording has, at its settings and of its clean signal, rounded and clipped.
 
@@ -76,37 +119,23 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
     Raises BadInput when a frame comes back with another size or values that are not finite.
     """
     step = code_step(capture)
+    codes = codes_of(draw, capture, key, step, dark)
     out = []
     for n, recording in enumerate(capture.recordings):
         clean = expected_signal(recording, n, step)
-        if clean is None or (recording.kind in ("dark", "bias") and not dark):
+        if clean is None:
             continue
         settings = Settings(
-            recording.iso or 100.0, recording.exposure_s or 0.01, recording.temperature_c, recording.count
+            recording.iso if recording.iso is not None else 100.0,
+            recording.exposure_s if recording.exposure_s is not None else 0.01,
+            recording.temperature_c,
+            min(recording.count, 2 * MOST_FRAMES),
         )
-        first = np.asarray(draw(jax.random.fold_in(key, n), jnp.asarray(clean), settings), np.float64)
-        frames = first[None] if first.ndim == 2 else first
-        more = (
-            [
-                np.asarray(
-                    draw(jax.random.fold_in(jax.random.fold_in(key, n), t), jnp.asarray(clean), settings)
-                )
-                for t in range(1, recording.count)
-            ]
-            if first.ndim == 2
-            else []
-        )
-        frames = np.concatenate([frames, *(m[None] for m in more)])
-        if frames.shape[1:] != recording.size or not np.isfinite(frames).all():
-            raise BadInput(
-                f"simulator: drew {frames.shape[1:]} with finite values {np.isfinite(frames).all()}: "
-                f"it must return finite DN of the size of clean, {recording.size}"
-            )
-        codes = np.clip(np.round(frames / step) * step, 0, min(recording.white_level, 65535.0))
+        frames = codes(n, clean, settings)
+        if frames is None:
+            continue
         out.append(
-            dataclasses.replace(
-                recording, frames=codes.astype(np.uint16), clean=clean.astype(np.float32), code_step=step
-            )
+            dataclasses.replace(recording, frames=frames, clean=clean.astype(np.float32), code_step=step)
         )
     if not out:
         raise BadInput("simulator: none of the recordings has a signal that it could draw: record flats")

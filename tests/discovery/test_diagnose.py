@@ -175,7 +175,7 @@ def test_report_follows_its_schema_and_the_two_sample_test_sees_the_effect_leave
 
 def test_a_run_is_reproducible_by_its_key():
     capture = capture_set(13)
-    a, b = (diagnose(capture, key=jax.random.key(4)).before for _ in range(2))
+    a, b = (diagnose(capture, key=jax.random.key(4)).quality.two_sample for _ in range(2))
     assert a == b
 
 

@@ -1,0 +1,67 @@
+"""Where in the grammar each probe sits, for findings without a name, and with what strength and map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cannoise_jax.discovery.battery import Prepared
+from cannoise_jax.discovery.statistics.score import Score
+from cannoise_jax.physics.grammar import Point
+
+_OFFSETS = Point("readout", "signal", "pixel", "frozen")
+_GAINS = Point("photons", "mean", "pixel", "frozen", "multiply")
+
+POINTS = {
+    "row_additive_temporal": Point("readout", "signal", "row", "redrawn"),
+    "column_additive_temporal": Point("readout", "signal", "column", "redrawn"),
+    "row_additive_static": Point("readout", "signal", "row", "frozen"),
+    "column_additive_static": Point("readout", "signal", "column", "frozen"),
+    "row_relative_static": Point("photons", "mean", "row", "frozen", "multiply"),
+    "column_relative_static": Point("photons", "mean", "column", "frozen", "multiply"),
+    "row_relative_temporal": Point("photons", "mean", "row", "redrawn", "multiply"),
+    "column_relative_temporal": Point("photons", "mean", "column", "redrawn", "multiply"),
+    "frame_additive": Point("readout", "signal", "whole", "redrawn"),
+    "frame_relative": Point("photons", "mean", "whole", "redrawn", "multiply"),
+    "pixel_additive_static": _OFFSETS,
+    "pixel_thermal_static": _OFFSETS,
+    "pixel_relative_static": _GAINS,
+    "raster_slope": Point("readout", "signal", "raster", "redrawn", spectrum="power_law"),
+    "row_slope": Point("readout", "signal", "row", "redrawn", spectrum="power_law"),
+    "wave_redrawn": Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"),
+    "wave_frozen": Point("readout", "signal", "raster", "frozen", spectrum="sinusoid"),
+    "flicker": Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
+    "step": _OFFSETS,
+    "glow": _OFFSETS,
+    "black_channels": Point("readout", "signal", "channel", "frozen"),
+    "greens": Point("photons", "mean", "channel", "frozen", "multiply"),
+    "curvature": Point("photons", "mean", "pixel", "frozen", "multiply", signal=1.0),
+    "telegraph": Point("readout", "signal", "pixel", "telegraph"),
+    "pixel_spread": Point("readout", "signal", "pixel", "telegraph"),
+    "hot_additive": _OFFSETS,
+    "hot_thermal": _OFFSETS,
+    "kurtosis": Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"),
+}
+"""A sparse frozen pattern is an offset map with zeros; noisy pixels blink about their level."""
+
+
+def grammar_maps(
+    probe: str, score: Score, prepared: Prepared, field: np.ndarray | None
+) -> tuple[float, dict[str, np.ndarray]]:
+    """Strength of a point and its measured map, which together give the pattern that was found.
+
+    field: the measured pattern in DN or fractions (`frozen.frozen_map`); None: the point draws its own.
+    """
+    value = float(score.amplitude)
+    if probe == "curvature":
+        loss = score.parameters["curvature"][0]
+        return abs(loss), {"field": np.full((1, *prepared.fields[0].mean.shape), -np.sign(loss))}
+    if probe == "wave_frozen":
+        return value, {} if field is None else {"field": field[None]}
+    if field is None:
+        return value, {}
+    if probe in ("step", "glow", "greens"):  # these maps are per unit of the amplitude
+        field = field * value
+    if field.ndim == 2 and probe in ("step",):
+        field = np.broadcast_to(field, prepared.fields[0].mean.shape)
+    rms = float(np.sqrt(np.mean(np.asarray(field) ** 2))) or 1.0
+    return rms, {"field": np.asarray(field / rms)[None]}

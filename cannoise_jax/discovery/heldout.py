@@ -1,0 +1,205 @@
+"""Log-likelihood of frames that took no part in finding anything, per frame, under the findings.
+
+The codes are scored by `physics.likelihood_crossed.crossed_gaussian`: the mass over the code step, with
+random offsets of rows, columns and the frame integrated out. Strengths and frozen patterns come from the
+other frames, a pattern as its estimate with the doubt about it added to the pixel's variance. Black level,
+gain, read noise and the smooth mean are nuisances, fitted on the scored frames alike for every model that
+is compared.
+
+Not every finding has such a likelihood (tails, telegraph and correlated pixels, waves, codes): `predicted`
+says which; for models with one of those the composite score serves, before and after.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.discovery.battery import Prepared
+from cannoise_jax.discovery.calibrate import Stack
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.frozen import hot_map
+from cannoise_jax.discovery.statistics.lines import ALL_KINDS, pixel_sums, static_sums
+from cannoise_jax.physics.likelihood import CodeGrid
+from cannoise_jax.physics.likelihood_crossed import SharedTerms, crossed_gaussian, stationary_factor
+
+_MASKED = 1e10
+"""Variance of pixels that are not scored, DN^2."""
+_LEAST = 0.05
+"""Share of the baseline's variance that shared offsets must leave to the pixels."""
+
+
+class Predicted(NamedTuple):
+    """What one finding predicts for new frames.
+
+    pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting;
+    scaling: 'additive' DN, 'relative' fractions of the signal, 'thermal' DN per second. row, column, frame:
+    standard deviation of random offsets, DN; exponent: of the spectrum of the row offsets, 0: white.
+    """
+
+    pattern: np.ndarray | None = None
+    doubt: np.ndarray | float = 0.0
+    scaling: str = "additive"
+    row: float = 0.0
+    column: float = 0.0
+    frame: float = 0.0
+    exponent: float = 0.0
+
+
+def predicted(step: Step) -> Predicted | None:
+    """What a finding predicts, from the frames that it was found on; None: it has no such likelihood."""
+    probe, score, fields = step.named.probe.name, step.named.score, step.before
+    parts = probe.split("_")
+    if probe == "frame_additive":
+        return Predicted(frame=score.amplitude)
+    if probe == "row_slope":
+        return Predicted(row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
+    if parts[0] in ("row", "column") and parts[1:] == ["additive", "temporal"]:
+        return Predicted(**{parts[0]: score.amplitude})  # type: ignore[arg-type]
+    if parts[0] in ("row", "column") and parts[-1] == "static":
+        sums = static_sums(fields, parts[0], parts[1])
+        if sums is None:
+            return None
+        doubt = score.amplitude**2 / (1 + score.amplitude**2 * sums.information)
+        shape = (-1, 1) if parts[0] == "row" else (1, -1)
+        return Predicted((doubt * sums.score).reshape(shape), doubt.reshape(shape), parts[1])
+    if parts[0] == "pixel" and parts[-1] == "static":
+        sums = pixel_sums(fields, parts[1], ALL_KINDS)
+        seconds = max(f.exposure_s or 0.0 for f in fields) if parts[1] == "thermal" else 1.0
+        if sums is None or not seconds:
+            return None
+        variance = (score.amplitude / seconds) ** 2
+        doubt = variance / (1 + variance * sums.information)
+        return Predicted(doubt * sums.score, doubt, parts[1])
+    if probe in ("hot_additive", "hot_thermal"):
+        hot = hot_map(fields, parts[1])
+        seconds = max(f.exposure_s or 1.0 for f in fields if not f.lit) if parts[1] == "thermal" else 1.0
+        return None if hot is None else Predicted(hot / seconds, 0.0, parts[1])
+    return None
+
+
+class Scored(NamedTuple):
+    """Log-likelihood of every frame, nats; the recording it belongs to, and the pixels that were scored."""
+
+    log_prob: Float[np.ndarray, "t"]
+    recording: np.ndarray
+    pixels: np.ndarray
+
+
+def score_frames(
+    first: Prepared, second: Prepared, chosen: list[list[int]], found: list[Predicted]
+) -> Scored:
+    """Scores the frames of the second half, `chosen` per recording. A mean that is not modelled (a
+    reference averaged from the recording's own frames, or none) is rebuilt from the first half, its noise
+    added to the pixel's."""
+    before = {f.number: (s, f) for s, f in zip(first.stacks, first.fields, strict=True)}
+    values, recordings, pixels = [], [], []
+    for stacked, field in zip(second.stacks, second.fields, strict=True):
+        mean, extra, usable = _mean(stacked, field, before.get(field.number))
+        if mean is None or not usable.any():
+            continue
+        frames = chosen[field.number][: field.frames]
+        scored = _score(stacked, field, mean, extra, usable, found, frames)
+        values.append(scored)
+        recordings.append(np.full(scored.size, field.number))
+        pixels.append(np.full(scored.size, int(usable.sum())))
+    if not values:
+        return Scored(np.zeros(0), np.zeros(0, int), np.zeros(0, int))
+    return Scored(*(np.concatenate(part) for part in (values, recordings, pixels)))
+
+
+def _mean(
+    stacked: Stack, field: Fields, other: tuple[Stack, Fields] | None
+) -> tuple[np.ndarray | None, float, Bool[np.ndarray, "h w"]]:
+    """Expected value of the frames without frozen patterns, DN; the share of a frame's variance that its
+    estimate adds; the pixels to score."""
+    if field.static is not None or not field.lit:
+        return field.mean, 0.0, field.usable
+    if other is None:
+        return None, 0.0, field.usable
+    # Frames brighter or darker as a whole are the lamp's: the other half's mean is scaled to this half's.
+    mean, usable = other[0].mean.astype(np.float64), field.usable & other[1].usable
+    if usable.any():
+        channel = channel_index(mean.shape)
+        for c in range(4):
+            chosen = (channel == c) & usable
+            if chosen.any():
+                black = field.black[c]
+                level = max(float(np.mean(mean[chosen] - black)), 1e-6)
+                factor = float(np.mean(stacked.mean[chosen] - black)) / level
+                mean[channel == c] = black + factor * (mean[channel == c] - black)
+    return mean.astype(np.float32), 1 / other[0].frames, usable
+
+
+def _score(
+    stacked: Stack,
+    field: Fields,
+    mean: np.ndarray,
+    extra: float,
+    usable: Bool[np.ndarray, "h w"],
+    found: list[Predicted],
+    frames: list[int],
+) -> Float[np.ndarray, "t"]:
+    """Log-likelihood of the frames of one recording, nats per frame."""
+    (h, w), step = field.mean.shape, field.step
+    spread = np.maximum(field.sigma.astype(np.float64) ** 2 - step**2 / 12, (0.05 * step) ** 2)
+    own, shift = spread * (1 + extra), np.zeros((h, w))
+    row, column, frame = np.zeros(h), 0.0, 0.0
+    for p in found:
+        if p.pattern is not None and not extra:  # a mean of the recording's own frames holds the pattern
+            unit = _unit(p.scaling, field)
+            if unit is not None:
+                shift += np.broadcast_to(p.pattern * unit, (h, w))
+                own = own + p.doubt * unit**2
+        row = row + p.row**2 * _autocovariance(h, p.exponent)
+        column, frame = column + p.column**2, frame + p.frame**2
+    shared = row[0] + column + frame
+    own = np.maximum(own - shared, _LEAST * own)
+    factor = stationary_factor(jnp.asarray(row, jnp.float32)) if row[0] > 0 else jnp.zeros((h, 1))
+    terms = SharedTerms(
+        factor,
+        np.float32(np.sqrt(column)) * jnp.eye(w) if column > 0 else jnp.zeros((w, 1)),
+        jnp.asarray(np.sqrt(frame), jnp.float32),
+    )
+    centre = (mean + _centred(shift, field, usable)).astype(np.float32)
+    variance = np.where(usable, own, _MASKED).astype(np.float32)
+    grid = CodeGrid(float(step))
+    out = []
+    for t in frames:
+        codes = np.asarray(stacked.recording.frames[t : t + 1]).astype(np.float32)
+        codes = np.where(usable, codes, centre)
+        out.append(float(crossed_gaussian(codes, centre, variance, terms, grid)[0]))
+    # What the pixels that are not scored added.
+    masked = np.log(step) - 0.5 * np.log(2 * np.pi * (_MASKED + step**2 / 12))
+    return np.array(out) - masked * float((~usable).sum())
+
+
+def _unit(scaling: str, field: Fields) -> np.ndarray | float | None:
+    """DN per unit of a pattern in this recording; None where it does not reach."""
+    if scaling == "relative":
+        return field.signal if field.lit else None
+    return (field.exposure_s or None) if scaling == "thermal" else 1.0
+
+
+def _centred(shift: np.ndarray, field: Fields, usable: Bool[np.ndarray, "h w"]) -> np.ndarray:
+    """The shift without its mean per channel, which the fitted mean of the recording already holds."""
+    channel = channel_index(shift.shape)
+    out = shift.copy()
+    for c in range(4):
+        chosen = (channel == c) & usable
+        if chosen.any():
+            out[channel == c] -= np.mean(shift[chosen])
+    return out
+
+
+def _autocovariance(size: int, exponent: float) -> Float[np.ndarray, "n"]:
+    """Autocovariance of unit variance of offsets whose power falls as 1/f^exponent (0: white)."""
+    if not exponent:
+        return np.eye(1, size)[0]
+    frequency = np.maximum(np.arange(size + 1), 1) / (2 * size)
+    covariance = np.fft.irfft(frequency**-exponent, 2 * size)[:size]
+    return covariance / covariance[0]

@@ -1,0 +1,160 @@
+"""The pictures of a report, as PNGs in base64: where a finding lives, and the simulator before and after."""
+
+from __future__ import annotations
+
+import base64
+import io
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import SymLogNorm
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.quality import Curves, Quality
+from cannoise_jax.discovery.statistics.covariance import LAGS
+from cannoise_jax.discovery.statistics.lines import line_sums
+
+_BEFORE, _AFTER, _REAL = "#c8553d", "#2f6fd0", "#1c2430"
+
+
+def _png(figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=90, bbox_inches="tight")
+    plt.close(figure)
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _pooled(fields: tuple[Fields, ...]) -> np.ndarray:
+    """Blocks of the static field of the darks (of everything where there are none), in standard errors."""
+    chosen = [f for f in fields if f.static is not None and not f.lit]
+    chosen = chosen or [f for f in fields if f.static is not None] or list(fields)
+    maps = []
+    for f in chosen:
+        flat = np.zeros(f.mean.shape) if not len(f.contrasts) else f.contrasts.mean(0)
+        maps.append(flat if f.static is None else f.static)
+    shape = maps[0].shape
+    maps = [m for m in maps if m.shape == shape]
+    mean = np.mean(maps, axis=0) * np.sqrt(len(maps))
+    b = max(min(mean.shape) // 48, 1)
+    h, w = mean.shape[0] // b * b, mean.shape[1] // b * b
+    return mean[:h, :w].reshape(h // b, b, w // b, b).mean((1, 3)) * b
+
+
+def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str) -> str:
+    """Where: the frozen map and the power of the line offsets, without and with the finding in the model."""
+    figure, axes = plt.subplots(1, 3, figsize=(11, 2.7), layout="constrained")
+    maps = [_pooled(fields) for fields in (before, after)]
+    top = float(np.clip(np.quantile(np.abs(maps[0]), 0.995), 4, 400))
+    norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
+    for panel, image, title in zip(axes, maps, ("without it in the model", "with it"), strict=False):
+        shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
+        panel.set_title(f"frozen residual, {title}", fontsize=9)
+        panel.set_xticks([])
+        panel.set_yticks([])
+    ticks = [v for v in (-100, -30, -10, -3, 0, 3, 10, 30, 100) if abs(v) <= top]
+    bar = figure.colorbar(shown, ax=axes[1], ticks=ticks)
+    bar.ax.set_yticklabels([str(v) for v in ticks], fontsize=7)
+    bar.set_label("standard errors", fontsize=8)
+    line = "column" if axis == "column" else "row"
+    for fields, label, colour in ((before, "without", _BEFORE), (after, "with", _AFTER)):
+        values, width = _profile(fields, line)
+        if values.size:
+            axes[2].semilogy(np.arange(values.size) * width, values, lw=1, label=label, color=colour)
+    axes[2].axhline(1, color="0.5", lw=0.7)
+    axes[2].set_title(f"power of {line} offsets between frames (white noise: 1)", fontsize=9)
+    axes[2].set_xlabel(line, fontsize=8)
+    axes[2].tick_params(labelsize=8)
+    axes[2].legend(fontsize=8, frameon=False)
+    return _png(figure)
+
+
+def _profile(fields: tuple[Fields, ...], line: str) -> tuple[np.ndarray, int]:
+    """Mean power of the offsets of groups of neighbouring lines, and how many lines are in a group."""
+    powers: dict[int, np.ndarray] = {}
+    number: dict[int, int] = {}
+    for f in fields:
+        if len(f.contrasts):
+            s = line_sums(f, f.contrasts, line, "additive")
+            power = (s.score**2 / np.maximum(s.information, 1e-30)).sum(0)
+            powers[power.size] = powers.get(power.size, 0) + power
+            number[power.size] = number.get(power.size, 0) + len(f.contrasts)
+    if not powers:
+        return np.zeros(0), 1
+    size = max(number, key=lambda k: number[k])
+    values = powers[size] / number[size]
+    width = max(size // 64, 1)
+    return values[: size // width * width].reshape(-1, width).mean(1), width
+
+
+def quality_picture(quality: Quality) -> str:
+    """Spectra, covariance maps, photon-transfer curve and probability integral transform of the recordings
+    and of draws of the simulator before and after."""
+    figure, axes = plt.subplots(2, 4, figsize=(13, 5.4), layout="constrained")
+    sides = (
+        (quality.real, "recordings", _REAL, 1.6),
+        (quality.before.curves, "draws before", _BEFORE, 1.0),
+        (quality.after.curves, "draws after", _AFTER, 1.0),
+    )
+    for panel, name in ((axes[0, 0], "row"), (axes[0, 1], "column")):
+        for curves, label, colour, width in sides:
+            frequency, power = _binned(getattr(curves, f"{name}_spectrum"))
+            panel.loglog(frequency, power, lw=width, label=label, color=colour)
+        panel.set_title(f"spectrum of {name} means (white noise: 1)", fontsize=9)
+        panel.set_xlabel("cycles per frame", fontsize=8)
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    _transfer(axes[0, 2], axes[0, 3], sides)
+    top = max(float(np.max(np.abs(quality.real.covariance))), 0.003)
+    for panel, (curves, label, _, _) in zip(axes[1, :3], sides, strict=True):
+        shown = panel.imshow(covariance_map(curves), cmap="RdBu_r", vmin=-top, vmax=top)
+        panel.set_title(f"correlation of neighbours, {label}", fontsize=9)
+        panel.set_xticks(range(0, 9, 2), [str(v) for v in range(-4, 5, 2)])
+        panel.set_yticks(range(0, 9, 2), [str(v) for v in range(-4, 5, 2)])
+    figure.colorbar(shown, ax=axes[1, 2])
+    centre = (np.arange(quality.before.pit.size) + 0.5) / quality.before.pit.size
+    for side, label, colour in ((quality.before, "before", _BEFORE), (quality.after, "after", _AFTER)):
+        axes[1, 3].plot(centre, side.pit * side.pit.size, lw=1.2, label=label, color=colour, marker=".")
+    axes[1, 3].axhline(1, color="0.5", lw=0.7)
+    axes[1, 3].set_title("probability integral transform (right: 1)", fontsize=9)
+    axes[1, 3].set_xlabel("share of draws below the recorded value", fontsize=8)
+    axes[1, 3].legend(fontsize=8, frameon=False)
+    for panel in axes.ravel():
+        panel.tick_params(labelsize=8)
+    return _png(figure)
+
+
+def _binned(spectrum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A spectrum averaged in about thirty bins of equal ratio."""
+    frequency = np.arange(1, spectrum.size + 1)
+    edges = np.unique(np.round(np.geomspace(1, spectrum.size + 1, 30)).astype(int))
+    pairs = list(zip(edges[:-1], edges[1:], strict=True))
+    middle = [float(frequency[a - 1 : b - 1].mean()) for a, b in pairs]
+    return np.array(middle), np.maximum([float(spectrum[a - 1 : b - 1].mean()) for a, b in pairs], 1e-3)
+
+
+def _transfer(curve, ratio, sides) -> None:
+    """Variance against signal, and the draws' variance over the recordings'."""
+    real = sides[0][0]
+    order = np.argsort(real.signal)
+    shown = np.maximum(real.signal, 1.0)
+    for curves, label, colour, width in sides:
+        curve.loglog(shown[order], curves.variance[order], ".-", lw=width, ms=4, label=label, color=colour)
+        if curves is not real:
+            share = curves.variance / np.maximum(real.variance, 1e-30)
+            ratio.semilogx(shown[order], share[order], ".-", lw=width, ms=4, color=colour)
+    curve.set_title("temporal variance against signal", fontsize=9)
+    curve.set_xlabel("DN above black", fontsize=8)
+    curve.set_ylabel("DN²", fontsize=8)
+    ratio.axhline(1, color="0.5", lw=0.7)
+    ratio.set_title("variance of draws over recordings", fontsize=9)
+    ratio.set_xlabel("DN above black", fontsize=8)
+
+
+def covariance_map(curves: Curves) -> np.ndarray:
+    """Correlation with the pixel (dy, dx) away, `[9, 9]`, symmetric, 0 at the centre."""
+    out = np.zeros((9, 9))
+    for (dy, dx), value in zip(LAGS, curves.covariance, strict=True):
+        out[4 + dy, 4 + dx] = out[4 - dy, 4 - dx] = value
+    return out
