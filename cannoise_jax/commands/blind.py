@@ -1,17 +1,16 @@
-"""bin/blind seal|run|score: hidden effects, the analysis that has to find them, and the score.
+"""bin/blind seal|run|score|real: hidden effects, the analysis that has to find them, and the score.
 
 seal    writes capture sets, and what was injected into them to a file elsewhere.
 run     diagnoses every set and commits to its claims; reads no truth.
 score   checks both commitments, opens the truth, writes the tables and figures.
+real    conceals in real recordings: injects effects, withholds what the sensor has, permutes frames.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import importlib.metadata
 import json
-import math
 import os
 import sys
 import time
@@ -19,26 +18,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
-
-import cannoise_jax
 from cannoise_jax.blind import claims, compose
 from cannoise_jax.blind.page import page
 from cannoise_jax.blind.score import score
 from cannoise_jax.blind.seal import seal, write_atomically
 from cannoise_jax.blind.table import text
+from cannoise_jax.commands.blind_analysis import ALPHA, diagnosed, fingerprint, located, true_gain
+from cannoise_jax.commands.blind_real import PARTS, real_trial
+from cannoise_jax.commands.blind_real import text as real_text
 from cannoise_jax.commands.parser import OneLineParser, count
-from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import prepare, split_frames
-from cannoise_jax.discovery.diagnose import diagnose, mde
-from cannoise_jax.discovery.locate import Located, locate
-from cannoise_jax.discovery.prove import held_out_gain
-from cannoise_jax.discovery.report import document, plain
+from cannoise_jax.discovery.diagnose import mde
+from cannoise_jax.discovery.report import plain
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
-from cannoise_jax.vocabulary import VOCABULARY
-
-ALPHA = 0.01
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -127,68 +119,17 @@ def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, A
     return known
 
 
-def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | None:
-    """Held-out gain, nats, of the mechanism at its true population amplitude: maps, offsets, phases and
-    frequencies from the very frames held out, the same composite score. None where no probe looks for it."""
-    held = [split_frames(r.count)[1] for r in capture.recordings]
-    if not any(held):
-        return None
-    prepared = prepare(capture, held, False)
-    scores = [p.score(prepared.fields) for p in prepared.probes if p.mechanism == mechanism]
-    gains = [
-        held_out_gain(s._replace(amplitude=amplitude if s.amplitude >= 0 else -amplitude), s)
-        for s in scores
-        if s is not None
-    ]
-    return max(gains, default=None)
-
-
-def diagnosed(capture: CaptureSet, without: tuple[str, ...], version: str) -> dict[str, Any]:
-    """The report of a whole diagnosis, with the p-value of the battery's first pass."""
-    found = diagnose(capture, "poisson-gaussian", jax.random.key(0), alpha=ALPHA, without=without)
-    report = document(found, key=0, version=version)
-    return {**report, **smallest_p(found.fitted.first)}
-
-
-def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
-    """Declare, calibrate and locate alone: what the battery rejects, and its smallest family-wise p."""
-    ids = declare.registered(without)
-    prepared = prepare(capture, [split_frames(r.count)[0] for r in capture.recordings], False)
-    first = locate(prepared.fields, prepared.probes)
-    mechanism = {p.name: p.mechanism if p.mechanism in ids else "unknown" for p in prepared.probes}
-    rejected = [(s, mechanism[s.probe]) for s in first.significant(math.log(ALPHA))]
-    findings = [
-        {
-            "mechanism": name,
-            "class": "sensor" if name == "unknown" else VOCABULARY[name].kind,
-            "outcome": "UNKNOWN_STRUCTURE" if name == "unknown" else "FOUND",
-            "candidates": [{"mechanism": name, "probability": 1.0}],
-            "probe": s.probe,
-            "p_value": math.exp(max(first.log_p[s.probe], -700.0)),
-        }
-        for s, name in rejected
-    ]
-    return {"findings": findings, **smallest_p(first)}
-
-
-def smallest_p(first: Located) -> dict[str, float | None]:
-    """The smallest p-value of a pass of the battery, family-wise and of its one test alone."""
-    if not first.log_p:
-        return {"battery_p_value": None, "battery_raw_p": None}
-    return {
-        "battery_p_value": math.exp(max(min(first.log_p.values()), -700.0)),
-        "battery_raw_p": math.exp(max(min(s.log_p for s in first.scores.values()), -700.0)),
-    }
-
-
-def fingerprint() -> str:
-    """SHA-256 over the source of everything that an analysis runs."""
-    root = Path(cannoise_jax.__file__).parent
-    digest = hashlib.sha256()
-    for part in ("vocabulary.py", "recordings", "physics", "evaluation", "discovery"):
-        for path in sorted((root / part).rglob("*.py")) or [root / part]:
-            digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
+def _real(arguments: argparse.Namespace) -> None:
+    result = real_trial(
+        arguments.recordings,
+        arguments.out,
+        arguments.parts,
+        arguments.size,
+        arguments.permutations,
+        ALPHA,
+        progress,
+    )
+    print(f"{real_text(result)}\n{arguments.out / 'real.json'}")
 
 
 def progress(done: str) -> Callable[[int, int], None]:
@@ -227,6 +168,23 @@ def _kinds(text: str) -> tuple[str, ...]:
     return kinds
 
 
+def _parts(text: str) -> tuple[str, ...]:
+    parts = tuple(part for part in text.split(",") if part)
+    if not parts or any(part not in PARTS for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r}: give some of {', '.join(PARTS)}")
+    return parts
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        height, width = (int(part) for part in text.split("x"))
+    except ValueError:
+        height = width = 0
+    if height < 64 or width < 64 or height % 2 or width % 2:
+        raise argparse.ArgumentTypeError(f"{text!r}: give HxW, even numbers from 64, such as 192x256")
+    return height, width
+
+
 def _whole(text: str) -> int:
     try:
         return int(text) if int(text) >= 0 else count(text)
@@ -236,7 +194,7 @@ def _whole(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/blind", description=__doc__.split("\n\n")[0])
-    steps = parser.add_subparsers(required=True, metavar="seal|run|score")
+    steps = parser.add_subparsers(required=True, metavar="seal|run|score|real")
     step = steps.add_parser("seal", prog="bin/blind seal", help="capture sets, and their truth elsewhere")
     step.add_argument("--out", type=Path, required=True, help="folder for the sets")
     step.add_argument("--truth", type=Path, required=True, help="file for the truth, outside of that folder")
@@ -265,6 +223,17 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--out", type=Path, help="folder for blind.html and blind.json (that of the claims)")
     step.add_argument("--quick", action="store_true", help="leave out the true model's gain and MDE")
     step.set_defaults(step=_score)
+    step = steps.add_parser(
+        "real", prog="bin/blind real", help="concealment in real recordings of one camera"
+    )
+    step.add_argument("--recordings", type=Path, required=True, help="folder of recordings of one camera")
+    step.add_argument("--out", type=Path, required=True, help="folder for real.json")
+    step.add_argument(
+        "--parts", type=_parts, default=PARTS, metavar="PART,...", help=f"some of {', '.join(PARTS)}"
+    )
+    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="crop used (192x256)")
+    step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted (100)")
+    step.set_defaults(step=_real)
     return parser
 
 
