@@ -18,7 +18,17 @@ from cannoise_jax.discovery.calibrate import (
     stated_black,
 )
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics import codes, covariance, levels, lines, means, shape, spectra
+from cannoise_jax.discovery.statistics import (
+    codes,
+    covariance,
+    levels,
+    light,
+    lines,
+    means,
+    reference,
+    shape,
+    spectra,
+)
 from cannoise_jax.discovery.statistics.score import Probe
 from cannoise_jax.recordings.recording import CaptureSet
 
@@ -88,7 +98,9 @@ def build_probes(
         *spectra.probes(),
         *covariance.probes(),
         *shape.probes(),
-        *means.probes(described, span),
+        *means.probes(),
+        *light.probes(described, span),
+        *reference.probes(span),
         *levels.probes(described, baselines, stated, step, span, jitter, fitted_too),
         *codes.probes(lattice, float(described.black.mean())),
     )

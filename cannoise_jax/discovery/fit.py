@@ -64,7 +64,7 @@ def _known(located: Located, before: tuple[Fields, ...], after: tuple[Fields, ..
         a.contrasts is b.contrasts and a.usable is b.usable for a, b in zip(before, after, strict=True)
     )
     names = {p.name for p in probes if p.axes.get("time") in ("redrawn", "telegraph")} if same else set()
-    names -= {"kurtosis", "skewness"}
+    names -= {"kurtosis", "skewness", "wave_redrawn", "flicker"}  # these see the static fields too
     return {n: s for n, s in located.scores.items() if n in names}
 
 

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, sidak
-from cannoise_jax.discovery.statistics.shape import unchanged
+from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, sidak, unchanged
 
 _PERIODS = range(2, 129)
 

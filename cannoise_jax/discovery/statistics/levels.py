@@ -9,8 +9,14 @@ import numpy as np
 from cannoise_jax.discovery.calibrate import Baseline
 from cannoise_jax.discovery.fields import Fields, channel_index
 from cannoise_jax.discovery.statistics.means import Described
-from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, normal_log_p, student_log_p
-from cannoise_jax.discovery.statistics.shape import unchanged
+from cannoise_jax.discovery.statistics.score import (
+    Probe,
+    Score,
+    chi2_log_sf,
+    normal_log_p,
+    student_log_p,
+    unchanged,
+)
 
 _DARK = ("dark", "bias")
 

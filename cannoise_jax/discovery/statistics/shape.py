@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -10,7 +11,7 @@ from scipy import optimize, special, stats
 
 from cannoise_jax.discovery.fields import Fields, channel_index, each_frame
 from cannoise_jax.discovery.statistics.lines import pixel_sums
-from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, skewed_log_p
+from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, skewed_log_p, unchanged
 
 _DARK = ("dark", "bias")
 _FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0)
@@ -34,18 +35,21 @@ def rounding_kurtosis(mean: np.ndarray, sigma: np.ndarray, step: float) -> np.nd
     values, DN. Below one step it depends on where between two codes the mean lies (Sheppard's correction is
     its mean over that place)."""
     place, wide = np.broadcast_arrays(np.asarray(mean, float) / step, np.asarray(sigma, float) / step)
-    out = -1.0 / (120 * wide**4)
+    out = np.array(-1.0 / (120 * wide**4), float)
     for at in np.ndindex(wide.shape):
-        if wide[at] > 1.5:
+        width, goal = float(wide[at]), float(place[at]) % 1.0
+        if width > 1.5:
             continue
-        latent, fraction = np.sqrt(max(wide[at] ** 2 - 1 / 12, 0.02)), place[at] % 1.0
-        codes = np.arange(np.floor(fraction - 9 * latent) - 1, np.ceil(fraction + 9 * latent) + 2)
-        for _ in range(3):  # the latent width whose rounded variance is the given one
-            p = np.diff(special.ndtr((np.append(codes, codes[-1] + 1) - 0.5 - fraction) / latent))
-            centre = float(p @ codes)
-            variance = float(p @ (codes - centre) ** 2)
-            latent = np.sqrt(max(latent**2 + wide[at] ** 2 - variance, 1e-3))
-        out[at] = float(p @ (codes - centre) ** 4) / variance**2 - 3
+        latent, middle = math.sqrt(max(width**2 - 1 / 12, 0.02)), goal
+        reach = math.ceil(9 * latent) + 2
+        codes = np.arange(-reach, reach + 2.0)
+        for _ in range(4):  # the latent mean and width whose rounded values have the given ones
+            p = np.diff(special.ndtr((np.append(codes, codes[-1] + 1) - 0.5 - middle) / latent))
+            centre = float(np.sum(p * codes))
+            variance = float(np.sum(p * (codes - centre) ** 2))
+            middle += goal - centre
+            latent = math.sqrt(max(latent**2 + width**2 - variance, 1e-3))
+        out[at] = float(np.sum(p * (codes - centre) ** 4)) / variance**2 - 3
     return out
 
 
@@ -419,11 +423,6 @@ def _without(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields, ...]:
         )
         for f in fields
     )
-
-
-def unchanged(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Nothing to take out of the fields: the probes that see the effect are set aside instead."""
-    return fields
 
 
 def probes() -> tuple[Probe, ...]:

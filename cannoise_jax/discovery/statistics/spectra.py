@@ -156,6 +156,14 @@ def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
     return out / total
 
 
+def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
+    """Fields in which what is new in every frame shows: the contrasts, and of two frames their mean as well,
+    which holds half of what two frames know."""
+    if field.frames == 2 and field.static is not None:
+        return np.concatenate([field.contrasts, field.static[None]])
+    return field.contrasts
+
+
 def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | None:
     """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
     (frozen)."""
@@ -164,9 +172,11 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
     information = 0.0
     for f in fields:
         values = (
-            f.contrasts
+            redrawn(f)
             if time == "redrawn"
-            else (f.static[None] if f.static is not None and not f.lit else None)
+            else f.static[None]
+            if f.static is not None and not f.lit
+            else None
         )
         if values is None or not len(values):
             continue
@@ -274,14 +284,15 @@ def flicker_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     for f in fields:
         if not f.lit or not len(f.contrasts):
             continue
-        sums = line_sums(f, f.contrasts, "row", "relative")
+        values = redrawn(f)
+        sums = line_sums(f, values, "row", "relative")
         h = sums.information.size
         if h < 2:
             continue
         i = sums.information.sum()
         total = total + _wave_power(sums.score, sums.information)
-        count += len(f.contrasts)
-        information += len(f.contrasts) * i
+        count += len(values)
+        information += len(values) * i
     if not count:
         return None
     power = np.array(total)

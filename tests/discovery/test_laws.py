@@ -1,0 +1,74 @@
+"""The laws that p-values rest on, against simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cannoise_jax.discovery.statistics.score import normal_log_p, skewed_log_p
+from cannoise_jax.discovery.statistics.shape import rounding_kurtosis, sparse_log_p
+from cannoise_jax.discovery.statistics.spectra import orthonormal
+
+
+@pytest.mark.parametrize("width", [0.45, 0.6, 0.8, 2.0])
+@pytest.mark.parametrize("place", [0.0, 0.3, 0.5])
+def test_kurtosis_of_rounded_noise_is_known(width, place):
+    rng = np.random.default_rng(0)
+    codes = np.rint(rng.normal(100 + place, width, 2_000_000))
+    sigma = codes.std()
+    measured = np.mean(((codes - codes.mean()) / sigma) ** 4) - 3
+    expected = float(rounding_kurtosis(np.array(codes.mean() * 4), np.array(sigma * 4), 4.0))
+    assert measured == pytest.approx(expected, abs=0.012)
+
+
+def test_sheppards_kurtosis_is_the_mean_over_places():
+    places = np.linspace(0, 1, 16, endpoint=False)
+    sigma = np.sqrt(0.62**2 + 1 / 12)
+    mean = rounding_kurtosis(places, np.full(16, sigma), 1.0).mean()
+    assert mean == pytest.approx(-1 / 120 / sigma**4, abs=3e-3)
+
+
+@pytest.mark.parametrize("shape", [4.0, 40.0])
+@pytest.mark.parametrize("sides", [1, 2])
+def test_p_of_a_skewed_sum(shape, sides):
+    x = stats.gamma.rvs(shape, size=200_000, random_state=np.random.default_rng(1))
+    z = (x - shape) / np.sqrt(shape)
+    p = np.exp([skewed_log_p(v, 2 / np.sqrt(shape), sides) for v in z[:4000]])
+    for level in (0.5, 0.1, 0.02):
+        assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level / 4000))
+
+
+def test_no_skewness_is_the_normal_law():
+    assert skewed_log_p(3.0, 0.0, 2) == pytest.approx(normal_log_p(3.0))
+
+
+def test_sparse_p_is_never_too_small():
+    rng = np.random.default_rng(2)
+    means = np.exp(np.linspace(np.log(1.5), np.log(40), 6))
+
+    def ratios(x):
+        return [
+            0.5 / m**2 - x / m - np.log(m) + stats.norm.logcdf(x - 1 / m) - stats.norm.logpdf(x)
+            for m in means
+        ]
+
+    p = []
+    for _ in range(300):
+        x = rng.standard_normal(5000)
+        p.append(np.exp(sparse_log_p(np.ones_like(x), ratios(x))))
+    for level in (0.2, 0.05, 0.01):
+        assert np.mean(np.array(p) <= level) <= level + 3 * np.sqrt(level / 300)
+    x = rng.standard_normal(5000)
+    x[:6] += rng.exponential(12, 6)
+    assert sparse_log_p(np.ones_like(x), ratios(x)) < np.log(1e-6)
+
+
+def test_orthonormal_rows_span_the_basis():
+    rng = np.random.default_rng(3)
+    basis = rng.standard_normal((6, 400))
+    basis[5] = basis[0] + basis[1]  # a row that adds nothing
+    q = orthonormal(basis)
+    assert q.shape == (5, 400)
+    np.testing.assert_allclose(q @ q.T, np.eye(5), atol=1e-5)
+    np.testing.assert_allclose(basis @ q.T @ q, basis, atol=1e-4)
