@@ -24,8 +24,11 @@ from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.vocabulary import VOCABULARY
 
 SIMULATORS = ("poisson-gaussian", "nlf")
+_NO_STRENGTH = ("saturation", "black_clipping", "quantization", "missing_codes")
+"""Mechanisms whose amplitude says where, not how strongly, they act."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +172,10 @@ def _take_out(fields: tuple[Fields, ...], steps: tuple[Step, ...]) -> tuple[Fiel
 
 
 def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
-    """Amplitude of a mechanism that this run would find with probability one half, and its unit."""
-    from cannoise_jax.vocabulary import VOCABULARY
-
+    """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for one
+    whose amplitude is no strength but a level or a period."""
+    if mechanism in _NO_STRENGTH:
+        return None
     log_alpha = np.log(diagnosis.alpha / diagnosis.fitted.first.tests)
     threshold = float(stats.norm.isf(np.exp(log_alpha)))
     best = np.inf

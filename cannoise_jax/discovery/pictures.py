@@ -27,8 +27,13 @@ def _png(figure) -> str:
     return base64.b64encode(buffer.getvalue()).decode()
 
 
-def _pooled(fields: tuple[Fields, ...]) -> np.ndarray:
-    """Blocks of the static field of the darks (of everything where there are none), in standard errors."""
+def _pooled(fields: tuple[Fields, ...], redrawn: bool) -> np.ndarray:
+    """Blocks of the static field of the darks (of everything where there are none), or of one difference
+    between two frames, in standard errors."""
+    if redrawn:
+        moving = [f for f in fields if len(f.contrasts)]
+        dark = [f for f in moving if not f.lit] or moving
+        return _blocks(dark[0].contrasts[0]) if dark else _blocks(np.zeros(fields[0].mean.shape))
     chosen = [f for f in fields if f.static is not None and not f.lit]
     chosen = chosen or [f for f in fields if f.static is not None] or list(fields)
     maps = []
@@ -37,21 +42,27 @@ def _pooled(fields: tuple[Fields, ...]) -> np.ndarray:
         maps.append(flat if f.static is None else f.static)
     shape = maps[0].shape
     maps = [m for m in maps if m.shape == shape]
-    mean = np.mean(maps, axis=0) * np.sqrt(len(maps))
+    return _blocks(np.mean(maps, axis=0) * np.sqrt(len(maps)))
+
+
+def _blocks(mean: np.ndarray) -> np.ndarray:
+    """Means of square blocks, times the root of their pixels."""
     b = max(min(mean.shape) // 48, 1)
     h, w = mean.shape[0] // b * b, mean.shape[1] // b * b
     return mean[:h, :w].reshape(h // b, b, w // b, b).mean((1, 3)) * b
 
 
-def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str) -> str:
-    """Where: the frozen map and the power of the line offsets, without and with the finding in the model."""
+def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool) -> str:
+    """Where: the frozen map, or the difference of two frames for what is redrawn in each, and the power of
+    the line offsets, without and with the finding in the model."""
     figure, axes = plt.subplots(1, 3, figsize=(11, 2.7), layout="constrained")
-    maps = [_pooled(fields) for fields in (before, after)]
+    maps = [_pooled(fields, redrawn) for fields in (before, after)]
     top = float(np.clip(np.quantile(np.abs(maps[0]), 0.995), 4, 400))
     norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
     for panel, image, title in zip(axes, maps, ("without it in the model", "with it"), strict=False):
         shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
-        panel.set_title(f"frozen residual, {title}", fontsize=9)
+        what = "difference of two frames" if redrawn else "frozen residual"
+        panel.set_title(f"{what}, {title}", fontsize=9)
         panel.set_xticks([])
         panel.set_yticks([])
     ticks = [v for v in (-100, -30, -10, -3, 0, 3, 10, 30, 100) if abs(v) <= top]
@@ -67,7 +78,8 @@ def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: s
     axes[2].set_title(f"power of {line} offsets between frames (white noise: 1)", fontsize=9)
     axes[2].set_xlabel(line, fontsize=8)
     axes[2].tick_params(labelsize=8)
-    axes[2].legend(fontsize=8, frameon=False)
+    if axes[2].lines[:-1]:
+        axes[2].legend(fontsize=8, frameon=False)
     return _png(figure)
 
 

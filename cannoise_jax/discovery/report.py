@@ -17,7 +17,20 @@ from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.vocabulary import VOCABULARY
 
 SCHEMA = "cannoise/diagnosis/1"
-_AXES = ("row", "column", "pixel", "channel", "block", "frame", "signal", "frequency", "code", "edge")
+_PLACES: dict[str, tuple[str, ...]] = {
+    "row": ("index",),
+    "column": ("index",),
+    "pixel": ("index",),
+    "channel": ("channel",),
+    "block": ("bbox",),
+    "frame": ("index",),
+    "signal": ("range",),
+    "frequency": ("period_px", "direction"),
+    "code": ("period",),
+    "edge": ("edge",),
+}
+"""What `where` says by axis."""
+_AXES = tuple(_PLACES)
 _Z90 = 1.645
 
 
@@ -44,7 +57,17 @@ def document(
     seconds: float | None = None,
     peak_memory_mb: float | None = None,
 ) -> dict[str, Any]:
-    """The report as plain data, see the README for its fields. Findings descend in held-out gain."""
+    """The report as plain data; no NaN or infinity, what does not apply is None.
+
+    schema, version, key, alpha (family-wise), simulator: of the run. inputs: file, kind, frames, settings
+    (iso, exposure_s, temperature_c, reference) and sha256 of every recording. verdict: match, mismatch or
+    not_testable. testable: ids; not_testable: mechanism and needs, what to record. Every id that the run
+    may name is in exactly one of them, and every testable one in findings or not_found. findings: by
+    held-out gain, largest first, see `finding`. not_found: mechanism and smallest_detectable, the amplitude
+    (value, unit) that this run finds with probability 0.5, None where it is no strength; ambiguous marks
+    members of an ambiguous finding's group. before, after: see `quality`; two_sample: see `two_sample`.
+    seconds, peak_memory_mb: of the process, given by the caller.
+    """
     pairs = list(zip(diagnosis.fitted.steps, diagnosis.proofs, strict=True))
     pairs.sort(key=lambda p: -(p[1].gain if p[1].gain is not None else -np.inf))
     findings = [finding(diagnosis, step, proof) for step, proof in pairs]
@@ -67,6 +90,8 @@ def document(
     for line, recording in zip(kinds(diagnosis.capture), diagnosis.capture.recordings, strict=True):
         inputs.append({**line, "sha256": _digest(recording.path)})
     verdict = "mismatch" if findings else "match" if diagnosis.testable else "not_testable"
+    # A name that a probe of another mechanism may give was looked for, too.
+    also = [id for id in diagnosis.ids if id in named and id not in diagnosis.testable]
     return plain(
         {
             "schema": SCHEMA,
@@ -76,8 +101,10 @@ def document(
             "simulator": diagnosis.simulator,
             "inputs": inputs,
             "verdict": verdict,
-            "testable": list(diagnosis.testable),
-            "not_testable": [{"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable],
+            "testable": [*diagnosis.testable, *also],
+            "not_testable": [
+                {"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable if id not in also
+            ],
             "findings": findings,
             "not_found": missing,
             "before": quality(diagnosis, 0),
@@ -140,7 +167,17 @@ def two_sample(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
 
 def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
-    """One finding: its fit on the frames that did not select it (on the others where there are none)."""
+    """One finding, fitted on the frames that did not select it (on the others where there are none).
+
+    mechanism: the first candidate. class: sensor, capture or bookkeeping. outcome: FOUND, AMBIGUOUS (the
+    candidates cannot be separated) or UNKNOWN_STRUCTURE (with `card`). candidates: mechanism and
+    probability, descending, summing to 1, unknown included. where: axis, and what that axis has of index,
+    bbox, channel, period_px and direction, range, period. amplitude and parameters: value, unit, ci90.
+    p_value: family-wise. log_e_value: natural log, of findings with a likelihood. heldout_gain_nats: on
+    heldout_pixels pixels of the other frames; heldout_basis: of the codes' likelihood, of the finding's own
+    statistic, or the change of the composite score. heldout_gain_nats_per_pixel: value and ci90. sentence:
+    for a reader.
+    """
     mechanism = step.named.mechanism
     score = proof.score if proof.score is not None else step.named.score
     term = VOCABULARY[mechanism]
@@ -191,7 +228,7 @@ def _where(score: Score) -> dict[str, Any]:
     where = dict(score.where)
     if where.get("axis") not in _AXES:
         where["axis"] = "pixel"
-    return where
+    return {**dict.fromkeys(_PLACES[where["axis"]]), **where}
 
 
 def card(step: Step) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from cannoise_jax.discovery.fields import Fields
 SIDE = 32
 CONTROL_AREA = 0.6
 _BATCH = 512
-_RIDGE = 3.0
+_RIDGE = 10.0
 _GROUPINGS = 4
 _RESAMPLED = 400
 

@@ -1,0 +1,140 @@
+"""Held-out gains: right against known parameters, honest about few frames, without leaks between splits."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import prepare
+from cannoise_jax.discovery.diagnose import diagnose, split_recordings
+from cannoise_jax.discovery.fields import frame_fields
+from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
+from cannoise_jax.discovery.prove import frame_blocks, frame_interval, leave_out
+from cannoise_jax.recordings.recording import CaptureSet
+from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
+
+
+def halves(capture):
+    splits = split_recordings(capture)
+    chosen = [b for _, b in splits]
+    return prepare(capture, [a for a, _ in splits], False), prepare(capture, chosen, False), chosen
+
+
+def gain(capture, *found):
+    first, second, chosen = halves(capture)
+    base = score_frames(first, second, chosen, [])
+    full = score_frames(first, second, chosen, list(found))
+    return frame_interval(full, base)
+
+
+def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood():
+    sigma, read = 1.5, 4.5
+    capture = capture_set(31, row_offsets(sigma), kinds="d")
+    value, low, high = gain(capture, Predicted(row=sigma))
+    exact = 0.0
+    for r in capture.recordings:
+        x = np.asarray(r.frames, float)[1::2] - 200.0
+        w, total = x.shape[2], np.sqrt(read**2 + sigma**2 + 1 / 12)
+        within = total**2 - sigma**2
+        # Exact law of rows with a shared offset, against independent pixels of the same variance.
+        means, squares = x.mean(2), (x**2).sum(2)
+        shared = squares / within - w**2 * means**2 * sigma**2 / (within * (within + w * sigma**2))
+        log_det = (w - 1) * np.log(within) + np.log(within + w * sigma**2)
+        exact += float(np.sum(0.5 * (squares / total**2 + w * np.log(total**2) - shared - log_det)))
+    assert value == pytest.approx(exact, rel=0.05)
+    assert low < value < high and high - low < value
+
+
+def test_what_is_not_there_loses():
+    value, _, high = gain(capture_set(32, kinds="d"), Predicted(row=1.5))
+    assert value < 0 and high < 0
+
+
+def test_a_frozen_pattern_is_learned_in_one_half_and_predicts_the_other():
+    found = diagnose(capture_set(33, column_pattern(1.0)), compare=False)
+    (proof,) = found.proofs
+    assert found.findings == ["column_fpn"] and proof.basis == "likelihood" and proof.confirmed
+    assert proof.log_e == pytest.approx(proof.gain - 6)
+    # A pattern of other columns, as strong, predicts nothing and is the worse for it.
+    step = found.fitted.steps[0]
+    first, second, chosen = halves(capture_set(33, column_pattern(1.0)))
+    rng = np.random.default_rng(0)
+    wrong = Predicted(rng.standard_normal((1, step.before[0].mean.shape[1])), 0.1)
+    base, full = (score_frames(first, second, chosen, law) for law in ([], [wrong]))
+    assert frame_interval(full, base)[0] < 0
+
+
+def test_likelihood_counts_codes_not_densities():
+    """Minus the log-probability of codes is at least the entropy of the noise rounded to them."""
+    first, second, chosen = halves(capture_set(34, kinds="d", step=16.0, read=3.0))
+    scored = score_frames(first, second, chosen, [])
+    nll = -scored.log_prob.sum() / scored.pixels.sum()
+    codes = np.concatenate(
+        [np.asarray(r.frames)[1::2].ravel() for r in capture_set(34, kinds="d", step=16.0).recordings]
+    )
+    share = np.unique(codes, return_counts=True)[1] / codes.size
+    entropy = -np.sum(share * np.log(share))
+    assert nll > 0 and nll == pytest.approx(entropy, abs=0.02)
+
+
+def test_a_reference_of_the_own_frames_is_rebuilt_from_the_other_half():
+    """A mean that holds the judged frames would make them look less noisy than they are."""
+    capture = capture_set(35, kinds="s")
+    own = tuple(
+        dataclasses.replace(
+            r,
+            clean=((np.asarray(r.frames, np.float32).mean(0) - 200) / 16183).astype(np.float32),
+            reference="burst_mean",
+            reference_frames=r.count,
+        )
+        for r in capture.recordings
+    )
+    values = []
+    for recordings in (capture.recordings, own):
+        first, second, chosen = halves(CaptureSet("c", recordings))
+        scored = score_frames(first, second, chosen, [])
+        values.append(-scored.log_prob.sum() / scored.pixels.sum())
+    # Two frames in the mean: half of the noise is added to the difference, 0.5 log 1.5 nats.
+    assert values[1] - values[0] == pytest.approx(0.5 * np.log(1.5), abs=0.03)
+
+
+def test_interval_is_calibrated_on_frames_of_equal_law():
+    rng = np.random.default_rng(0)
+    recording = np.repeat(np.arange(6), [2, 2, 2, 4, 4, 4])
+    covered = 0
+    for _ in range(400):
+        gains = rng.normal(3.0, 2.0, recording.size)
+        scored = Scored(gains, recording, np.full(recording.size, 10))
+        value, low, high = frame_interval(scored, scored._replace(log_prob=np.zeros(recording.size)))
+        assert value == pytest.approx(gains.sum())
+        covered += low <= 3.0 * recording.size <= high
+    assert 0.85 < covered / 400 < 0.95
+
+
+def test_one_frame_in_all_has_no_interval():
+    one = Scored(np.array([1.0]), np.array([0]), np.array([10]))
+    value, low, high = frame_interval(one, one._replace(log_prob=np.zeros(1)))
+    assert value == 1 and np.isnan(low) and np.isnan(high)
+
+
+def test_leaving_frames_out_equals_never_having_had_them():
+    capture = capture_set(36, frame_offsets(0.5), kinds="d")
+    fields = prepare(capture, [[0, 1, 2, 3], [0, 1]], False).fields
+    left = leave_out(fields, [(0, 2), (1, 0), (1, 1)])
+    assert len(left) == 1 and left[0].frames == 3
+    frames = frame_fields(fields[0])[[0, 1, 3]]
+    np.testing.assert_allclose(frame_fields(left[0]), frames, atol=1e-4)
+    blocks = frame_blocks(fields, 3)
+    assert sorted(frame for block in blocks for frame in block) == [(0, t) for t in range(4)] + [
+        (1, 0),
+        (1, 1),
+    ]
+    assert any({(1, 0), (1, 1)} <= set(block) for block in blocks)
+
+
+def test_too_few_frames_confirm_nothing():
+    found = diagnose(capture_set(37, row_offsets(6.0), kinds="d", frames=2), compare=False)
+    for proof in found.proofs:
+        assert not proof.confirmed

@@ -1,0 +1,213 @@
+"""The documents of a diagnosis follow their schema, field by field, and the page says what they say."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.commands import diagnose as command
+from cannoise_jax.discovery.diagnose import diagnose, split_recordings
+from cannoise_jax.discovery.page import advice, page
+from cannoise_jax.discovery.report import document
+from cannoise_jax.physics.sensor_json import read_sensor
+from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.vocabulary import VOCABULARY
+from tests.discovery.capture import capture_set, column_pattern, row_offsets
+
+IDS = set(VOCABULARY) - {"unknown"}
+PLACES = {
+    "row": {"index"},
+    "column": {"index"},
+    "pixel": {"index"},
+    "channel": {"channel"},
+    "block": {"bbox"},
+    "frame": {"index"},
+    "signal": {"range"},
+    "frequency": {"period_px", "direction"},
+    "code": {"period"},
+    "edge": {"edge"},
+}
+
+
+def both(rng):
+    """Row noise and a frozen pattern of columns."""
+    first, second = row_offsets(2.0)(rng), column_pattern(1.5)(rng)
+    return lambda dn, signal, kind, t: second(first(dn, signal, kind, t), signal, kind, t)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return diagnose(capture_set(21, both), key=jax.random.key(1))
+
+
+@pytest.fixture(scope="module")
+def report(found):
+    full = document(found, key=1, version="0.0", seconds=2.0, peak_memory_mb=3.0)
+    return json.loads(json.dumps(full, allow_nan=False))
+
+
+def is_number(value) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def check_interval(value, around=None):
+    assert len(value) == 2 and all(v is None or is_number(v) for v in value)
+    if None not in value:
+        assert value[0] <= value[1]
+        assert around is None or value[0] <= around <= value[1]
+
+
+def check_measured(entry, interval=True):
+    assert is_number(entry["value"])
+    if "unit" in entry:
+        assert isinstance(entry["unit"], str)
+    if interval:
+        check_interval(entry["ci90"], entry["value"])
+
+
+def check_finding(f):
+    assert set(f) - {"card"} == {
+        "mechanism", "class", "outcome", "candidates", "where", "amplitude", "parameters", "p_value",
+        "log_e_value", "heldout_gain_nats", "heldout_basis", "heldout_pixels", "heldout_gain_nats_per_pixel",
+        "sentence",
+    }  # fmt: skip
+    assert f["mechanism"] in VOCABULARY and f["class"] in ("sensor", "capture", "bookkeeping")
+    assert f["outcome"] in ("FOUND", "AMBIGUOUS", "UNKNOWN_STRUCTURE")
+    assert ("card" in f) == (f["outcome"] == "UNKNOWN_STRUCTURE") == (f["mechanism"] == "unknown")
+    assert f["candidates"][0]["mechanism"] == f["mechanism"]
+    p = [c["probability"] for c in f["candidates"]]
+    assert p == sorted(p, reverse=True) and sum(p) == pytest.approx(1) and min(p) >= 0
+    assert "unknown" in {c["mechanism"] for c in f["candidates"]}
+    assert PLACES[f["where"]["axis"]] <= set(f["where"])
+    check_measured(f["amplitude"])
+    for parameter in f["parameters"].values():
+        check_measured(parameter)
+    assert 0 <= f["p_value"] <= 1
+    for name in ("log_e_value", "heldout_gain_nats"):
+        assert f[name] is None or is_number(f[name])
+    assert f["heldout_basis"] in (None, "likelihood", "statistic", "composite")
+    assert f["heldout_pixels"] is None or isinstance(f["heldout_pixels"], int)
+    if f["heldout_gain_nats_per_pixel"] is not None:
+        check_measured(f["heldout_gain_nats_per_pixel"])
+    assert f["sentence"].endswith(".") and "nan" not in f["sentence"]
+
+
+def check_report(r, ids=IDS):
+    """Everything that the schema promises."""
+    assert set(r) == {
+        "schema", "version", "key", "alpha", "simulator", "inputs", "verdict", "testable", "not_testable",
+        "findings", "not_found", "before", "after", "two_sample", "seconds", "peak_memory_mb",
+    }  # fmt: skip
+    assert r["schema"] == "cannoise/diagnosis/1" and isinstance(r["key"], int) and 0 < r["alpha"] < 1
+    assert r["verdict"] in ("match", "mismatch", "not_testable")
+    assert (r["verdict"] == "mismatch") == bool(r["findings"])
+    for entry in r["inputs"]:
+        assert set(entry) == {"file", "kind", "frames", "settings", "sha256"}
+        assert set(entry["settings"]) == {"iso", "exposure_s", "temperature_c", "reference"}
+    untestable = {n["mechanism"] for n in r["not_testable"]}
+    assert set(r["testable"]) | untestable == ids and not set(r["testable"]) & untestable
+    assert all(n["needs"] for n in r["not_testable"])
+    named = {f["mechanism"] for f in r["findings"]}
+    missing = {n["mechanism"] for n in r["not_found"]}
+    assert missing | named - {"unknown"} == set(r["testable"]) and not missing & named
+    for f in r["findings"]:
+        check_finding(f)
+    gains = [f["heldout_gain_nats"] for f in r["findings"]]
+    known = [g for g in gains if g is not None]
+    assert known == sorted(known, reverse=True) and gains == known + [None] * (len(gains) - len(known))
+    for n in r["not_found"]:
+        assert set(n) - {"ambiguous"} == {"mechanism", "smallest_detectable"}
+        if n["smallest_detectable"] is not None:
+            check_measured(n["smallest_detectable"], interval=False)
+            assert n["smallest_detectable"]["value"] > 0
+    for side in ("before", "after"):
+        assert set(r[side]) == {
+            "kl", "kl_floor", "nll_nats_per_pixel", "score", "two_sample_auc", "two_sample_auc_ci90",
+        }  # fmt: skip
+        for name in ("kl", "kl_floor", "nll_nats_per_pixel", "two_sample_auc"):
+            assert r[side][name] is None or is_number(r[side][name])
+        if r[side]["two_sample_auc_ci90"] is not None:
+            check_interval(r[side]["two_sample_auc_ci90"])
+    assert r["before"]["score"] == r["after"]["score"]
+
+
+def test_report_follows_its_schema(report):
+    check_report(report)
+    assert {f["mechanism"] for f in report["findings"]} == {"row_noise", "column_fpn"}
+    assert all(f["heldout_basis"] == "likelihood" for f in report["findings"])
+
+
+def test_after_is_better_than_before_on_frames_held_back(report):
+    before, after = report["before"], report["after"]
+    assert after["nll_nats_per_pixel"] < before["nll_nats_per_pixel"]
+    assert abs(after["two_sample_auc"] - 0.5) < abs(before["two_sample_auc"] - 0.5)
+    assert report["two_sample"]["distance_change_ci90"][1] < 0
+    pixels = report["findings"][0]["heldout_pixels"]
+    saved = (before["nll_nats_per_pixel"] - after["nll_nats_per_pixel"]) * pixels
+    gains = sum(f["heldout_gain_nats"] for f in report["findings"])
+    assert saved == pytest.approx(gains, rel=0.3)  # each gain is beside the other finding
+
+
+def test_page_says_it_all_and_loads_nothing(found, report):
+    html = page(found, report)
+    assert "http://" not in html and "https://" not in html and "<script" not in html and 'src="data:' in html
+    for f in report["findings"]:
+        assert f["sentence"] in html
+    for n in report["not_found"]:
+        assert n["mechanism"].replace("_", " ") in html
+    for needs, which in advice(report):
+        assert needs in html and which in html
+    shown = re.sub(r"base64,[^\"]*", "", html)
+    assert not re.search(r"\b(None|nan|inf)\b", shown)
+
+
+@pytest.mark.parametrize("kinds, frames", [("d", 1), ("s", 1), ("f", 2), ("d", 2)])
+def test_parts_of_a_set_give_reports_without_what_they_cannot_say(kinds, frames):
+    found = diagnose(capture_set(22, both, kinds=kinds, frames=frames))
+    report = json.loads(json.dumps(document(found, key=0, version="0"), allow_nan=False))
+    check_report(report)
+    page(found, report)
+    for f in report["findings"]:
+        if f["heldout_gain_nats"] is None:
+            assert "not confirmed" in f["sentence"] and f["log_e_value"] is None
+
+
+def test_what_may_not_be_named_is_listed_nowhere():
+    hidden = ("row_noise", "row_pink_noise")
+    found = diagnose(capture_set(23, both), without=hidden, compare=False)
+    report = json.loads(json.dumps(document(found, key=0, version="0"), allow_nan=False))
+    check_report(report, IDS - set(hidden))
+    assert report["findings"][0]["outcome"] == "UNKNOWN_STRUCTURE"
+
+
+def test_single_frames_are_split_by_scene():
+    capture = capture_set(24, kinds="s", frames=1)
+    assert split_recordings(capture) == [([0], []), ([], [0])]
+    assert split_recordings(capture_set(24, kinds="d", frames=5))[0] == ([0, 2, 4], [1, 3])
+
+
+def test_command_writes_report_page_and_model(tmp_path, capsys):
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for n, r in enumerate(capture_set(25, both, kinds="d").recordings):
+        write_recording(folder / f"{n}.h5", r)
+    out = tmp_path / "out"
+    assert command.main(["--recordings", str(folder), "--out", str(out), "--key", "3"]) == 0
+    report = json.loads((out / "report.json").read_text())
+    check_report(report)
+    content = (folder / "0.h5").read_bytes()
+    assert report["inputs"][0]["sha256"] == hashlib.sha256(content).hexdigest()
+    assert report["seconds"] > 0 and report["peak_memory_mb"] > 0
+    names = {f.mechanism for f in read_sensor(out / "sensor.json").mechanisms}
+    assert {"row_noise", "column_fpn"} <= names
+    before = (out / "report.json").read_bytes()
+    assert command.main(["--recordings", str(tmp_path / "none"), "--out", str(out)]) == 2
+    assert (out / "report.json").read_bytes() == before
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith("bin/diagnose: ") and np.char.count(error, "\n") == 0
