@@ -15,6 +15,7 @@ from scipy import stats
 
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, prepare, split_frames, stated_parameters
+from cannoise_jax.discovery.calibrate import MOST_FRAMES
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.fit import Fitted, Step, refit, stepwise
 from cannoise_jax.discovery.model import baseline_model
@@ -35,8 +36,9 @@ _NO_STRENGTH = ("saturation", "black_clipping", "quantization", "missing_codes")
 class Diagnosis:
     """What a run found. `report.document` turns it into the report, `model` is the extended simulator.
 
-    steps of `fitted` and `proofs` go together; proven: also the likelihood of the second half; quality:
-    draws of the simulator before and after against the second half, None where not measured.
+    splits: frames of every recording that looked for effects, and that proved them. steps of `fitted` and
+    `proofs` go together; proven: also the likelihood of the second half; quality: draws of the simulator
+    before and after against the second half, None where not measured.
     """
 
     capture: CaptureSet
@@ -45,6 +47,7 @@ class Diagnosis:
     ids: tuple[str, ...]
     testable: tuple[str, ...]
     not_testable: tuple[tuple[str, str], ...]
+    splits: list[tuple[list[int], list[int]]]
     first: Prepared
     second: Prepared | None
     fitted: Fitted
@@ -135,20 +138,21 @@ def diagnose(
         proven = proven._replace(before=None, after=None)
     label = str(simulator) if handed is None else handed.label
     return Diagnosis(
-        capture, label, alpha, ids, yes, no, first, second, fitted, proven, quality, sides.exported
+        capture, label, alpha, ids, yes, no, splits, first, second, fitted, proven, quality, sides.exported
     )
 
 
 def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
     """Frames of every recording that look for effects, and those that prove: every other frame; of scenes of
-    one frame, every other scene."""
+    one frame, every other scene. Of long recordings `MOST_FRAMES` in all are used, spread evenly."""
     out, single = [], 0
     for r in capture.recordings:
-        halves = split_frames(r.count)
+        used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
+        look, show = ([int(used[n]) for n in half] for half in split_frames(used.size))
         if r.count == 1:
-            halves = halves if single % 2 == 0 else (halves[1], halves[0])
+            look, show = (look, show) if single % 2 == 0 else (show, look)
             single += 1
-        out.append(halves)
+        out.append((look, show))
     return out
 
 
@@ -172,8 +176,8 @@ def _take_out(fields: tuple[Fields, ...], steps: tuple[Step, ...]) -> tuple[Fiel
 
 
 def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
-    """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for one
-    whose amplitude is no strength but a level or a period."""
+    """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for
+    one whose amplitude is no strength but a level or a period."""
     if mechanism in _NO_STRENGTH:
         return None
     log_alpha = np.log(diagnosis.alpha / diagnosis.fitted.first.tests)

@@ -6,6 +6,7 @@ from importlib import resources
 from typing import Any
 
 import jinja2
+import numpy as np
 
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
@@ -94,7 +95,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     steps = diagnosis.fitted.steps
     order = sorted(
         range(len(steps)),
-        key=lambda n: -(diagnosis.proofs[n].gain if diagnosis.proofs[n].gain is not None else -1e300),
+        key=lambda n: np.inf if diagnosis.proofs[n].gain is None else -diagnosis.proofs[n].gain,
     )
     pictures = []
     for n in order:

@@ -59,14 +59,14 @@ def document(
 ) -> dict[str, Any]:
     """The report as plain data; no NaN or infinity, what does not apply is None.
 
-    schema, version, key, alpha (family-wise), simulator: of the run. inputs: file, kind, frames, settings
-    (iso, exposure_s, temperature_c, reference) and sha256 of every recording. verdict: match, mismatch or
-    not_testable. testable: ids; not_testable: mechanism and needs, what to record. Every id that the run
-    may name is in exactly one of them, and every testable one in findings or not_found. findings: by
-    held-out gain, largest first, see `finding`. not_found: mechanism and smallest_detectable, the amplitude
-    (value, unit) that this run finds with probability 0.5, None where it is no strength; ambiguous marks
-    members of an ambiguous finding's group. before, after: see `quality`; two_sample: see `two_sample`.
-    seconds, peak_memory_mb: of the process, given by the caller.
+    schema, version, key, alpha (family-wise), simulator: of the run. inputs: file, kind, frames,
+    frames_used, settings (iso, exposure_s, temperature_c, reference) and sha256 of every recording.
+    verdict: match, mismatch or not_testable. testable: ids; not_testable: mechanism and needs, what to
+    record. Every id that the run may name is in exactly one of them, and every testable one in findings or
+    not_found. findings: by held-out gain, largest first, see `finding`. not_found: mechanism and
+    smallest_detectable, the amplitude (value, unit) that this run finds with probability 0.5, None where it
+    is no strength; ambiguous marks members of an ambiguous finding's group. before, after: see `quality`;
+    two_sample: see `two_sample`. seconds, peak_memory_mb: of the process, given by the caller.
     """
     pairs = list(zip(diagnosis.fitted.steps, diagnosis.proofs, strict=True))
     pairs.sort(key=lambda p: -(p[1].gain if p[1].gain is not None else -np.inf))
@@ -87,8 +87,10 @@ def document(
             }
         )
     inputs = []
-    for line, recording in zip(kinds(diagnosis.capture), diagnosis.capture.recordings, strict=True):
-        inputs.append({**line, "sha256": _digest(recording.path)})
+    lines = zip(kinds(diagnosis.capture), diagnosis.capture.recordings, diagnosis.splits, strict=True)
+    for line, recording, (look, show) in lines:
+        used = len(look) + len(show)
+        inputs.append({**line, "frames_used": used, "sha256": _digest(recording.path)})
     verdict = "mismatch" if findings else "match" if diagnosis.testable else "not_testable"
     # A name that a probe of another mechanism may give was looked for, too.
     also = [id for id in diagnosis.ids if id in named and id not in diagnosis.testable]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import math
 import re
+import tracemalloc
 
 import jax
 import numpy as np
@@ -17,6 +19,7 @@ from cannoise_jax.discovery.page import advice, page
 from cannoise_jax.discovery.report import document
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
 
@@ -108,7 +111,7 @@ def check_report(r, ids=IDS):
     assert r["verdict"] in ("match", "mismatch", "not_testable")
     assert (r["verdict"] == "mismatch") == bool(r["findings"])
     for entry in r["inputs"]:
-        assert set(entry) == {"file", "kind", "frames", "settings", "sha256"}
+        assert set(entry) == {"file", "kind", "frames", "frames_used", "settings", "sha256"}
         assert set(entry["settings"]) == {"iso", "exposure_s", "temperature_c", "reference"}
     untestable = {n["mechanism"] for n in r["not_testable"]}
     assert set(r["testable"]) | untestable == ids and not set(r["testable"]) & untestable
@@ -190,6 +193,41 @@ def test_single_frames_are_split_by_scene():
     capture = capture_set(24, kinds="s", frames=1)
     assert split_recordings(capture) == [([0], []), ([], [0])]
     assert split_recordings(capture_set(24, kinds="d", frames=5))[0] == ([0, 2, 4], [1, 3])
+
+
+class Counted:
+    """Frames on disk, as it were: drawn when read, and counted while they are."""
+
+    def __init__(self, count, size):
+        self.shape, self.dtype, self.read = (count, *size), np.dtype(np.uint16), []
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __getitem__(self, index):
+        numbers = range(self.shape[0])[index]
+        self.read.append(len(numbers))
+        draws = [np.random.default_rng(t).normal(200, 5, self.shape[1:]) for t in numbers]
+        return np.rint(draws).astype(np.uint16)
+
+
+def test_memory_does_not_grow_with_the_number_of_frames():
+    peaks = []
+    for count in (16, 64):
+        frames = Counted(count, (96, 128))
+        recordings = tuple(
+            dataclasses.replace(r, frames=frames) for r in capture_set(26, kinds="d", frames=2).recordings
+        )
+        tracemalloc.start()
+        found = diagnose(CaptureSet("c", recordings), compare=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert max(frames.read) <= 16
+        report = document(found, key=0, version="0")
+        assert [(i["frames"], i["frames_used"]) for i in report["inputs"]] == [(count, 16)] * 2
+        look, show = found.splits[0]
+        assert max(look + show) == count - 1 and not set(look) & set(show)
+    assert peaks[1] < 1.05 * peaks[0]
 
 
 def test_command_writes_report_page_and_model(tmp_path, capsys):
