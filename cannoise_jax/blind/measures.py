@@ -139,7 +139,7 @@ def excess(report: Report) -> float:
     return (report["before"]["kl"] or 0) / max(report["before"]["kl_floor"] or 1, 1e-12)
 
 
-def ablation(nulls: Rows, strong: Rows) -> dict[str, Any]:
+def ablation(nulls: Rows, strong: Rows, known: dict[str, dict]) -> dict[str, Any]:
     """What lesser tools would have said of the same sets: false alarms on nulls, detections at 4 x MDE."""
     full = [r for _, r in nulls if (r.get("before") or {}).get("kl") is not None]
     hit = [r for _, r in strong if (r.get("before") or {}).get("kl") is not None]
@@ -150,6 +150,10 @@ def ablation(nulls: Rows, strong: Rows) -> dict[str, Any]:
 
     def raw(r: Report) -> bool:
         return (1.0 if r.get("battery_raw_p") is None else r["battery_raw_p"]) < 0.01
+
+    def flat(rows: Rows) -> list[float]:
+        found = [(known.get(e["set"]) or {}).get("unweighted_p") for e, _ in rows]
+        return [p for p in found if p is not None]
 
     judged = [r for _, r in nulls if r.get("battery_raw_p") is not None]
     return {
@@ -168,6 +172,11 @@ def ablation(nulls: Rows, strong: Rows) -> dict[str, Any]:
             "rule": "90 % interval of the area under the curve above 0.5",
             "false_alarms": count(above(r) for r in full),
             "detected": count(above(r) for r in hit),
+        },
+        "unweighted": {
+            "rule": "smallest family-wise p of the battery below 0.01, every pixel weighing alike",
+            "false_alarms": count(p < 0.01 for p in flat(nulls)),
+            "detected": count(p < 0.01 for p in flat(strong)),
         },
         "no_multiplicity_control": {
             "rule": "smallest p of the battery below 0.01, uncorrected",

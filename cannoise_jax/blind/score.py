@@ -90,7 +90,7 @@ def score(truth: dict[str, Entry], claims: dict[str, Report], known: dict[str, d
             },
         },
         "abstention": measures.abstention(get("null", "curve")),
-        "ablation": measures.ablation(nulls, strong),
+        "ablation": measures.ablation(nulls, strong, known or {}),
         "seconds": measures.seconds(diagnosed),
         "engines": {
             engine: {

@@ -121,6 +121,8 @@ def lines(result: dict[str, Any], alpha: float = 0.01) -> list[Line]:
         Line("KL alone sees, 4 x MDE", percent(lesser["kl_only"]["detected"]), "", None),
         Line("two-sample test alone sees, 4 x MDE", percent(lesser["two_sample_only"]["detected"]), "", None),
         Line("- its false alarms", percent(lesser["two_sample_only"]["false_alarms"]), "", None),
+        Line("unweighted battery: false alarms", percent(lesser["unweighted"]["false_alarms"]), "", None),
+        Line("- sees, 4 x MDE", percent(lesser["unweighted"]["detected"]), "", None),
         Line(
             "no multiplicity control: false alarms",
             percent(lesser["no_multiplicity_control"]["false_alarms"]),

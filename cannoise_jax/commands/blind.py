@@ -1,8 +1,9 @@
-"""bin/blind seal|run|score|real: hidden effects, the analysis that has to find them, and the score.
+"""bin/blind seal|run|score|develop|real: hidden effects, the analysis that has to find them, and the score.
 
 seal    writes capture sets, and what was injected into them to a file elsewhere.
 run     diagnoses every set and commits to its claims; reads no truth.
 score   checks both commitments, opens the truth, writes the tables and figures.
+develop scores fixed sets that are for development, and records their figures for the tests.
 real    conceals in real recordings: injects effects, withholds what the sensor has, permutes frames.
 """
 
@@ -13,6 +14,7 @@ import importlib.metadata
 import json
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +25,15 @@ from cannoise_jax.blind.page import page
 from cannoise_jax.blind.score import score
 from cannoise_jax.blind.seal import seal, write_atomically
 from cannoise_jax.blind.table import text
-from cannoise_jax.commands.blind_analysis import ALPHA, diagnosed, fingerprint, located, true_gain
+from cannoise_jax.commands.blind_analysis import (
+    ALPHA,
+    diagnosed,
+    fingerprint,
+    located,
+    true_gain,
+    unweighted_p,
+)
+from cannoise_jax.commands.blind_develop import develop
 from cannoise_jax.commands.blind_real import PARTS, real_trial
 from cannoise_jax.commands.blind_real import text as real_text
 from cannoise_jax.commands.parser import OneLineParser, count
@@ -96,27 +106,39 @@ def _score(arguments: argparse.Namespace) -> None:
 
 
 def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, Any]]:
-    """What takes the truth to compute, for sets with one listed effect: `mde`, by the tool's own definition,
-    and `gain`, see `true_gain`. Kept in `path`, so that a second score need not compute it again."""
+    """What takes the truth to compute: of single effects `mde`, the tool's, and `gain`, see
+    `true_gain`; for strong and effect-free sets `unweighted_p`. Kept in `path`, for a second score."""
     code = fingerprint()
     try:
         kept = json.loads(path.read_text())
     except (OSError, json.JSONDecodeError):
         kept = {}
     known = kept["sets"] if kept.get("code_sha256") == code else {}
-    asked = [e for e in truth.values() if e["category"] in ("strong", "curve")]
+    asked = [e for e in truth.values() if e["category"] in ("strong", "curve", "null")]
     tell = progress("compared with the true model:")
     for n, entry in enumerate(asked):
         if entry["set"] not in known:
-            effect = entry["effects"][0]
             capture = load_capture_set(sets / entry["set"])
-            known[entry["set"]] = {
-                "mde": mde(effect["mechanism"], capture),
-                "gain": true_gain(capture, effect["mechanism"], effect["amplitude"]),
-            }
+            facts: dict[str, Any] = {}
+            if entry["category"] != "curve":
+                facts["unweighted_p"] = unweighted_p(capture)
+            for effect in entry["effects"]:
+                facts["mde"] = mde(effect["mechanism"], capture)
+                facts["gain"] = true_gain(capture, effect["mechanism"], effect["amplitude"])
+            known[entry["set"]] = facts
             write_atomically(path, json.dumps(plain({"code_sha256": code, "sets": known})))
         tell(n + 1, len(asked))
     return known
+
+
+def _develop(arguments: argparse.Namespace) -> None:
+    name = "slow" if arguments.slow else "fast"
+    with tempfile.TemporaryDirectory() as folder:
+        figures = develop(name, Path(folder), progress("diagnosed"))
+    path = arguments.figures
+    recorded = json.loads(path.read_text()) if path.exists() else {}
+    write_atomically(path, json.dumps({**recorded, name: figures}, indent=1, sort_keys=True) + "\n")
+    print("\n".join(f"{k}: {v}" for k, v in figures.items()))
 
 
 def _real(arguments: argparse.Namespace) -> None:
@@ -194,7 +216,7 @@ def _whole(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/blind", description=__doc__.split("\n\n")[0])
-    steps = parser.add_subparsers(required=True, metavar="seal|run|score|real")
+    steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real")
     step = steps.add_parser("seal", prog="bin/blind seal", help="capture sets, and their truth elsewhere")
     step.add_argument("--out", type=Path, required=True, help="folder for the sets")
     step.add_argument("--truth", type=Path, required=True, help="file for the truth, outside of that folder")

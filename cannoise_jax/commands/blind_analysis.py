@@ -1,4 +1,4 @@
-"""What bin/blind asks of the analysis: reports, p-values, gain of the true model, a fingerprint of the code."""
+"""What bin/blind asks of the analysis: reports, p-values, gain of the true model, fingerprint of the code."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 import cannoise_jax
 from cannoise_jax.discovery import declare
@@ -22,9 +23,12 @@ from cannoise_jax.vocabulary import VOCABULARY
 ALPHA = 0.01
 
 
-def diagnosed(capture: CaptureSet, without: tuple[str, ...], version: str) -> dict[str, Any]:
+def diagnosed(
+    capture: CaptureSet, without: tuple[str, ...], version: str, compare: bool = True
+) -> dict[str, Any]:
     """The report of a whole diagnosis, with the p-value of the battery's first pass."""
-    found = diagnose(capture, "poisson-gaussian", jax.random.key(0), alpha=ALPHA, without=without)
+    key = jax.random.key(0)
+    found = diagnose(capture, "poisson-gaussian", key, alpha=ALPHA, without=without, compare=compare)
     report = document(found, key=0, version=version)
     return {**report, **smallest_p(found.fitted.first)}
 
@@ -48,6 +52,23 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
         for s, name in rejected
     ]
     return {"findings": findings, **smallest_p(first)}
+
+
+def unweighted_p(capture: CaptureSet) -> float | None:
+    """Smallest family-wise p of the battery where every pixel of a recording weighs the same."""
+    prepared = prepare(capture, [split_frames(r.count)[0] for r in capture.recordings], False)
+    flat = []
+    for f in prepared.fields:
+        common = np.sqrt(np.mean(f.sigma[f.usable] ** 2)) if f.usable.any() else 1.0
+        ratio = (f.sigma / common).astype(np.float32)
+        flat.append(
+            f._replace(
+                contrasts=f.contrasts * ratio,
+                static=None if f.static is None else f.static * ratio,
+                sigma=np.full_like(f.sigma, common),
+            )
+        )
+    return smallest_p(locate(tuple(flat), prepared.probes))["battery_p_value"]
 
 
 def smallest_p(first: Located) -> dict[str, float | None]:

@@ -161,8 +161,11 @@ def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell) ->
 
     def look(changed: CaptureSet) -> tuple[dict[str, float], float]:
         prepared = whole(changed)
-        found = locate(prepared.fields, tuple(p for p in prepared.probes if p.mechanism in TEMPORAL))
-        names = {p.name: str(p.mechanism) for p in prepared.probes}
+        timed = tuple(
+            p for p in prepared.probes if p.mechanism in TEMPORAL and p.axes.get("time") != "frozen"
+        )
+        found = locate(prepared.fields, timed)
+        names = {p.name: str(p.mechanism) for p in timed}
         rejected = {names[n]: math.exp(max(p, -700.0)) for n, p in found.log_p.items() if p < math.log(alpha)}
         return rejected, math.exp(max(min(found.log_p.values()), -700.0))
 
@@ -177,7 +180,9 @@ def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell) ->
         "permutations": permutations,
         "reported_before": original,
         "false_alarms": count(bool(r) for r in names),
-        "names": [r for r in names if r],
+        "by_mechanism": {
+            m: count(m in r for r in names) for m in sorted({m for r in names for m in r} | set(original))
+        },
         "null_p_uniform": curves.uniformity(smallest),
     }
 
@@ -204,4 +209,7 @@ def text(result: dict[str, Any]) -> str:
             f"({100 * alarms['ci95'][0]:.1f}-{100 * alarms['ci95'][1]:.1f} %); before: "
             + (", ".join(sorted(part["reported_before"])) or "nothing")
         )
+        for name, alarms in part["by_mechanism"].items():
+            low, high = alarms["ci95"]
+            lines.append(f"  {name:<20} {alarms['hits']} ({100 * low:.1f}-{100 * high:.1f} %)")
     return "\n".join(lines)
