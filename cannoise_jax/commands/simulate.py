@@ -78,7 +78,12 @@ def _parser() -> argparse.ArgumentParser:
     add("--iso", type=float, help="default: the first calibrated ISO")
     add("--exposure", type=float, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
     add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
-    add("--size", type=_size, default=(512, 512), metavar="HxW", help="of flats and darks (default 512x512)")
+    add(
+        "--size",
+        type=_size,
+        metavar="HxW",
+        help="of flats and darks (default: of the stored maps, or 512x512)",
+    )
     add("--seed", type=int, default=0, help="of the noise (default 0)")
     add("--unit", type=int, help="another unit of the camera, by number: other frozen patterns")
     add("--catalogue", action="store_true", help="write the page that explains every mechanism")
@@ -116,7 +121,7 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     if not 0 < iso <= _LARGEST:
         raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
-    scenes = _scenes(arguments.clean, model.cfa, arguments.size)
+    scenes = _scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -155,6 +160,13 @@ def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings)
         code_step=float(np.asarray(model.code_step)),
         reference="independent" if clean.kind == "scene" else None,
     )
+
+
+def _stored_size(model: SensorModel) -> tuple[int, int]:
+    """The size of the maps that were measured on a unit; 512 x 512 without any."""
+    shapes = [(1, 1), *(m.shape[-2:] for f in model.mechanisms for m in f.maps.values())]
+    height, width = (max(shape[axis] for shape in shapes) for axis in (0, 1))
+    return height if height > 1 else 512, width if width > 1 else 512
 
 
 def _sensor(name: str) -> SensorModel:

@@ -22,8 +22,8 @@ def site_shape(point, size: tuple[int, int]) -> tuple[int, ...]:
     """Shape of one number per site of a `grammar.Point`: rows (H,), raster (H*W,), pixels (H, W), channels
     (2, 2), blocks, or the groups of rows or columns."""
     height, width = size
-    if point.group > 1:
-        return (int(group_of(point, size)[-1]) + 1,)
+    if not point.plain:
+        return ((int(group_of(point, size)[-1]) + 1) * point.interleave,)
     return {
         "pixel": (height, width),
         "row": (height,),
@@ -39,8 +39,12 @@ def spread(drawn: Float[Array, "t ..."], point, size: tuple[int, int]) -> Float[
     """Site numbers [T, sites...] in a shape that broadcasts against [T, H, W]."""
     height, width = size
     frames, over = drawn.shape[0], point.over
-    if point.group > 1:
-        drawn = drawn[:, group_of(point, size)]
+    if not point.plain:
+        lines = drawn.reshape(frames, -1, point.interleave)[:, group_of(point, size)]
+        if over == "column":
+            lines = lines.transpose(0, 2, 1)
+            return lines[:, np.arange(height) % point.interleave]
+        return lines[:, :, np.arange(width) % point.interleave]
     if over == "row":
         return drawn.reshape(frames, height, 1)
     if over == "column":
@@ -58,14 +62,17 @@ def spread(drawn: Float[Array, "t ..."], point, size: tuple[int, int]) -> Float[
 
 
 def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Array]:
-    """Covariance at lags one and two across grouped rows or columns: `power` where both are of one group."""
-    group = group_of(point, size)
+    """Covariance at lags one and two: across the rows (columns) `power` where both are of one group; along
+    them, where their pixels take turns, `power` between those that share a number."""
+    group, n = group_of(point, size), point.interleave
     lags = {}
     for k in (1, 2):
         alike = np.zeros(group.size, np.float32)
         alike[:-k] = group[k:] == group[:-k]
         shape = (-1, 1) if point.over == "row" else (1, -1)
         lags[lag(point.over, k, size[1])] = power * alike.reshape(shape)
+        if n > 1:
+            lags[lag("column" if point.over == "row" else "row", k, size[1])] = power * float(k % n == 0)
     return lags
 
 
@@ -126,10 +133,16 @@ def colour(white: Float[Array, "... m"], exponent) -> Float[Array, "... n"]:
     return shaped[..., : length // 2]
 
 
+def power_law_correlation(exponent, length: int) -> Float[Array, "n"]:
+    """Correlation of a power-law sequence of a length at all its lags."""
+    circle = 2 * length
+    return jnp.fft.irfft(_shaping(circle, exponent) ** 2, circle)[:length]
+
+
 def correlations(exponent, over: str, size: tuple[int, int]) -> dict[int, Array]:
     """Correlation of a power-law field at small steps along its axis."""
-    length = 2 * {"row": size[0], "column": size[1], "raster": size[0] * size[1]}[over]
-    correlation = jnp.fft.irfft(_shaping(length, exponent) ** 2, length)
+    length = {"row": size[0], "column": size[1], "raster": size[0] * size[1]}[over]
+    correlation = power_law_correlation(exponent, length)
     return {k: correlation[k] for k in lag_steps(over, size)}
 
 

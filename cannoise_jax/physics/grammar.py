@@ -45,7 +45,8 @@ class Point:
       (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
     spectrum: along the sites. distribution: of one number; "sparse": a few sites, exponential heights.
     group, phase: so many neighbouring rows (or columns) share one number, as where two are read at once;
-      `phase` of the first group's lie before the frame.
+      `phase` of the first group's lie before the frame. interleave: so many columns of a row (or rows of a
+      column) take turns and have numbers of their own, as where even and odd columns are read apart.
     """
 
     stage: Stage
@@ -59,6 +60,12 @@ class Point:
     blocks: tuple[int, int] = (1, 2)
     group: int = 1
     phase: int = 0
+    interleave: int = 1
+
+    @property
+    def plain(self) -> bool:
+        """Whether every row (or column) has one number of its own."""
+        return self.group == 1 and self.interleave == 1
 
 
 def amplitude_name(point: Point) -> str:
@@ -183,13 +190,13 @@ def _effect(point: Point, name: str):
         power = reach**2 * square
         changes = {"variance": power}
         shared = {"row": "row", "column": "column", "whole": "frame"}.get(point.over)
-        if shared:
+        if shared and point.interleave == 1:
             changes[shared] = power
         if point.spectrum == "power_law" and point.over in ("row", "column", "raster"):
             width = context.size[1]
             steps = fields.correlations(values["exponent"], point.over, context.size)
             changes["lags"] = {fields.lag(point.over, k, width): power * r for k, r in steps.items()}
-        if point.group > 1:
+        if not point.plain:
             changes["lags"] = fields.group_lags(point, context.size, power)
         if point.spectrum == "sinusoid":
             changes["lags"] = {
@@ -236,7 +243,7 @@ def mechanism_from_grammar(
       frames are integrated, "approximate"; anything else "none".
     strength: name of the parameter that sets the strength, when `parameters` name it otherwise.
     """
-    if point.group > 1 and (point.over not in ("row", "column") or point.spectrum != "white"):
+    if not point.plain and (point.over not in ("row", "column") or point.spectrum != "white"):
         raise ValueError(f"{id}: only rows and columns with a white spectrum come in groups")
     if parameters is None:
         parameters = point_parameters(point, default if default is not None else 0.01)
@@ -245,7 +252,7 @@ def mechanism_from_grammar(
         normal = point.distribution == "gaussian" and point.spectrum != "sinusoid"
         lines = point.over in ("row", "column", "whole")
         white = point.over == "pixel" and point.spectrum == "white"
-        integrable = point.time == "redrawn" and normal and (lines or white)
+        integrable = point.time == "redrawn" and normal and (lines or white) and point.interleave == 1
         likelihood = "exact" if point.time == "frozen" else "approximate" if integrable else "none"
     if scaling is None:
         scaling = Scaling(gain=1.0 if name.endswith("_dn") else 0.0)

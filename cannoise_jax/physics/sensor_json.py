@@ -1,8 +1,7 @@
 """Sensor models on disk: `sensor.json` (schema cannoise/sensor/1) and, beside it, an `.npz` with maps.
 
-A parameter is a number, or {"iso": [...], "value": [...]}. A mechanism without a name carries its place
-in the grammar. Maps are named in the JSON file, which records the SHA-256 of the `.npz`; nothing is
-unpickled.
+A parameter is a number, or {"iso": [...], "value": [...]}. A mechanism with a place of its own in the grammar
+carries it. Maps are named in the JSON file, which records the SHA-256 of the `.npz`; nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -242,8 +241,9 @@ def _point(id: str, entry: Any) -> Point | None:
     _number(point.signal, f"{id}: grammar signal")
     if len(point.blocks) != 2 or not all(v and _is_whole(v, 4096) for v in point.blocks):
         raise ValueError(f"{id}: grammar blocks is {reprlib.repr(point.blocks)}, not two whole numbers")
-    if not (_is_whole(point.group, 4096) and _is_whole(point.phase, 4095) and point.phase < point.group):
-        raise ValueError(f"{id}: grammar group and phase are not whole numbers, the second the smaller")
+    counts = (point.group, point.phase, point.interleave)
+    if not all(_is_whole(v, 4096) for v in counts) or not (point.phase < point.group and point.interleave):
+        raise ValueError(f"{id}: grammar group, phase, interleave are {counts}: phase is below group")
     return point
 
 

@@ -1,16 +1,18 @@
 """From photon transfer and the estimators to a camera model: which mechanisms are there, and how strong.
 
-A mechanism enters the model when its 90 % interval leaves out zero and its strength is at least three
-standard errors. Where several explain the same data only one enters: pink or white row noise by whether rows
-far apart are alike; a spread of read noise over the pixels, or telegraph pixels, before heavy tails, for
-repeat frames show them directly. What belongs to the light, or is in the baseline already, is reported but
-does not enter.
+A mechanism enters the model when its 90 % interval leaves out zero, its strength is at least three standard
+errors, and it is large enough to matter: an additive one 2 % of the noise of a pixel (0.04 % of its variance)
+at the setting that shows it best, others as `_LEAST` lists. Where several explain the same data only one
+enters: pink or white row noise by whether rows far apart are alike, and the place of white rows by whether
+several are read together and even and odd columns apart; a spread of read noise over the pixels, or telegraph
+pixels, before heavy tails, for repeat frames show them directly. What belongs to the light, or is in the
+baseline already, is reported but does not enter.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -18,19 +20,44 @@ import numpy as np
 from cannoise_jax.physics import registry
 from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.estimators import ESTIMATORS
+from cannoise_jax.physics.estimators.lines import columns_apart, row_groups
 from cannoise_jax.physics.estimators.pick import darkest, darks_by_exposure, row_offsets
 from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law_correlation
+from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.physics.transfer import PhotonTransfer
 from cannoise_jax.physics.transfer_baseline import Baseline
 from cannoise_jax.physics.transfer_frames import FrameStatistics
+from cannoise_jax.physics.transfer_maps import with_measured_maps, without_repetition
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.vocabulary import VOCABULARY
 
-Verdict = Literal["in the model", "not significant", "not measurable", "explained by", "reported only"]
+Verdict = Literal[
+    "in the model",
+    "not significant",
+    "too small to matter",
+    "not measurable",
+    "explained by",
+    "reported only",
+]
 
 _IN_BASELINE = ("gain_error", "read_noise_error", "quantization")
 _STRONG = 3.0
+_GAUSSIAN = 0.135  # Tukey's lambda of a Gaussian
+_LEAST_SHARE = 0.02
+"""Of a pixel's noise in the dark: what an additive mechanism must have, rms or peak."""
+_LEAST = {
+    "prnu": 1e-3,
+    "column_gain": 3e-4,
+    "green_imbalance": 1e-3,
+    "nonlinearity": 3e-3,
+    "crosstalk": 5e-3,
+    "in_camera_denoising": 0.01,
+    "pixel_read_noise_map": 0.03,
+    "heavy_tails": 0.02,
+}
+"""Least strength of the others, in their own unit: a tenth of what cameras usually have, and what moves the
+variance or a correlation of the noise by half a per cent."""
 # The second enters only where the first does not.
 _RIVALS = (
     ("row_pink_noise", "row_noise"),
@@ -41,12 +68,14 @@ _RIVALS = (
 
 
 class Finding(NamedTuple):
-    """What is known of one mechanism. because: the reason of the verdict, empty when it is in the model."""
+    """What is known of one mechanism. because: the reason of the verdict. point: its place in the grammar,
+    where that differs from the usual one."""
 
     mechanism: str
     estimates: Estimates
     verdict: Verdict
     because: str = ""
+    point: Point | None = None
 
 
 def find_mechanisms(statistics: Sequence[FrameStatistics], baseline: Baseline) -> tuple[Finding, ...]:
@@ -54,15 +83,35 @@ def find_mechanisms(statistics: Sequence[FrameStatistics], baseline: Baseline) -
     found: dict[str, Finding] = {}
     for id in VOCABULARY:
         if id in ESTIMATORS and id not in _IN_BASELINE:
-            found[id] = _judged(id, ESTIMATORS[id](statistics, baseline), statistics)
+            found[id] = _judged(id, ESTIMATORS[id](statistics, baseline), statistics, baseline)
     for first, second in _RIVALS:
         if found[first].verdict == "in the model" and found[second].verdict == "in the model":
             found[second] = found[second]._replace(verdict="explained by", because=first)
+    dark = darkest(statistics)
+    if dark is not None and found["row_noise"].verdict == "in the model":
+        found["row_noise"] = placed(found["row_noise"], dark)
     return tuple(found.values())
 
 
+def placed(finding: Finding, dark: FrameStatistics) -> Finding:
+    """Row noise with its place in the grammar, where rows are read together or even and odd columns apart."""
+    groups, apart = row_groups(dark), columns_apart(dark)
+    if (groups is None and not apart) or isinstance(finding.estimates, NotMeasurable):
+        return finding
+    count, phase = groups or (1, 0)
+    said = [f"{count} rows at a time"] if groups else []
+    said += ["even and odd columns apart"] if apart else []
+    # The mean of a row holds half of the variance of two that have nothing in common.
+    sigma = finding.estimates["sigma_dn"].scaled(2**0.5 if apart else 1.0)
+    point = Point(
+        "readout", "signal", "row", "redrawn", group=count, phase=phase, interleave=2 if apart else 1
+    )
+    return finding._replace(estimates={"sigma_dn": sigma}, because=f"({', '.join(said)})", point=point)
+
+
 def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding]) -> SensorModel:
-    """The camera model: the baseline of every measured ISO, and the mechanisms found at the first of them.
+    """The camera model: the baseline of every measured ISO, and the mechanisms found at the first of them,
+    with the frozen maps of the unit that was recorded (`transfer_maps`).
 
     Raises BadInput where no setting has a baseline, with what to record.
     """
@@ -95,8 +144,8 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
             reference_temperature_c=_temperature(first.statistics) if record.scaling.doubling_c else None,
             **(_exposures(first.statistics) if record.scaling.exposure else {}),
         )
-        model = model.with_mechanism(finding.mechanism, scaling=law, **values)
-    return model
+        model = model.with_mechanism(finding.mechanism, scaling=law, point=finding.point, **values)
+    return without_repetition(with_measured_maps(model, first.statistics, base), first.statistics)
 
 
 def _temperature(statistics: Sequence[FrameStatistics]) -> float | None:
@@ -134,7 +183,9 @@ def format_findings(findings: Sequence[Finding]) -> str:
     return "\n".join(out).rstrip()
 
 
-def _judged(id: str, estimates: Estimates, statistics: Sequence[FrameStatistics]) -> Finding:
+def _judged(
+    id: str, estimates: Estimates, statistics: Sequence[FrameStatistics], baseline: Baseline
+) -> Finding:
     if isinstance(estimates, NotMeasurable):
         return Finding(id, estimates, "not measurable")
     if VOCABULARY[id].kind != "sensor":
@@ -148,16 +199,36 @@ def _judged(id: str, estimates: Estimates, statistics: Sequence[FrameStatistics]
         return Finding(
             id, estimates, "not significant", "(rows are not alike over distance, as 1/f would be)"
         )
-    if id == "heavy_tails" and strength.value > 0.135:
+    if id == "heavy_tails" and strength.value > _GAUSSIAN:
         return Finding(id, estimates, "not significant", "(no heavier than a Gaussian)")
+    if not _matters(id, estimates, statistics, baseline):
+        return Finding(id, estimates, "too small to matter")
     return Finding(id, estimates, "in the model")
+
+
+def _matters(
+    id: str, estimates: Mapping[str, Estimate], statistics: Sequence[FrameStatistics], baseline: Baseline
+) -> bool:
+    """Whether the strength reaches what the module's docstring asks for."""
+    strength = next(iter(estimates.values())).value
+    if id in _LEAST:
+        return abs(strength - (_GAUSSIAN if id == "heavy_tails" else 0.0)) >= _LEAST[id]
+    record, dn = registry.mechanism(id), abs(strength)
+    if record.scaling.exposure:  # e-/s
+        longest = max((s.recording.exposure_s or 0.0 for s in darks_by_exposure(statistics)), default=0.0)
+        dn *= longest * float(np.mean(baseline.gain))
+    elif record.parameters[0].unit != "DN":
+        return True
+    if "fraction" in estimates:
+        dn *= float(np.sqrt(estimates["fraction"].value))
+    return dn >= _LEAST_SHARE * float(np.mean(baseline.read_noise))
 
 
 def _strong(id: str, strength: Estimate, statistics: Sequence[FrameStatistics]) -> bool:
     if id in ("missing_codes", "saturation", "black_clipping"):
         return True
     if id == "heavy_tails":
-        strength = strength.shifted(-0.135)  # the shape that is a Gaussian
+        strength = strength.shifted(-_GAUSSIAN)
     if id == "banding":
         dark = darkest(statistics)
         return dark is not None and strength.value > banding_threshold(dark)

@@ -76,6 +76,16 @@ def test_a_folder_gives_one_recording_per_picture_and_seeds_repeat(sensor, tmp_p
     np.testing.assert_allclose(colour.clean[0, 0], 0.2159, atol=1e-3)
 
 
+def test_a_calibrated_unit_gives_frames_of_its_own_size_and_another_unit_any(tmp_path, capsys):
+    model = SensorModel.poisson_gaussian(2.0, 3.0, 100, 4095).with_mechanism("dsnu", sigma_dn=5.0)
+    write_sensor(tmp_path / "unit.json", model.with_maps((24, 40)))
+    dark = ["--sensor", str(tmp_path / "unit.json"), "--clean", "dark", "--out", str(tmp_path / "out")]
+    assert main(dark) == 0 and read_recording(tmp_path / "out" / "dark.h5").size == (24, 40)
+    assert main([*dark, "--size", "32x32"]) == 2
+    assert "another unit" in capsys.readouterr().err
+    assert main([*dark, "--size", "32x32", "--unit", "3"]) == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -253,6 +253,16 @@ def test_rows_that_are_read_in_pairs_share_their_offset():
     lags = fitted.record.effect({"sigma_dn": jnp.float32(5.0)}, {}, context).lags
     np.testing.assert_array_equal(np.broadcast_to(lags[1, 0], (33, 64))[:4, 0], [0, 25, 0, 25])
     assert np.all(np.asarray(lags[2, 0]) == 0)
+    apart = dataclasses.replace(point, interleave=2)
+    frames = base.with_mechanism("row_pairs", point=apart, sigma_dn=5.0).sample(
+        jax.random.key(0), np.zeros((33, 64), np.float32), Settings(frames=400)
+    )
+    even, odd = (np.asarray(frames, float)[:, :, p::2].mean(2) - 200 for p in (0, 1))
+    assert np.mean(even**2) == pytest.approx(25 + 2 * pixel, rel=0.05) and abs(np.mean(even * odd)) < 1.2
+    assert np.mean(odd[:, 1:-1:2] * odd[:, 2::2]) == pytest.approx(25, rel=0.05)
+    fitted = base.with_mechanism("row_pairs", point=apart).mechanisms[0].record
+    lags = fitted.effect({"sigma_dn": jnp.float32(5.0)}, {}, context).lags
+    assert (float(np.mean(lags[0, 1])), float(np.mean(lags[0, 2]))) == (0.0, 25.0)
     with pytest.raises(ValueError, match="groups"):
         base.with_mechanism("pixel_pairs", point=Point("readout", "signal", "pixel", "redrawn", group=2))
 
@@ -275,3 +285,17 @@ def test_initial_noise_sees_no_ghost_of_another_patch():
     shot, read = np.full((3, 4), 1e-4, np.float32), np.full((3, 4), 1e-10, np.float32)
     noise, _ = model.n_init()(jax.random.key(0), jnp.asarray(clean), jnp.asarray(shot), jnp.asarray(read))
     np.testing.assert_allclose(np.asarray(noise).mean(axis=(1, 2, 3)), 0, atol=2e-3)
+
+
+def test_a_sensor_without_colours():
+    model = SensorModel.poisson_gaussian(2.0, 3.0, 100, 4095, "MONO")
+    model = model.with_mechanism("green_imbalance", sigma=0.2).with_mechanism("row_noise", sigma_dn=4.0)
+    clean = np.full((64, 96), 0.25, np.float32)
+    frames = np.asarray(model.sample(KEY, clean, Settings(frames=8)), np.float64)
+    sites = frames.mean(0).reshape(32, 2, 48, 2).mean((0, 2))
+    np.testing.assert_allclose(sites, 100 + 0.25 * 3995, atol=2)  # no green to be out of balance
+    packed = jnp.full((2, 16, 24, 4), 0.25)
+    level = jnp.full((2, 4), 2.0 / 3995), jnp.full((2, 4), (6.0 / 3995) ** 2)
+    noise, sigma = jax.jit(model.n_init())(KEY, packed, *level)
+    assert noise.shape == sigma.shape == packed.shape
+    assert float(jnp.std(noise)) == pytest.approx(float(jnp.mean(sigma)), rel=0.1)

@@ -38,9 +38,32 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
 def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """e_per_s at the brightest point and length (in frame sides): least squares of G exp(-d/L) around a point
     on the frame's edge, on the longest dark less the shortest, in blocks."""
+    found = _fitted_glow(statistics, baseline)
+    if found is None:
+        return _LONG
+    at, errors, seconds = found
+    rate, length = float(np.exp(at[0])) / seconds, float(np.exp(at[1]))
+    return {"e_per_s": _log_estimate(rate, errors[0]), "length": _log_estimate(length, errors[1])}
+
+
+def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarray, "H W"] | None:
+    """exp(-d/L) around the point on the edge where the glow was found; None without suitable darks."""
+    found = _fitted_glow(statistics, baseline)
+    if found is None:
+        return None
+    height, width = statistics[0].recording.size
+    y0, x0 = _edge_point(found[0][2], height, width)
+    distance = np.hypot.outer(np.arange(height) - y0, np.arange(width) - x0) / max(height, width)
+    return np.exp(-distance / np.exp(found[0][1]))
+
+
+def _fitted_glow(
+    statistics: Sequence[FrameStatistics], baseline
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Log peak charge, log length, place on the edge and level of the glow, their errors, and the seconds."""
     pair = _long_and_short(statistics)
     if pair is None or baseline is None:
-        return _LONG
+        return None
     long, short, seconds = pair
     charge, variance = _charge_map(long, short, baseline)
     height, width = charge.shape
@@ -71,9 +94,7 @@ def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     fit = optimize.least_squares(cost, best, x_scale=[0.3, 0.3, 0.1, float(sigma.mean())])
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
     covariance *= max(1.0, 2 * fit.cost / max(means.size - 4, 1))
-    rate, length = float(np.exp(fit.x[0])) / seconds, float(np.exp(fit.x[1]))
-    errors = np.sqrt(np.diag(covariance))
-    return {"e_per_s": _log_estimate(rate, errors[0]), "length": _log_estimate(length, errors[1])}
+    return fit.x, np.sqrt(np.diag(covariance)), seconds
 
 
 def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -86,11 +107,8 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     if pair is None or baseline is None:
         return _LONG
     long, short, seconds = pair
-    charge, _ = _charge_map(long, short, baseline)
+    charge, sigma = _above_healthy(long, short, baseline)
     values = charge[~long.clipped].ravel()
-    low, middle, high = np.percentile(values, (25, 50, 75))
-    sigma = float(high - low) / 1.349
-    values = values - middle
     values = values[values > -8 * sigma]
     tail = values[values > 6 * sigma]
     if len(tail) < 10:
@@ -114,6 +132,31 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
             fraction, float(errors[0]) * fraction * (1 - fraction), (float(ends[0]), float(ends[1]))
         ),
     }
+
+
+def hot_map(
+    statistics: Sequence[FrameStatistics], baseline, e_per_s: float, fraction: float
+) -> Float[np.ndarray, "H W"] | None:
+    """Heights, in units of their mean, of the pixels that are more likely hot than healthy; 0 elsewhere."""
+    pair = _long_and_short(statistics)
+    if pair is None or baseline is None:
+        return None
+    long, short, seconds = pair
+    charge, sigma = _above_healthy(long, short, baseline)
+    mean = e_per_s * seconds
+    healthy = np.exp(-0.5 * np.minimum((charge / sigma) ** 2, 700)) / np.sqrt(2 * np.pi) / sigma
+    hot = 0.5 / mean * _exponential_tail(charge, sigma, mean)
+    likely = (fraction * hot > (1 - fraction) * healthy) & (charge > 0)
+    return np.where(likely, charge / mean, 0.0)
+
+
+def _above_healthy(
+    long: FrameStatistics, short: FrameStatistics | None, baseline
+) -> tuple[Float[np.ndarray, "H W"], float]:
+    """Charge above the median pixel, e-, and the spread of the healthy pixels, from the quartiles."""
+    charge, _ = _charge_map(long, short, baseline)
+    low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
+    return charge - middle, float(high - low) / 1.349
 
 
 def hessian(

@@ -29,10 +29,38 @@ from cannoise_jax.physics.estimators.pick import (
 from cannoise_jax.physics.transfer_frames import FrameStatistics
 from cannoise_jax.physics.transfer_spatial import correlation_loss, temporal_mean_square
 
+_MOST_ROWS = 8  # read together
+
 
 def row_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """sigma_dn of temporal row noise: mean square of row means over frames less the pixels' share."""
+    """sigma_dn of temporal row noise: mean square of row means over frames less the pixels' share. Rows that
+    are read together count once, see `row_groups`."""
     return _temporal(statistics, axis=0)
+
+
+def row_groups(dark: FrameStatistics) -> tuple[int, int] | None:
+    """Rows that are read together, as (how many, how many of the first lie before the frame); None: each by
+    itself.
+
+    Next rows of one group are then nearly the same, those of two groups not alike at all; the arrangement
+    that parts the two best is taken, where it parts them by six standard errors.
+    """
+    rest = row_offsets(dark)
+    rest = rest - rest.mean(0)
+    frames, height = rest.shape
+    if frames < 2 or height < 16:
+        return None
+    alike = (rest[:, 1:] * rest[:, :-1]).mean(0) / np.mean(rest**2)  # of a row and the next
+    best, found = 0.0, None
+    for count in range(2, _MOST_ROWS + 1):
+        for phase in range(count):
+            within = (np.arange(height - 1) + phase) % count != count - 1
+            inside, across = alike[within].mean(), alike[~within].mean()
+            error = np.sqrt((1 / within.sum() + 1 / (~within).sum()) / (frames - 1))
+            parted = inside - across
+            if parted > max(best, 6 * error) and inside > 0.5 and abs(across) < max(0.25 * inside, 3 * error):
+                best, found = parted, (count, phase)
+    return found
 
 
 def column_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -63,12 +91,28 @@ def offset_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     return {"sigma_dn": root(drift)}
 
 
+def columns_apart(dark: FrameStatistics) -> bool:
+    """Whether even and odd columns of a row have row offsets of their own: both as strong, and not alike."""
+    rest = dark.row_means - dark.row_means.mean(0)
+    rest = rest - rest.mean(1, keepdims=True)
+    frames, height, _ = rest.shape
+    even, odd = rest[..., 0], rest[..., 1]
+    alike = float(np.mean(even * odd) / np.sqrt(np.mean(even**2) * np.mean(odd**2)))
+    variance, _ = pooled_variance(dark)
+    white = 2 * variance / dark.recording.size[1]
+    shares = [float(np.mean(r**2)) * frames / (frames - 1) / white for r in (even, odd)]
+    return min(shares) > 2 and max(shares) < 2 * min(shares) and abs(alike) < max(0.1, 3 / np.sqrt(rest.size))
+
+
 def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     dark = darkest(statistics)
     if dark is None:
         return REPEATED_DARKS
     means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
     square, dof = temporal_mean_square(means)
+    groups = row_groups(dark) if axis == 0 else None
+    if groups is not None:  # the likeness that thins them out is not that of a stationary sequence
+        dof = min(dof, (len(means) - 1) * (means.shape[1] // groups[0]))
     pixel, pixel_dof = pooled_variance(dark)
     white = pixel / dark.recording.size[1 - axis]
     return {"sigma_dn": root(variance_difference(square, dof, white, pixel_dof))}

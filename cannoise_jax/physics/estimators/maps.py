@@ -28,6 +28,8 @@ from cannoise_jax.physics.estimators.pick import (
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 from cannoise_jax.physics.transfer_spatial import SHADING_DEGREE, correlation_loss, shading
 
+_HOT = 6.0
+
 
 class Pattern(NamedTuple):
     """A fixed pattern by pixels and columns.
@@ -46,9 +48,12 @@ class Pattern(NamedTuple):
 
 
 def offset_pattern(dark: FrameStatistics) -> Pattern:
-    """The fixed offsets of a dark, DN."""
+    """The fixed offsets of a dark, DN. Pixels more than six robust standard deviations out do not count: they
+    are hot, and have a mechanism of their own."""
     variance, dof = pooled_variance(dark)
     keep = steady_pixels(dark)
+    offsets, _ = _split(dark.mean, keep)
+    keep &= np.abs(offsets) < _HOT * 1.4826 * float(np.median(np.abs(offsets[keep])))
     pixels, columns = _split(dark.mean, keep)
     return Pattern(pixels, columns, keep, variance / dark.recording.count, dof)
 

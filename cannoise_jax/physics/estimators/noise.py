@@ -110,6 +110,18 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     }
 
 
+def telegraph_sites(
+    dark: FrameStatistics, jump_dn: float, fraction: float, rate: float
+) -> Float[np.ndarray, "H W"]:
+    """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0."""
+    series, sigma = _standardised(dark)
+    odds = _telegraph_odds(series, jump_dn / sigma, rate) + np.log(fraction) - np.log1p(-fraction)
+    sites = np.zeros(dark.mean.shape)
+    for c, part in enumerate(np.split(odds > 0, 4)):
+        site(sites, c)[...] = part.reshape(site(sites, c).shape)
+    return sites
+
+
 def _weighted(found: list[Estimate]) -> Estimate:
     weight = np.array([1 / max(f.stderr, 1e-12) ** 2 for f in found])
     value = float(np.sum(weight * [f.value for f in found]) / weight.sum())
@@ -180,7 +192,13 @@ def _median_share(dof: float) -> float:
 
 def _telegraph_loglik(series: Float[np.ndarray, "T n"], jump: float, fraction: float, rate: float) -> float:
     """Log-likelihood of pixels that are telegraph signals of +-jump/2 with chance `fraction`, else quiet, all
-    with unit noise; forward recursion, up to a constant (each frame's exp(-x^2/2))."""
+    with unit noise, up to a constant (each frame's exp(-x^2/2))."""
+    odds = _telegraph_odds(series, jump, rate)
+    return float(np.sum(np.logaddexp(np.log1p(-fraction), np.log(fraction) + odds)))
+
+
+def _telegraph_odds(series: Float[np.ndarray, "T n"], jump: float, rate: float) -> Float[np.ndarray, "n"]:
+    """Log-likelihood of each pixel as a telegraph signal less that as a quiet one; forward recursion."""
     half = jump / 2
     up, down = np.full(series.shape[1], 0.5), np.full(series.shape[1], 0.5)
     loglik = np.zeros(series.shape[1])
@@ -191,4 +209,4 @@ def _telegraph_loglik(series: Float[np.ndarray, "T n"], jump: float, fraction: f
         loglik += np.log(total) - half**2 / 2
         up, down = up / total, down / total
         up, down = up + rate * (down - up), down + rate * (up - down)
-    return float(np.sum(np.logaddexp(np.log1p(-fraction), np.log(fraction) + loglik)))
+    return loglik

@@ -1,0 +1,223 @@
+"""The fixed patterns of one camera unit, as its recordings show them.
+
+An average of frames holds the pattern and the noise that is left. Of what is seen, each pixel (or row, or
+column) keeps the share w = pattern / (pattern + noise) of the variances, its mean value given the recordings
+(James and Stein), so that a map is no picture of noise. What the recordings leave open, the share 1 - w of
+the pattern's variance, is drawn from the unit's key, so that the pattern has the strength that was measured.
+Hot and telegraph pixels are those that are more likely so than not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import special, stats
+
+from cannoise_jax.physics.chain import mechanism_key
+from cannoise_jax.physics.estimators import charge, noise
+from cannoise_jax.physics.estimators.maps import offset_pattern, response_pattern
+from cannoise_jax.physics.estimators.pick import (
+    brightest_flat,
+    column_offsets,
+    darkest,
+    row_offsets,
+    steady_pixels,
+)
+from cannoise_jax.physics.poisson_gaussian import sample_normal
+from cannoise_jax.physics.sensor import Fitted, SensorModel
+from cannoise_jax.physics.transfer_baseline import Baseline
+from cannoise_jax.physics.transfer_fit import robust_mean_square
+from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer_spatial import temporal_mean_square
+
+Statistics = Sequence[FrameStatistics]
+Draw = Callable[[tuple[int, ...]], np.ndarray]
+
+
+def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Baseline) -> SensorModel:
+    """The model with the maps of the unit that was recorded, where its mechanisms have any and the recordings
+    show them; the others stay as they are drawn from the unit's key."""
+    kept: list[Fitted] = []
+    for i, fitted in enumerate(model.mechanisms):
+        key = mechanism_key(model.unit_key, model, i)
+
+        def draw(shape: tuple[int, ...], key=key) -> np.ndarray:
+            return np.asarray(sample_normal(key, shape), np.float64)
+
+        measure = _MEASURED.get(fitted.mechanism)
+        maps = measure(fitted.parameters, statistics, baseline, draw) if measure else {}
+        other = _EXPLAINED_BY.get(fitted.mechanism)
+        if other is not None and maps:
+            name, mechanism, by, without = other
+            known = next((f.maps[by] for f in kept if f.mechanism == mechanism and f.maps), 0.0)
+            maps[name] = np.where(np.asarray(known) > 0, without, maps[name])
+        stored = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
+        kept.append(dataclasses.replace(fitted, maps=stored))
+    return dataclasses.replace(model, mechanisms=tuple(kept))
+
+
+def without_repetition(model: SensorModel, statistics: Statistics) -> SensorModel:
+    """The model with a baseline that leaves out what its mechanisms add or take away.
+
+    Photon transfer measures the baseline on frames that show all mechanisms. Crosstalk and in-camera
+    denoising have lowered the slope of the variance, the second also the read noise; telegraph pixels that
+    the rule for outliers keeps have raised the read noise. What was found in electrons stays the same in DN.
+    """
+    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
+    for fitted in model.mechanisms:
+        if fitted.mechanism in ("crosstalk", "in_camera_denoising"):
+            share = next(iter(fitted.parameters.values()))
+            kept = (1 - share) ** 2 + share**2 / 4  # of the variance of white noise
+            gain = gain / kept
+            read = read if fitted.mechanism == "crosstalk" else read / np.sqrt(kept)
+        dark = darkest(statistics)
+        if fitted.mechanism == "rts" and fitted.maps and dark is not None:
+            quiet, keep = np.asarray(fitted.maps["sites"])[0] == 0, steady_pixels(dark)
+            for c in range(4):
+                variance, inside = pixel_variance(dark, c), site(keep, c)
+                alone = float(variance[inside & site(quiet, c)].mean() / variance[inside].mean())
+                read[:, c] = read[:, c] * np.sqrt(min(alone, 1.0))
+    grown = float(np.mean(gain / model.gain_dn_per_e))
+    return dataclasses.replace(
+        model,
+        gain_dn_per_e=gain.astype(np.float32),
+        read_noise_e=(read / gain).astype(np.float32),
+        mechanisms=tuple(_in_electrons(fitted, 1 / grown) for fitted in model.mechanisms),
+    )
+
+
+def _in_electrons(fitted: Fitted, factor: float) -> Fitted:
+    """The mechanism with its parameters in electrons multiplied."""
+    named = {p.name for p in fitted.record.parameters if p.unit.startswith("e-")}
+    changed = {name: v * factor if name in named else v for name, v in fitted.parameters.items()}
+    return dataclasses.replace(fitted, parameters=changed)
+
+
+def shrunk(seen: np.ndarray, sigma: float, noise_variance: float, rest: np.ndarray) -> np.ndarray:
+    """A pattern in units of its rms `sigma`: the seen one shrunk by its noise, filled up with standard normal
+    numbers `rest`."""
+    share = sigma**2 / (sigma**2 + noise_variance)
+    return share * seen / sigma + np.sqrt(1 - share) * rest
+
+
+def _dsnu(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    dark = darkest(statistics)
+    if dark is None:
+        return {}
+    found = offset_pattern(dark)
+    rest = draw(found.pixels.shape)
+    field = shrunk(found.pixels, values["sigma_dn"], found.noise, rest)
+    # Of pixels far out nothing is noise.
+    out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
+    far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(found.noise)
+    return {"field": np.where(found.keep, field, np.where(far, out, rest))[None]}
+
+
+def _prnu(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    if flat is None:
+        return {}
+    found, offsets = response_pattern(flat), np.zeros(flat.mean.shape)
+    if dark is not None:
+        offsets = offset_pattern(dark).pixels / float(np.mean(flat.level))
+    rest = draw(found.pixels.shape)
+    field = shrunk(found.pixels - offsets, values["sigma"], found.noise, rest)
+    return {"field": np.where(found.keep, field, rest)[None]}
+
+
+def _column_gain(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    flat = brightest_flat(statistics)
+    if flat is None:
+        return {}
+    found = response_pattern(flat)
+    height, width = found.pixels.shape
+    share = float(np.mean(found.pixels[found.keep] ** 2)) / height
+    field = shrunk(found.columns.mean(0), values["sigma"], share, draw((width,)))
+    return {"field": field[None, None]}
+
+
+def _lines(offsets: Float[np.ndarray, "T n"], sigma: float, draw: Draw) -> np.ndarray:
+    temporal, _ = temporal_mean_square(offsets)
+    return shrunk(offsets.mean(0), sigma, temporal / len(offsets), draw(offsets.shape[1:]))
+
+
+def _row_fpn(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    dark = darkest(statistics)
+    return (
+        {} if dark is None else {"field": _lines(row_offsets(dark), values["sigma_dn"], draw)[None, :, None]}
+    )
+
+
+def _column_fpn(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    dark = darkest(statistics)
+    if dark is None:
+        return {}
+    return {"field": _lines(column_offsets(dark), values["sigma_dn"], draw)[None, None]}
+
+
+def _read_noise_map(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    dark = darkest(statistics)
+    if dark is None:
+        return {}
+    # Log-normal read noise of unit mean square: the variances have logs of rms 2 w, w^2 = ln(1 + spread^2).
+    width, half = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2))), dark.dof / 2
+    ratio = np.empty(dark.mean.shape)
+    for c in range(4):
+        square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
+        rounding = dark.code_step**2 / 12
+        site(ratio, c)[...] = (pixel_variance(dark, c) - rounding) / (square - rounding)
+    ratio = np.maximum(ratio, 0.05)
+    logs = np.log(ratio) - (special.digamma(half) - np.log(half)) + width**2 / 2
+    unit = shrunk(logs, width, float(special.polygamma(1, half)), draw(logs.shape))
+    factor = np.exp(width / 2 * unit - width**2 / 4)
+    return {"factor": np.where(_loud(ratio * np.exp(-2 * width), dark.dof), np.sqrt(ratio), factor)[None]}
+
+
+def _loud(ratio: np.ndarray, dof: float) -> np.ndarray:
+    """Whether a variance over the usual one is more likely of a loud pixel (any factor up to a hundred,
+    evenly in its logarithm) than chance; the share of loud pixels from what lies beyond one chance in
+    10^4."""
+    share = float(np.mean(ratio > stats.chi2.isf(1e-4, dof) / dof))
+    chance = stats.chi2.logpdf(ratio * dof, dof) + np.log(dof)
+    loud = np.log(max(share, 1e-9)) - np.log(ratio * np.log(100.0))
+    return (ratio > 1.0) & (loud > chance)
+
+
+def _hot_pixels(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    found = charge.hot_map(statistics, baseline, values["e_per_s"], values["fraction"])
+    return {} if found is None else {"heat": found[None]}
+
+
+def _glow(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    found = charge.glow_map(statistics, baseline)
+    return {} if found is None else {"glow": found[None]}
+
+
+def _telegraph(values, statistics: Statistics, baseline: Baseline, draw: Draw):
+    dark = darkest(statistics)
+    if dark is None:
+        return {}
+    return {"sites": noise.telegraph_sites(dark, **values)[None]}
+
+
+# A map, and the mechanism and map of it by which a pixel of it is explained, and what is left there.
+_EXPLAINED_BY = {
+    "pixel_read_noise_map": ("factor", "rts", "sites", 1.0),
+    "dsnu": ("field", "hot_pixels", "heat", 0.0),
+}
+
+_MEASURED = {
+    "dsnu": _dsnu,
+    "prnu": _prnu,
+    "column_gain": _column_gain,
+    "row_fpn": _row_fpn,
+    "column_fpn": _column_fpn,
+    "pixel_read_noise_map": _read_noise_map,
+    "hot_pixels": _hot_pixels,
+    "amp_glow": _glow,
+    "rts": _telegraph,
+}
