@@ -39,6 +39,7 @@ SHOWN: dict[str, dict[str, float]] = {
     "read_noise_error": {"error": 1.0},
     "poisson_skew": {"strength": 0.0},
     "heavy_tails": {"tukey_lambda": -0.15},
+    "pixel_read_noise_map": {"spread": 0.8},
     "prnu": {"sigma": 0.03},
     "column_gain": {"sigma": 0.02},
     "dark_current": {"e_per_s": 30.0},
@@ -91,6 +92,7 @@ IN_THE_DARK = frozenset(
         "poisson_skew",
         "hot_pixels",
         "cosmic_rays",
+        "black_clipping",
     ]
 )
 """Effects that the shot noise of a bright scene would hide: shown on a dim one."""

@@ -143,6 +143,14 @@ def noise_spread(frames, signal, black):
     return x, np.array([max((ratio > k).mean(), 0.5 / ratio.size) for k in x])
 
 
+def gap_to_neighbours(frames, signal, black):
+    """Share of the values nearer than so many DN to the mean of their four neighbours of the same colour."""
+    near = (frames[:, 4:, 2:-2] + frames[:, :-4, 2:-2] + frames[:, 2:-2, 4:] + frames[:, 2:-2, :-4]) / 4
+    gap = np.abs(frames[:, 2:-2, 2:-2] - near)
+    x = np.linspace(0.5, 10, 20)
+    return x, np.array([(gap <= k).mean() for k in x])
+
+
 def code_histogram(frames, signal, black):
     """How often each stored code occurs, near the black level."""
     codes = np.arange(int(black) - 12, int(black) + 52)
@@ -179,7 +187,7 @@ _KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
     "spatial": (
         spatial_variance_over_signal,
         "signal, DN",
-        "variance of the mean × frames, DN²",
+        "T × variance of the mean, DN²",
         True,
         False,
     ),
@@ -195,6 +203,7 @@ _KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
     "temporal": (temporal_correlation, "frames later", "correlation", False, True),
     "tail": (tail, "standard deviations", "share above", True, False),
     "spread": (noise_spread, "pixel's noise over median", "share above", True, False),
+    "gaps": (gap_to_neighbours, "distance from the neighbours' mean, DN", "share nearer", False, False),
     "codes": (code_histogram, "code, DN", "count", True, False),
     "high codes": (high_codes, "code, DN", "count", True, False),
     "radius": (centre_profile, "pixels from the centre", "mean residual, DN", False, False),
@@ -215,7 +224,8 @@ _CURVE = {
     "lags": "crosstalk in_camera_denoising demosaicing",
     "temporal": "image_lag",
     "tail": "poisson_skew heavy_tails hot_pixels cosmic_rays hot_pixel_suppression",
-    "spread": "pixel_read_noise_map defect_correction rts",
+    "spread": "pixel_read_noise_map rts",
+    "gaps": "defect_correction",
     "codes": "quantization missing_codes black_clipping",
     "high codes": "saturation lossy_compression",
     "radius": "lens_shading",
