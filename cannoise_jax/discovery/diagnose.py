@@ -18,7 +18,6 @@ from cannoise_jax.discovery.battery import Prepared, prepare, split_frames, stat
 from cannoise_jax.discovery.calibrate import MOST_FRAMES
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.fit import Fitted, Step, refit, stepwise
-from cannoise_jax.discovery.model import baseline_model
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
@@ -120,9 +119,10 @@ def diagnose(
         proven = prove(fitted.steps, first, second, chosen)
     if handed is None:
         stated = stated_parameters(capture, first.baselines) if judged else None
-        sides = simulators(capture, first, fitted.steps, baseline_model(capture, first, stated))
+        sides = simulators(capture, first, fitted.steps, stated)
     else:
-        sides = handed_simulators(capture, first, fitted.steps, own, handed)
+        assert drawn is not None
+        sides = handed_simulators(capture, first, fitted.steps, own, handed, drawn)
     quality = None
     if compare and unseen is not None:
         tell("prove: draws of the simulator before and after")

@@ -93,10 +93,8 @@ def advice(report: dict[str, Any]) -> list[tuple[str, str]]:
 def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     """The report as HTML with its pictures inside."""
     steps = diagnosis.fitted.steps
-    order = sorted(
-        range(len(steps)),
-        key=lambda n: np.inf if diagnosis.proofs[n].gain is None else -diagnosis.proofs[n].gain,
-    )
+    gains = [-np.inf if p.gain is None else p.gain for p in diagnosis.proofs]
+    order = sorted(range(len(steps)), key=lambda n: -gains[n])
     pictures = []
     for n in order:
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields

@@ -90,7 +90,7 @@ def compare_models(
     names = {f.number for f in first.fields if f.frames > 1}
     names &= {f.number for f in second.fields if f.frames > 1}
     halves = [_only(p, names) for p in (first, second)]
-    draws = [plain, control, *([extended] if extended else [])]
+    draws = [plain, control, *([extended] if extended else []), *([] if sides.calibrated else [control])]
     drawn = [
         [draw_like(d(own), half) for half, own in zip(halves, jax.random.split(k), strict=True)]
         for d, k in zip(draws, jax.random.split(key, len(draws)), strict=True)
@@ -105,7 +105,8 @@ def compare_models(
     if min(real[0][0].mean.shape) >= 2 * SIDE:
         last = fields[2] if extended else None
         seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
-        tested = two_sample(seed, real, fields[0], last, fields[1], control_sigma)  # type: ignore[arg-type]
+        quiet = fields[0] if sides.calibrated else fields[-1]
+        tested = two_sample(seed, real, fields[0], last, (fields[1], quiet), control_sigma)  # type: ignore[arg-type]
     judged = []
     for n, draw in ((0, plain), (2, extended)):
         if draw is not None:

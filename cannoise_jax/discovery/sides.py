@@ -6,10 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
+import numpy as np
 from jaxtyping import Array, Key
 
-from cannoise_jax.discovery.battery import Prepared
+from cannoise_jax.discovery.battery import Prepared, drawn_parameters
 from cannoise_jax.discovery.draws import Drawing, changed, drawing
+from cannoise_jax.discovery.fields import channel_index
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.model import baseline_model, extended_model
 from cannoise_jax.discovery.simulate import Simulator, codes_of
@@ -18,12 +20,15 @@ from cannoise_jax.recordings.recording import CaptureSet
 
 Drawings = Callable[[Key[Array, ""]], Drawing]
 """A simulator's draws by key."""
+Ratio = Callable[[int, np.ndarray], np.ndarray | None]
+"""(number of the recording, clean signal) -> standard deviation of the noise wanted over that drawn."""
 
 
 class Sides(NamedTuple):
     """plain: the simulator that was judged. extended: with everything found; None: nothing was. less: the
-    extended one without each finding. control: the fitted baseline. exported: the extended camera model.
-    likelihood: whether the simulator has one."""
+    extended one without each finding, where it has no likelihood. control: the fitted baseline. exported: the
+    extended camera model. likelihood: whether the simulator has one. calibrated: whether it is the baseline
+    itself."""
 
     plain: Drawings
     extended: Drawings | None
@@ -31,6 +36,7 @@ class Sides(NamedTuple):
     control: Drawings
     exported: SensorModel
     likelihood: bool
+    calibrated: bool
 
 
 def of_model(model: SensorModel) -> Drawings:
@@ -38,16 +44,23 @@ def of_model(model: SensorModel) -> Drawings:
     return lambda key: drawing(model, key)
 
 
-def simulators(capture: CaptureSet, first: Prepared, steps: tuple[Step, ...], plain: SensorModel) -> Sides:
-    """Of a run on Poisson-Gaussian noise; plain: the model that was judged, calibrated or as stated."""
-    bare = baseline_model(capture, first)
+def simulators(
+    capture: CaptureSet, first: Prepared, steps: tuple[Step, ...], stated: tuple | None = None
+) -> Sides:
+    """Of a run on Poisson-Gaussian noise, calibrated or with gain and read noise as `stated`."""
+    plain, bare = baseline_model(capture, first, stated), baseline_model(capture, first)
     model = extended_model(capture, first, steps)
     extended = of_model(model) if steps else None
-    return Sides(of_model(plain), extended, (), of_model(bare), model, True)
+    return Sides(of_model(plain), extended, (), of_model(bare), model, True, stated is None)
 
 
 def handed_simulators(
-    capture: CaptureSet, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...], handed: Simulator
+    capture: CaptureSet,
+    first: Prepared,
+    steps: tuple[Step, ...],
+    own: tuple[Step, ...],
+    handed: Simulator,
+    drawn: CaptureSet,
 ) -> Sides:
     """Of a simulator that was handed over. A camera model is extended itself. A function or generator keeps
     its own draws, changed by what the findings change in a camera model; what is exported for it is the
@@ -57,20 +70,64 @@ def handed_simulators(
     if handed.model is not None:
         model = extended_model(capture, first, steps, handed.model)
         extended = of_model(model) if steps else None
-        return Sides(of_model(handed.model), extended, (), control, model, True)
+        return Sides(of_model(handed.model), extended, (), control, model, True, False)
+    parameters = drawn_parameters(drawn, first.baselines, first.step)
 
     def plain(key: Key[Array, ""]) -> Drawing:
         return codes_of(handed.draw, capture, key, first.step, handed.dark)
 
     def changed_by(some: tuple[Step, ...]) -> Drawings:
         model = extended_model(capture, first, some)
+        names = {s.named.mechanism for s in some}
+        ratio = noise_ratio(capture, first, parameters, "gain_error" in names, "read_noise_error" in names)
 
         def draws(key: Key[Array, ""]) -> Drawing:
             own_key, same = jax.random.split(key)
-            return changed(plain(own_key), drawing(bare, same), drawing(model, same))
+            scaled = rescaled(plain(own_key), capture, first, ratio)
+            return (
+                scaled if not model.mechanisms else changed(scaled, drawing(bare, same), drawing(model, same))
+            )
 
         return draws
 
     less = tuple(changed_by(tuple(s for s in steps if s is not gone)) for gone in steps)
     exported = extended_model(capture, first, (*own, *steps))
-    return Sides(plain, changed_by(steps) if steps else None, less, control, exported, False)
+    return Sides(plain, changed_by(steps) if steps else None, less, control, exported, False, False)
+
+
+def noise_ratio(capture: CaptureSet, first: Prepared, drawn: tuple, gain_too: bool, read_too: bool) -> Ratio:
+    """How much noisier the recordings are than the draws by their wrong gain, read noise or both; `drawn`:
+    gain (DN/e-) and read noise (DN) of the draws per gain setting."""
+    order = {b.iso: n for n, b in enumerate(first.baselines)}
+
+    def ratio(number: int, clean: np.ndarray) -> np.ndarray | None:
+        recording = capture.recordings[number]
+        n = order[recording.iso]
+        gain, read = drawn[n]
+        if gain is None or not (gain_too or read_too):
+            return None
+        channel = channel_index(clean.shape)
+        baseline = first.baselines[n]
+        signal = clean * (recording.white_level - np.mean(baseline.black))
+        have = gain[channel] * signal + read[channel] ** 2
+        better = (baseline.gain if gain_too else gain)[channel] * signal
+        wanted = better + (baseline.read_dn if read_too else read)[channel] ** 2
+        return np.sqrt(wanted / np.maximum(have, 1e-9))
+
+    return ratio
+
+
+def rescaled(base: Drawing, capture: CaptureSet, first: Prepared, ratio: Ratio) -> Drawing:
+    """Draws with their noise about the expected value stretched, rounded to codes again."""
+
+    def draw(number: int, clean, settings) -> np.ndarray | None:
+        frames, factor = base(number, clean, settings), ratio(number, clean)
+        if frames is None or factor is None:
+            return frames
+        recording = capture.recordings[number]
+        expected = recording.black_map() + clean * (recording.white_level - recording.black_map())
+        values = expected + factor * (frames - expected)
+        highest = np.floor(min(recording.white_level, 65535.0) / first.step) * first.step
+        return np.clip(np.round(values / first.step) * first.step, 0, highest).astype(np.uint16)
+
+    return draw

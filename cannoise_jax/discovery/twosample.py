@@ -239,13 +239,13 @@ def two_sample(
     real: Pair,
     before: Pair,
     after: Pair | None,
-    control: Pair,
+    control: tuple[Pair, Pair],
     control_sigma: float | None,
 ) -> TwoSample | None:
     """Recordings against draws of the simulator before and after (None: nothing was added to it).
 
-    control: further draws of the baseline, to which row noise of `control_sigma` DN is added. None where
-    there are too few frames.
+    control: two draws of the baseline, to the first of which row noise of `control_sigma` DN is added. None
+    where there are too few frames.
     """
     first = judge(real, before, seed)
     if first is None:
@@ -253,8 +253,8 @@ def two_sample(
     size, reached = 1, float("nan")
     if control_sigma is not None:
         rng = np.random.default_rng(seed)
-        injected = tuple(with_row_noise(rng, f, control_sigma) for f in control)
-        told = judge(injected, before, seed)  # type: ignore[arg-type]
+        injected = tuple(with_row_noise(rng, f, control_sigma) for f in control[0])
+        told = judge(injected, control[1], seed)  # type: ignore[arg-type]
         assert told is not None
         most = int(np.bincount(told.real_frame).max())
         reached = decided(told, size, seed)

@@ -24,18 +24,18 @@ def plain():
 
 
 def test_equal_laws_cannot_be_told_and_row_noise_can(plain):
-    quiet = two_sample(0, plain[0], plain[1], None, plain[2], None)
+    quiet = two_sample(0, plain[0], plain[1], None, (plain[2], plain[1]), None)
     assert quiet.before.low <= 0.5 <= quiet.before.high
     assert quiet.change is None and quiet.after == quiet.before
     noisy = pair(44, row_offsets(3.0))
-    told = two_sample(0, noisy, plain[0], plain[1], plain[2], 3.0)
+    told = two_sample(0, noisy, plain[0], plain[1], (plain[2], plain[0]), 3.0)
     assert told.before.value > 0.7 and told.control > 0.6 and told.patches == 1
     # "After" is judged by the same law as "before": plain draws, too.
     assert abs(told.change.value) < 0.1 and told.change.low <= 0 <= told.change.high
 
 
 def test_patches_of_a_decision_grow_until_the_control_is_told(plain):
-    weak = two_sample(0, plain[0], plain[1], None, plain[2], 0.3)
+    weak = two_sample(0, plain[0], plain[1], None, (plain[2], plain[1]), 0.3)
     assert weak.patches > 1
 
 
