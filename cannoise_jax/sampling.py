@@ -23,7 +23,7 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks import Encoder, Generator
-from cannoise_jax.networks.encoder import unit_length
+from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.networks.layers import fold_spectral_norm
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
 from cannoise_jax.physics.single_image import estimate_nlf
@@ -110,7 +110,7 @@ def sample_noise(
     _check(noisy_ref, "noisy_ref")
     if not noisy_ref.size:
         raise ValueError(f"noisy_ref must hold at least one image, got shape {noisy_ref.shape}")
-    noisy_ref = _repeated(noisy_ref)
+    noisy_ref = repeated(noisy_ref)
     height, width = clean.shape[-3:-1]
     if min(height, width) < SMALLEST:
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
@@ -137,7 +137,7 @@ def _check(image, name):
         raise ValueError(f"{name} must be packed, [..., h, w, 4], got shape {image.shape}")
 
 
-def _repeated(image):
+def repeated(image: Float[Array, "*n h w 4"]) -> Float[Array, "*n y x 4"]:
     """The image tiled up to the least size: copies keep the noise's own distribution, reflections do not."""
     for axis in (-3, -2):
         size = image.shape[axis]
@@ -147,13 +147,12 @@ def _repeated(image):
 
 
 def _latent(params, noisy_ref):
-    """The mean latent of all references, as long as each of them, `[1, L]`."""
+    """The latent of all references, `[1, L]`."""
     if params.encoder_module is None:
         return jnp.zeros((1, 1))
     images = noisy_ref.reshape(-1, *noisy_ref.shape[-3:])
-    latent = jnp.mean(params.encoder_module.apply(params.encoder, images, train=False), 0, keepdims=True)
-    scale = None if params.encoder_module.literal else params.encoder_module.latent_scale
-    return latent if scale is None else scale * unit_length(latent)
+    latents: Any = params.encoder_module.apply(params.encoder, images, train=False)
+    return mean_latent(params.encoder_module, latents)[None]
 
 
 def _pad(images):

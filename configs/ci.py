@@ -17,10 +17,12 @@ def get_config() -> ConfigDict:
             "steps": 6,
             "batch_size": 4,
             "patch": 32,
+            "reference": 32,
             "width": 1 / 64,
             "log_every": 1,
             "evaluate_every": 3,
             "validation_patches": 10,
+            "references": 2,
             "checkpoint_every": 3,
         }
     )
@@ -29,5 +31,7 @@ def get_config() -> ConfigDict:
     config.networks.critic = ConfigDict({"hidden": 4})
     config.optimiser.warmup = 2
     config.compiler = ConfigDict({"xla_backend_optimization_level": 0})
-    config.data.update({"scenes": 5, "validation_scenes": 3, "test_scenes": 3, "per_scene": 1})
+    config.data.update(
+        {"scenes": 5, "validation_scenes": 3, "test_scenes": 3, "per_scene": 1, "held_out_per_scene": 1}
+    )
     return config

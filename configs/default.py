@@ -12,9 +12,10 @@ def get_config() -> ConfigDict:
     return ConfigDict(
         {
             "seed": 0,
-            "steps": 4000,
+            "steps": 2000,
             "batch_size": 16,  # paper: 64
-            "patch": 32,  # packed pixels; paper: 64
+            "patch": 32,  # packed pixels, what G and D are trained on; paper: 64
+            "reference": 64,  # packed pixels, what E is trained on; paper: 64
             "width": 1 / 16,  # of every channel count; paper: 1
             "literal": False,  # the paper's tables and raw units as printed; see networks/
             "encoder": True,  # False: a generator without camera awareness
@@ -37,13 +38,14 @@ def get_config() -> ConfigDict:
                 "slope": 1.0,  # that the penalty asks for
                 "feature_matching": 0.0,  # paper: 1
                 "feature_target": "clean",  # in the noise slot of D: clean (paper) or real
-                "statistics": 10.0,  # of noise level and rows, against the paired real noise; paper: none, 0
+                "statistics": 10.0,  # of the noise against the paired real noise; paper: none, 0
                 "triplet": 0.5,
+                "triplets": "batch",  # drawn: one for each patch (paper); batch: all that a batch forms
                 "margin": 0.2,
             },
             "optimiser": {
                 "generator_rate": 3e-4,  # paper: 2e-4
-                "encoder_rate": 1e-3,  # paper: 2e-4, one optimiser for both
+                "encoder_rate": 3e-3,  # paper: 2e-4, one optimiser for both
                 "critic_rate": 2e-3,  # paper: 2e-4
                 "beta1": 0.5,
                 "beta2": 0.999,
@@ -52,16 +54,18 @@ def get_config() -> ConfigDict:
             },
             "compiler": {},  # XLA options of the training step
             "log_every": 50,
-            "evaluate_every": 1000,
+            "evaluate_every": 500,
             "validation_patches": 200,
+            "references": 8,  # noisy patches that show the model its camera, when measured; paper: 1
             "checkpoint_every": 500,
             "data": {
                 "source": "virtual",  # virtual, recordings (set by --recordings), sidd
                 "seed": 0,
-                "scenes": 48,
+                "scenes": 384,
                 "validation_scenes": 10,
                 "test_scenes": 20,
-                "per_scene": 16,
+                "per_scene": 4,  # patches of one scene and camera in training
+                "held_out_per_scene": 16,  # and in validation and test
                 # For recordings: folders, one a camera, and what overrides their files.
                 "recordings": (),
                 "per_recording": 48,  # patches at most of one recording and split

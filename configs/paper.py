@@ -24,6 +24,7 @@ def get_config() -> ConfigDict:
             "steps": 300 * 500_000 // 64,
             "batch_size": 64,
             "patch": 64,
+            "reference": 64,
             "width": 1.0,
             "literal": True,
             "clip": False,
@@ -33,11 +34,20 @@ def get_config() -> ConfigDict:
             "log_every": 100,
             "evaluate_every": 20_000,
             "validation_patches": 2000,
+            "references": 1,
             "checkpoint_every": 2000,
         }
     )
     config.networks = ConfigDict({"generator": {}, "encoder": {}, "critic": {}})
-    config.loss.update({"slope": 1.0, "feature_matching": 1.0, "feature_target": "clean", "statistics": 0.0})
+    config.loss.update(
+        {
+            "slope": 1.0,
+            "feature_matching": 1.0,
+            "feature_target": "clean",
+            "statistics": 0.0,
+            "triplets": "drawn",
+        }
+    )
     config.optimiser.update(
         {
             "generator_rate": 2e-4,
@@ -52,7 +62,8 @@ def get_config() -> ConfigDict:
             "source": "sidd",
             "path": placeholder(str),
             "seed": 0,
-            "patches": 650_000,
+            "train_patches": 500_000,  # paper; those of the validation scene among them
+            "test_patches": 150_000,  # paper
             "test_scenes": ("001", "002", "008"),  # paper
             "validation_scene": "010",
             "held_out_patches": 4000,

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -56,9 +56,9 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     started = time.monotonic()
     try:
-        with _interrupted_by_sigterm():
+        with _interruptible() as check:
             config, workdir = _read_flags(arguments)
-            return _run(config, workdir, started)
+            return _run(config, workdir, started, check)
     except BadInput as error:
         print(f"bin/train: {error}", file=sys.stderr)
         return 2
@@ -68,16 +68,31 @@ def main(argv: list[str] | None = None) -> int:
 
 
 @contextmanager
-def _interrupted_by_sigterm() -> Iterator[None]:
-    """Within it SIGTERM is what Ctrl-C is; training itself stops at its next step for either."""
+def _interruptible() -> Iterator[Callable[[], None]]:
+    """Within it SIGTERM is what Ctrl-C is: KeyboardInterrupt. Training itself stops at its next step instead.
+
+    Python drops an exception that is raised in a destructor or a callback of the garbage collector, so the
+    yielded function raises it again: it is called between the phases of a run.
+    """
+    caught: list[int] = []
+
+    def handle(number, frame):
+        caught.append(number)
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if caught:
+            raise KeyboardInterrupt
+
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals cannot be caught here
+        yield check  # signals cannot be caught here
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        yield
+        yield check
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
@@ -113,7 +128,7 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
     return config, Path(values.workdir)
 
 
-def _run(config: ConfigDict, workdir: Path, started: float) -> int:
+def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], None]) -> int:
     import jax
     from tqdm import tqdm
 
@@ -126,8 +141,10 @@ def _run(config: ConfigDict, workdir: Path, started: float) -> int:
 
     check_config(config)
     check_workdir(config, workdir)
+    check()
     print(f"{workdir}: reading the data", flush=True)
     data = load_data(config, workdir)
+    check()
     print(f"{len(data.train)} patches of {', '.join(data.cameras)}; compiling takes a minute", flush=True)
 
     def progress(step: int, steps: int):
@@ -144,15 +161,24 @@ def _run(config: ConfigDict, workdir: Path, started: float) -> int:
     if not outcome.finished:
         print(f"stopped at step {outcome.step}: the same command resumes", flush=True)
         return 0
+    check()
     model = write_model(config, outcome.state, data, workdir)
-    results = compare(model, data, config.seed)
+    check()
+    results = compare(model, data, config.seed, config.references)
+    check()
     print(f"\nHeld-out test scenes, checkpoint of step {outcome.step} (best on validation scenes)\n")
     print(results_table(results))
     seconds = time.monotonic() - started
     try:
         write_results(workdir / "results.json", results, round(seconds, 1))
         noise_figure(
-            workdir / "noise.png", sampler_of(model), data.test, data.cameras, jax.random.key(config.seed), 16
+            workdir / "noise.png",
+            sampler_of(model),
+            data.test,
+            data.cameras,
+            jax.random.key(config.seed),
+            16,
+            config.references,
         )
     except OSError as error:
         raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error

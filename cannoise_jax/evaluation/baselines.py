@@ -1,8 +1,8 @@
 """The noise models to beat: Gaussian, Poisson-Gaussian as published, Poisson-Gaussian re-calibrated.
 
 All are samplers with the signature that a learned model has too,
-`sampler(key, clean, reference_noisy, shot, read) -> noise`, batches packed `[b, h, w, 4]`, shot and read
-`[b, 4]` in packed order, normalised units, unclipped.
+`sampler(key, clean, reference_noisy, shot, read) -> noise`, batches packed `[b, h, w, 4]`, k references each
+`[b, k, h, w, 4]`, shot and read `[b, 4]` in packed order, normalised units, unclipped.
 """
 
 from __future__ import annotations

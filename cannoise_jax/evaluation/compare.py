@@ -1,8 +1,10 @@
 """Noise models side by side on held-out patches: one row per camera, one column per model.
 
-A model gets, for every patch, the noisy reference of *another* patch of the same camera (the paper's image j,
-any setting), never the target itself. The column `model_wrong_reference` gets one of another camera instead,
-at the same noise level function: what it loses there is what the model knows about the camera.
+A model gets, for every patch, noisy references of *other* patches of the same camera (the paper's image j,
+any setting), never the target itself. The column `model_wrong_reference` gets those of another camera
+instead, at the same noise level function: what it loses there is what the model knows about the camera. One
+patch at an unknown setting need not tell a camera (one phone at ISO 400 has the noise of another at ISO 100),
+so that a model may be given several; `model_one_reference` then shows what one does.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ MODELS = (
     "poisson_gaussian_recalibrated",
     "model",
     "model_wrong_reference",
+    "model_one_reference",
 )
 Results = dict[str, Any]
 
@@ -44,7 +47,7 @@ class Column(NamedTuple):
     """One noise model: its sampler, the patches that its references come from, its noise levels."""
 
     sampler: Sampler
-    reference: Int[np.ndarray, "n"]
+    reference: Int[np.ndarray, "n k"]
     shot: Float[np.ndarray, "n 4"]
     read: Float[np.ndarray, "n 4"]
 
@@ -59,6 +62,7 @@ def evaluate_model(
     batch: int = 64,
     evaluators: tuple[Evaluator, ...] = EVALUATORS,
     columns: Sequence[str] = MODELS,
+    references: int = 1,
 ) -> Results:
     """Every model of `columns` on every patch.
 
@@ -66,7 +70,8 @@ def evaluate_model(
     numbers are computed for every camera and ISO, a camera's are the mean over its patches, and so on up.
 
     sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise`, called on batches of
-      `batch` patches (jit it); None leaves its two columns out.
+      `batch` patches with references `[b, k, h, w, 4]` (jit it); None leaves its columns out.
+    references: k, how many noisy images of the camera the model is shown.
     camera_names: by camera index. recalibrated: from `baselines.calibrate_by_setting` on training recordings;
       a setting that it lacks uses the published function; None leaves the column out.
     Numbers per model are those of `evaluators`, the first of which must count the patches; see there. The
@@ -75,7 +80,7 @@ def evaluate_model(
     draw_key, pair_key = jax.random.split(key)
     noise = {
         name: draw_noise(column, patches, jax.random.fold_in(draw_key, MODELS.index(name)), batch)
-        for name, column in model_columns(sampler, patches, pair_key, recalibrated).items()
+        for name, column in model_columns(sampler, patches, pair_key, recalibrated, references).items()
         if name in columns
     }
     camera, iso = np.asarray(patches.camera), np.asarray(patches.iso)
@@ -99,9 +104,10 @@ def model_columns(
     patches: Patches,
     key: Key[Array, ""],
     recalibrated: Mapping[tuple[int, int], tuple[float, float]] | None = None,
+    references: int = 1,
 ) -> dict[str, Column]:
     """The columns of the comparison by name, each with its references and noise levels."""
-    right, wrong = choose_references(patches.camera, patches.scene, key)
+    right, wrong = choose_references(patches.camera, patches.scene, key, references)
     shot, read = np.asarray(patches.shot), np.asarray(patches.read)
     made = {
         "gaussian": Column(gaussian, right, shot, read),
@@ -116,28 +122,31 @@ def model_columns(
         made["model"] = Column(sampler, right, shot, read)
         if (wrong >= 0).all():
             made["model_wrong_reference"] = Column(sampler, wrong, shot, read)
+        if references > 1:
+            made["model_one_reference"] = Column(sampler, right[:, :1], shot, read)
     return made
 
 
 def choose_references(
-    camera: Int[np.ndarray, "n"], scene: Int[np.ndarray, "n"], key: Key[Array, ""]
-) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """For every patch the index of a reference of the same camera and of one of another camera.
+    camera: Int[np.ndarray, "n"], scene: Int[np.ndarray, "n"], key: Key[Array, ""], count: int = 1
+) -> tuple[Int[np.ndarray, "n k"], Int[np.ndarray, "n k"]]:
+    """For every patch the indices of `count` references of its camera and of as many of one other camera.
 
-    The first is from another scene where the camera has more than one, else another patch where there is
-    one; the second is -1 where there is no other camera.
+    The first are from other scenes where the camera has more than one, else other patches where there are
+    any; the second are -1 where there is no other camera. None is repeated where there are enough.
     """
     camera, scene = np.asarray(camera), np.asarray(scene)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).tolist())
-    right, wrong = np.arange(camera.size), np.full(camera.size, -1)
+    right, wrong = np.tile(np.arange(camera.size)[:, None], count), np.full((camera.size, count), -1)
     for i in range(camera.size):
         same = camera == camera[i]
         for allowed in (same & (scene != scene[i]), same & (np.arange(camera.size) != i)):
             if allowed.any():
-                right[i] = rng.choice(np.flatnonzero(allowed))
+                right[i] = rng.choice(np.flatnonzero(allowed), count, replace=allowed.sum() < count)
                 break
         if not same.all():
-            wrong[i] = rng.choice(np.flatnonzero(~same))
+            other = camera == rng.choice(camera[~same])
+            wrong[i] = rng.choice(np.flatnonzero(other), count, replace=other.sum() < count)
     return right, wrong
 
 

@@ -30,20 +30,23 @@ def noise_figure(
     camera_names: Sequence[str],
     key: Key[Array, ""],
     batch: int = 64,
+    references: int = 1,
 ) -> None:
     """Write a PNG: one row per camera, columns clean, real noise, Gaussian, Poisson-Gaussian, model, and the
     model with another camera's reference.
 
     Noise of one row shares one colour scale, three times the rms of the real noise. Shown is the green of a
     textured patch of middling brightness. sampler: as for `compare.evaluate_model`; `batch` as there, so that
-    it need not compile again.
+    it need not compile again; `references` as there.
     """
     camera = np.asarray(patches.camera)
     chosen = np.array([_typical(patches, c) for c in range(len(camera_names)) if (camera == c).any()])
     pair_key, draw_key = jax.random.split(key)
     noise = {
         _TITLES[name]: draw_noise(column, patches, jax.random.fold_in(draw_key, i), batch, chosen)
-        for i, (name, column) in enumerate(model_columns(sampler, patches, pair_key).items())
+        for i, (name, column) in enumerate(
+            model_columns(sampler, patches, pair_key, None, references).items()
+        )
         if name in _TITLES
     }
     clean = np.asarray(patches.clean)[chosen]

@@ -13,7 +13,8 @@ HEADINGS = {
     "poisson_gaussian": "PG published",
     "poisson_gaussian_recalibrated": "PG re-calib.",
     "model": "model",
-    "model_wrong_reference": "wrong ref.",
+    "model_one_reference": "model, 1 ref.",
+    "model_wrong_reference": "wrong refs.",
 }
 _WIDTH = 17
 

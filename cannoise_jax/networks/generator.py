@@ -8,9 +8,9 @@ training patch and a whole image. The default therefore
 - changes the initial noise by factors: n = n_init exp(tanh a) + sigma tanh b + row noise, with a, b and the
   row gain zero at the start, so that training begins at n = n_init exactly;
 - normalises over channels at each pixel instead of over pixels;
-- ends in a small full-resolution branch, modulated by the latent: at small widths the U-Net's first layer has
-  fewer channels than pixels under its stride, and no pointwise function (a camera's level, tails, offset)
-  could pass it;
+- ends in a small full-resolution branch, modulated by the latent and the image's noise level function: at
+  small widths the U-Net's first layer has fewer channels than pixels under its stride, and no pointwise
+  function (a camera's level, tails, offset) could pass it;
 - draws one more number per sensor row. White initial noise has no row structure, and a convolution of finite
   reach cannot make any.
 """
@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float
 
-from cannoise_jax.networks.layers import Block, Conv, Norm, leaky_relu, scaled
+from cannoise_jax.networks.layers import Block, Conv, Norm, he_init, leaky_relu, scaled
 
 
 class ResidualBlock(nn.Module):
@@ -83,25 +83,31 @@ class UNet(nn.Module):
 
 
 class PixelBranch(nn.Module):
-    """Full-resolution 3x3 and 1x1 layers whose channels the latent scales and shifts; starts at zero."""
+    """Full-resolution 3x3 and 1x1 layers whose channels `told` scales and shifts; starts at zero.
+
+    direct: `told` also sets every output for the whole image at once.
+    """
 
     hidden: int
     outputs: int
+    direct: bool = True
 
     @nn.compact
     def __call__(
-        self, x: Float[Array, "b h w i"], latent: Float[Array, "b l"], *, train: bool
+        self, x: Float[Array, "b h w i"], told: Float[Array, "b l"], *, train: bool
     ) -> Float[Array, "b h w o"]:
         for i, size in enumerate((3, 1)):
             x = Conv(
                 self.hidden, size, 1, size // 2, spectral=False, use_bias=True, initial="he", name=f"p{i}"
             )(x, train=train)  # fmt: skip
-            film = nn.Dense(2 * self.hidden, kernel_init=nn.initializers.normal(0.3), name=f"film{i}")(latent)
+            film = nn.Dense(2 * self.hidden, kernel_init=nn.initializers.normal(0.05), name=f"film{i}")(told)
             gain, shift = jnp.split(film[:, None, None], 2, -1)
             x = leaky_relu(x * (1 + gain) + shift)
-        return Conv(self.outputs, 1, spectral=False, use_bias=True, initial="zeros", name="out")(
-            x, train=train
-        )
+        x = Conv(self.outputs, 1, spectral=False, use_bias=True, initial="zeros", name="out")(x, train=train)
+        if self.direct:
+            whole = nn.Dense(self.outputs, False, kernel_init=nn.initializers.zeros, name="direct")(told)
+            x = x + whole[:, None, None]
+        return x
 
 
 class Generator(nn.Module):
@@ -112,7 +118,8 @@ class Generator(nn.Module):
     spectral norm on every layer as released); all further fields are then unused.
     spectral, norm ("channel", "instance", "none"): of the U-Net. hidden: channels of the full-resolution
     branch. level_input: show log sigma to G. Without it G can know the camera from the latent only.
-    direct: also let the latent set factor, shift and row gain of each channel for the whole image at once.
+    setting_input: show the full-resolution branch the image's noise level function, beside the camera.
+    direct: also let both set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
 
     Returns noise in normalised units, not clipped. Height and width must be multiples of 32.
@@ -125,7 +132,8 @@ class Generator(nn.Module):
     hidden: int = 32
     level_input: bool = True
     row_noise: bool = True
-    direct: bool = False
+    setting_input: bool = True
+    direct: bool = True
 
     @nn.compact
     def __call__(
@@ -145,11 +153,12 @@ class Generator(nn.Module):
         x = in_sigma_units(clean, n_init, sigma, level=self.level_input)
         features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
         x = jnp.concatenate([x, features], -1)
-        maps = PixelBranch(self.hidden, 12, name="pixels")(x, latent, train=train)
-        if self.direct:
-            maps = (
-                maps + nn.Dense(12, kernel_init=nn.initializers.zeros, name="direct")(latent)[:, None, None]
-            )
+        told = latent * latent.shape[-1] ** 0.5
+        if self.setting_input:
+            told = jnp.concatenate([told, setting_summary(clean, sigma)], -1)
+        # One hidden layer: how far a camera is from its published noise differs from setting to setting.
+        told = leaky_relu(nn.Dense(2 * self.hidden, kernel_init=he_init, name="told")(told))
+        maps = PixelBranch(self.hidden, 12, self.direct, name="pixels")(x, told, train=train)
         factor, shift, row = (jnp.tanh(m) for m in jnp.split(maps, 3, -1))
         noise = n_init * jnp.exp(factor) + sigma * shift
         if self.row_noise:
@@ -157,6 +166,15 @@ class Generator(nn.Module):
             draw = jax.random.normal(self.make_rng("noise"), (*noise.shape[:2], 1, 2), noise.dtype)
             noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * jnp.repeat(draw, 2, -1)
         return noise
+
+
+def setting_summary(clean: Float[Array, "b h w 4"], sigma: Float[Array, "b h w 4"]) -> Float[Array, "b s"]:
+    """The noise level function of each image in three numbers of about -1.5..1.5: mean log of variance over
+    signal, the signal raised by a little (the shot coefficient), more, and most (the variance itself)."""
+    variance, signal = jnp.square(sigma), jnp.maximum(clean, 0)
+    toes = (0.002, 0.02, 0.2)
+    means = [jnp.mean(jnp.log(variance / (signal + toe)), (1, 2, 3)) for toe in toes]
+    return (jnp.stack(means, -1) + 6) / 1.5
 
 
 def in_sigma_units(

@@ -107,6 +107,7 @@ def batches(
     *,
     seed: int,
     size: int | None = 64,
+    reference_size: int | None = None,
     triplet: bool = True,
     threads: int = 0,
 ) -> BatchIterator:
@@ -114,14 +115,17 @@ def batches(
 
     size: packed size of the patches; stored patches may be larger, then a window is drawn at random, and
       mirrored half of the time where one column is to spare. None: patches as stored, no augmentation.
+    reference_size: the same for anchor, positive and negative; default: `size`.
     triplet: False leaves out `positive` and `negative`, which one camera alone cannot give.
     Raises BadInput for one camera with a triplet, a camera with fewer than two patches, patches below `size`.
     """
     members = _by_camera(source, triplet)
-    if size is not None and min(source[0]["noisy"].shape[:2]) < size:
+    reference_size = size if reference_size is None else reference_size
+    largest = max(size or 0, reference_size or 0)
+    if min(source[0]["noisy"].shape[:2]) < largest:
         stored = "{} x {}".format(*source[0]["noisy"].shape[:2])
-        raise BadInput(f"stored patches of {stored} (packed) are smaller than {size}: store larger ones")
-    element = _Element(source, members, size, triplet)
+        raise BadInput(f"stored patches of {stored} (packed) are smaller than {largest}: store larger ones")
+    element = _Element(source, members, size, reference_size, triplet)
     per_epoch = len(element.members) * max(map(len, element.members))
     data = grain.MapDataset.range(per_epoch).seed(seed).shuffle().repeat().random_map(element)
     options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=4 * batch_size if threads else 0)
@@ -135,6 +139,7 @@ class _Element(grain.transforms.RandomMap):
     source: PatchSource
     members: tuple[np.ndarray, ...]
     size: int | None
+    reference_size: int | None
     triplet: bool
 
     def random_map(self, element: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -143,7 +148,9 @@ class _Element(grain.transforms.RandomMap):
         i = turn % len(own)
         j, k = _others(rng, len(own), i)
         target = self.source[int(own[i])]
-        clean, noisy = self._window(rng, self.source.cfa(int(own[i])), target["clean"], target["noisy"])
+        clean, noisy = self._window(
+            rng, self.size, self.source.cfa(int(own[i])), target["clean"], target["noisy"]
+        )
         drawn: dict[str, Any] = {
             "clean": clean,
             "noisy": noisy,
@@ -159,17 +166,20 @@ class _Element(grain.transforms.RandomMap):
         return drawn
 
     def _noisy(self, rng: np.random.Generator, index: int) -> np.ndarray:
-        return self._window(rng, self.source.cfa(int(index)), self.source[int(index)]["noisy"])[0]
+        image = self.source[int(index)]["noisy"]
+        return self._window(rng, self.reference_size, self.source.cfa(int(index)), image)[0]
 
-    def _window(self, rng: np.random.Generator, cfa: str, *images: np.ndarray) -> list[np.ndarray]:
+    def _window(
+        self, rng: np.random.Generator, side: int | None, cfa: str, *images: np.ndarray
+    ) -> list[np.ndarray]:
         """The same random window of every image."""
-        if self.size is None:
+        if side is None:
             return [np.asarray(image, np.float32) for image in images]
         height, width = images[0].shape[:2]
-        mirrored = bool(rng.integers(2)) and width > self.size
-        top = int(rng.integers(height - self.size + 1))
-        left = int(rng.integers(width - self.size - mirrored + 1))
-        size = (self.size, self.size)
+        mirrored = bool(rng.integers(2)) and width > side
+        top = int(rng.integers(height - side + 1))
+        left = int(rng.integers(width - side - mirrored + 1))
+        size = (side, side)
         return [np.asarray(crop_packed(i, top, left, size, mirrored, cfa), np.float32) for i in images]
 
 

@@ -11,8 +11,10 @@ from cannoise_jax.recordings.recording import BadInput
 
 _COUNTS = (
     "steps", "batch_size", "critic_updates", "log_every", "evaluate_every", "checkpoint_every",
-    "validation_patches", "data.scenes", "data.validation_scenes", "data.test_scenes", "data.per_scene",
-    "data.per_recording", "data.half_real_scenes", "data.patches", "data.held_out_patches",
+    "validation_patches", "references", "data.scenes", "data.validation_scenes", "data.test_scenes",
+    "data.per_scene", "data.held_out_per_scene",
+    "data.per_recording", "data.half_real_scenes", "data.train_patches", "data.test_patches",
+    "data.held_out_patches",
     "data.calibration_patches",
 )  # fmt: skip
 _POSITIVE = ("width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate")
@@ -25,13 +27,14 @@ _CHOICES = {
     "critic_condition": ("none", "camera", "latent"),
     "optimiser.schedule": ("constant", "cosine"),
     "loss.feature_target": ("clean", "real"),
+    "loss.triplets": ("drawn", "batch"),
 }
-_MULTIPLE, _LARGEST = 32, 64
+_MULTIPLE, _SMALLEST, _LARGEST = 32, 16, 64
 
 
 def check_config(config: ConfigDict) -> None:
     """Raises BadInput, one line with the field, for a value that no run could use."""
-    for name in (*_COUNTS, "patch"):
+    for name in (*_COUNTS, "patch", "reference"):
         value = _value(config, name)
         if value is None or isinstance(value, tuple):  # SIDD's test scenes are names
             continue
@@ -39,6 +42,8 @@ def check_config(config: ConfigDict) -> None:
             raise _wrong(name, value, "use a whole number from 1 on")
     if config.patch % _MULTIPLE or config.patch > _LARGEST:
         raise _wrong("patch", config.patch, f"use {_MULTIPLE} or {_LARGEST}")
+    if not _SMALLEST <= config.reference <= _LARGEST or config.reference % 8:
+        raise _wrong("reference", config.reference, f"use a multiple of 8 from {_SMALLEST} to {_LARGEST}")
     for names, holds, rule in (
         (_POSITIVE, lambda v: v > 0, "use a positive number"),
         (_NOT_NEGATIVE, lambda v: v >= 0, "use zero or more"),

@@ -20,7 +20,13 @@ from cannoise_jax.evaluation.baselines import calibrate_by_setting
 from cannoise_jax.evaluation.kl import clipped_noise
 from cannoise_jax.physics.scenes import SPLITS
 from cannoise_jax.physics.virtual import virtual_cameras, virtual_patches
-from cannoise_jax.recordings.patches import PatchStore, open_patches, split_scenes, write_patches
+from cannoise_jax.recordings.patches import (
+    PatchStore,
+    counts_by_split,
+    open_patches,
+    split_scenes,
+    write_patches,
+)
 from cannoise_jax.recordings.pipeline import ArrayPatches, PatchSource
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.sidd import load_sidd, scene_id
@@ -80,9 +86,10 @@ def _virtual(config: ConfigDict, workdir: Path) -> TrainingData:
     data, cameras = config.data, virtual_cameras()
     key = jax.random.key(data.seed)
     counts = (data.scenes, data.validation_scenes, data.test_scenes)
+    per_scene = (data.per_scene, data.held_out_per_scene, data.held_out_per_scene)
     parts = [
-        virtual_patches(key, split, count, data.per_scene)
-        for split, count in zip(SPLITS, counts, strict=True)
+        virtual_patches(key, split, count, each)
+        for split, count, each in zip(SPLITS, counts, per_scene, strict=True)
     ]
     train, validation, test = (HeldOut(**part._asdict()) for part in parts)
     names, cfas = tuple(camera.name for camera in cameras), tuple(camera.cfa for camera in cameras)
@@ -136,6 +143,9 @@ def _sidd(config: ConfigDict, workdir: Path) -> TrainingData:
         raise BadInput("config.data.path: not set: name the folder of SIDD Medium: --config.data.path=DIR")
     store = _sidd_store(config, workdir)
     rest, test = split_scenes(store, tuple(data.test_scenes))
+    if data.validation_scene not in store.scenes or data.validation_scene in data.test_scenes:
+        known = ", ".join(scene for scene in store.scenes if scene not in data.test_scenes)
+        raise BadInput(f"config.data.validation_scene: {data.validation_scene!r}: use one of {known}")
     validation_scene = store.scenes.index(data.validation_scene)
     indices = np.asarray(rest.indices)  # type: ignore[attr-defined]
     held = store.scene[indices] == validation_scene
@@ -158,7 +168,11 @@ def _sidd_store(config: ConfigDict, workdir: Path) -> PatchStore:
         return open_patches(folder)
     captures = load_sidd(config.data.path)
     recordings = [(r, scene_id(r)) for captured in captures for r in captured.recordings]
-    return write_patches(folder, recordings, config.data.patches, seed=config.data.seed)
+    scenes = [scene for _, scene in recordings]
+    counts = counts_by_split(
+        scenes, config.data.test_scenes, config.data.train_patches, config.data.test_patches
+    )
+    return write_patches(folder, recordings, counts, seed=config.data.seed)
 
 
 def _held_out(store: PatchStore, indices: Sequence[int] | np.ndarray, count: int) -> HeldOut:

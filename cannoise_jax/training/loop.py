@@ -18,6 +18,7 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
+from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.physics.initial_noise import initial_noise
 from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput
@@ -112,7 +113,12 @@ def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
     def sample(average, spectral, key, clean, reference, shot, read):
         noise_key, row_key = jax.random.split(key)
         n_init, sigma = draw(noise_key, clean, shot, read)
-        latent = latent_of(networks, {"params": average["encoder"], "spectral": spectral[1]}, reference)
+        encoder = {"params": average["encoder"], "spectral": spectral[1]}
+        latent = latent_of(networks, encoder, reference.reshape(-1, *reference.shape[-3:]))
+        if networks.encoder is not None:
+            latent = mean_latent(networks.encoder, latent.reshape(*reference.shape[:2], -1))
+        else:
+            latent = latent[:: reference.shape[1]]
         generator = {"params": average["generator"], "spectral": spectral[0]}
         return networks.generator.apply(
             generator, clean, n_init, latent, sigma, train=False, rngs={"noise": row_key}
@@ -160,13 +166,19 @@ def train(
     check_config(config)
     check_workdir(config, workdir)
     source = batches(
-        data.train, config.batch_size, seed=config.seed, size=config.patch, triplet=bool(config.loss.triplet)
+        data.train,
+        config.batch_size,
+        seed=config.seed,
+        size=config.patch,
+        reference_size=config.reference,
+        triplet=bool(config.loss.triplet),
     )
     _write_config(config, workdir)
     checkpoints = Checkpoints(workdir)
     newest = checkpoints.newest()
     if newest is None:
-        state = init_state(config, len(data.cameras))
+        examples = np.concatenate([camera.reference for camera in data.examples.values()])
+        state = init_state(config, len(data.cameras), jnp.asarray(examples))
     else:
         state, position = checkpoints.restore(abstract_state(config, len(data.cameras)), newest)
         source.set_state(position)
@@ -190,7 +202,9 @@ def train(
                 scored = None
                 if step % config.evaluate_every == 0 or last:
                     _check_state(state, metrics, checkpoints)
-                    scored = _validate(writer, step, sampler(state), validation, data.cameras)
+                    scored = _validate(
+                        writer, step, sampler(state), validation, data.cameras, config.references
+                    )
                 if step % config.checkpoint_every == 0 or scored is not None:
                     _save(checkpoints, state, metrics, source, scored)
                     writer.flush()
@@ -228,11 +242,15 @@ def _check_finite(numbers: dict[str, float], step: int, checkpoints: Checkpoints
         )
 
 
-def _validate(writer: MetricWriter, step: int, sample, patches: HeldOut, cameras: tuple[str, ...]) -> float:
+def _validate(
+    writer: MetricWriter, step: int, sample, patches: HeldOut, cameras: tuple[str, ...], references: int
+) -> float:
     """KL on validation scenes to the writer, with pictures; returns the pooled KL."""
     key = jax.random.key(0)  # the same draws every time, so that steps can be compared
     columns = ("model", "model_wrong_reference")
-    results = evaluate_model(sample, patches, cameras, key, columns=columns, evaluators=EVALUATORS[:1])
+    results = evaluate_model(
+        sample, patches, cameras, key, columns=columns, evaluators=EVALUATORS[:1], references=references
+    )
     scalars = {
         f"validation/{name}/{camera}": row[name]["kl"]
         for camera, row in {**results["cameras"], "pooled": results["pooled"]}.items()
@@ -240,7 +258,7 @@ def _validate(writer: MetricWriter, step: int, sample, patches: HeldOut, cameras
     }
     writer.write_scalars(step, scalars)
     shown = patches.some(5)
-    made = model_columns(sample, shown, key)
+    made = model_columns(sample, shown, key, None, references)
     noises = [draw_noise(made[name], shown, key) for name in ("poisson_gaussian", "model")]
     real = np.clip(shown.noisy, 0, 1) - shown.clean
     writer.write_images(step, {"clean, n_init, generated, real": noise_panel(shown.clean, (*noises, real))})

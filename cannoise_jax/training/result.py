@@ -41,7 +41,7 @@ def write_model(config: ConfigDict, state: State, data: TrainingData, workdir: P
 
 
 def sampler_of(model: Model) -> Callable[..., Any]:
-    """`sample_noise` itself on batches with one reference an image, as `evaluation` takes it:
+    """`sample_noise` itself on batches with references of their own, as `evaluation` takes it:
     (key, clean, reference, shot, read) -> noise."""
     return partial(_sample, model)
 
@@ -54,7 +54,7 @@ def _sample(model, key, clean, reference, shot, read):
     return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, shot, read)
 
 
-def compare(model: Model, data: TrainingData, seed: int) -> dict[str, Any]:
+def compare(model: Model, data: TrainingData, seed: int, references: int = 1) -> dict[str, Any]:
     """Every noise model on the test scenes, which nothing before this has looked at."""
     return evaluate_model(
         sampler_of(model),
@@ -63,4 +63,5 @@ def compare(model: Model, data: TrainingData, seed: int) -> dict[str, Any]:
         jax.random.key(seed),
         recalibrated=data.recalibrated,
         batch=16,
+        references=references,
     )

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Float, Int, Key
 from ml_collections import ConfigDict
 
 from cannoise_jax.networks import Discriminator, Encoder, Generator
+from cannoise_jax.networks.encoder import standardised
 
 Variables = Mapping[str, Any]
 
@@ -91,11 +92,19 @@ def make_optimisers(config: ConfigDict) -> Optimisers:
     )
 
 
-def init_state(config: ConfigDict, cameras: int) -> State:
-    """The state before the first step. Pure: the same config gives the same state."""
+def init_state(config: ConfigDict, cameras: int, noisy: Float[Array, "n h w 4"] | None = None) -> State:
+    """The state before the first step. Pure: the same arguments give the same state.
+
+    noisy: training images of all cameras, on whose statistics E's are standardised.
+    """
     # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
     quick = {"xla_backend_optimization_level": 0}
-    return jax.jit(lambda: _first_state(config, cameras), compiler_options=quick)()
+    state = jax.jit(lambda: _first_state(config, cameras), compiler_options=quick)()
+    if noisy is None or "params" not in state.encoder:
+        return state
+    params = jax.jit(standardised, compiler_options=quick)(state.encoder["params"], noisy)
+    average = {**state.average, "encoder": jax.tree.map(jnp.copy, params)}
+    return state._replace(encoder={**state.encoder, "params": params}, average=average)
 
 
 def abstract_state(config: ConfigDict, cameras: int) -> State:

@@ -99,7 +99,7 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         real = shown(batch["noisy"] - clean, clean)
 
         def loss(params):
-            latents, encoder_changed = _latents(networks, params["encoder"], state, batch, weights.triplet)
+            latents, encoder_changed = _latents(networks, params["encoder"], state, batch, weights)
             generated, generator_changed = networks.generator.apply(
                 {"params": params["generator"], "spectral": state.generator["spectral"]},
                 clean, n_init, latents[0], sigma, train=True, mutable=["spectral"], rngs={"noise": row_key},
@@ -117,7 +117,7 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
                 )[1]
                 terms["feature_matching"] = losses.feature_matching_loss(features, wanted)
             if weights.triplet and networks.encoder:
-                terms["triplet"] = losses.triplet_loss(latents[0], latents[1], latents[2], weights.margin)
+                terms["triplet"] = _triplet(latents, batch["camera"], weights)
             if weights.statistics:
                 terms["statistics"] = losses.statistics_loss(
                     shown(generated, clean) / sigma, real / sigma, clean
@@ -159,12 +159,21 @@ def _twice(x):
     return None if x is None else jnp.concatenate([x, x])
 
 
-def _latents(networks: Networks, params, state: State, batch: Batch, triplet: float):
-    """Latents of anchor, positive and negative in one pass of E (the anchor's alone without a triplet loss),
-    and the new spectral vectors."""
+def _triplet(latents, camera, weights):
+    if weights.triplets == "batch":
+        return losses.batch_triplet_loss(
+            jnp.concatenate(latents), jnp.concatenate([camera, camera]), weights.margin
+        )
+    return losses.triplet_loss(latents[0], latents[1], latents[2], weights.margin)
+
+
+def _latents(networks: Networks, params, state: State, batch: Batch, weights):
+    """Latents of anchor, positive and negative in one pass of E (the anchor's alone without a triplet loss;
+    triplets of the batch need no negatives of their own), and the new spectral vectors."""
     if networks.encoder is None:
         return (latent_of(networks, {}, batch["anchor"]),), {}
-    names = ("anchor", "positive", "negative") if triplet else ("anchor",)
+    wanted = 1 if not weights.triplet else 2 if weights.triplets == "batch" else 3
+    names = ("anchor", "positive", "negative")[:wanted]
     latent, changed = networks.encoder.apply(
         {"params": params, "spectral": state.encoder["spectral"]},
         jnp.concatenate([batch[name] for name in names]), train=True, mutable=["spectral"],

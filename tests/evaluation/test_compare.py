@@ -47,8 +47,8 @@ def patches():
 @jax.jit
 def oracle(key, clean, reference_noisy, shot, read):
     """Knows the camera from the reference alone: its scale is that of neighbouring differences."""
-    sigma = jnp.sqrt(shot * jnp.mean(reference_noisy, axis=(1, 2)) + read)
-    steps = jnp.std(jnp.diff(reference_noisy, axis=2), axis=(1, 2)) / math.sqrt(2)
+    sigma = jnp.sqrt(shot * jnp.mean(reference_noisy, axis=(1, 2, 3)) + read)
+    steps = jnp.std(jnp.diff(reference_noisy, axis=3), axis=(1, 2, 3)) / math.sqrt(2)
     scale = jnp.mean(steps / sigma, axis=1)[:, None, None, None]
     return scale * baselines.poisson_gaussian(key, clean, reference_noisy, shot, read)
 
@@ -63,7 +63,7 @@ def results(patches):
 def test_results_have_every_camera_and_model(results):
     assert set(results["cameras"]) == set(NAMES)
     for row in (*results["cameras"].values(), results["pooled"]):
-        assert tuple(row) == compare.MODELS
+        assert tuple(row) == compare.MODELS[:-1]  # one reference: the last column would be the model's again
         for numbers in row.values():
             assert {"kl", "kl_floor", "kl_smoothed", "patches"} <= set(numbers)
             assert all(math.isfinite(v) for v in numbers.values())
@@ -100,14 +100,38 @@ def test_same_key_same_results(patches, results):
 
 def test_references_are_of_the_same_camera_and_another_scene(patches):
     right, wrong = compare.choose_references(patches.camera, patches.scene, jax.random.key(0))
-    assert (patches.camera[right] == patches.camera).all()
-    assert (patches.scene[right] != patches.scene).all()
-    assert (patches.camera[wrong] != patches.camera).all()
+    assert right.shape == wrong.shape == (COUNT, 1)
+    assert (patches.camera[right] == patches.camera[:, None]).all()
+    assert (patches.scene[right] != patches.scene[:, None]).all()
+    assert (patches.camera[wrong] != patches.camera[:, None]).all()
+
+
+def test_several_references_are_different_and_of_one_camera():
+    camera, scene = np.repeat(np.arange(3), 10), np.arange(30)
+    right, wrong = compare.choose_references(camera, scene, jax.random.key(0), 4)
+    for i in range(30):
+        assert len(set(right[i])) == len(set(wrong[i])) == 4
+        assert i not in right[i] and set(camera[right[i]]) == {camera[i]}
+        assert len(set(camera[wrong[i]])) == 1 and camera[wrong[i][0]] != camera[i]
+    few, _ = compare.choose_references(camera[:2], scene[:2], jax.random.key(0), 4)
+    np.testing.assert_array_equal(few, [[1] * 4, [0] * 4])
+
+
+def test_several_references_bring_a_column_with_one(patches):
+    seen = []
+
+    def sampler(key, clean, reference, shot, read):
+        seen.append(reference.shape[1])
+        return baselines.poisson_gaussian(key, clean, reference, shot, read)
+
+    made = compare.evaluate_model(sampler, patches, NAMES, jax.random.key(1), references=3)
+    assert "model_one_reference" in made["pooled"] and "1 ref." in results_table(made)
+    assert sorted(set(seen)) == [1, 3] and seen.count(3) == 2 * seen.count(1)
 
 
 def test_one_camera_has_no_wrong_reference():
     right, wrong = compare.choose_references(np.zeros(3, int), np.zeros(3, int), jax.random.key(0))
-    assert (right != np.arange(3)).all() and (wrong == -1).all()
+    assert (right != np.arange(3)[:, None]).all() and (wrong == -1).all()
 
 
 def test_gaussian_baseline_takes_shot_as_variance():
@@ -143,7 +167,7 @@ def test_calibration_needs_enough_values():
 
 def test_table_shows_every_row_and_the_floor(results):
     text = results_table(results)
-    for word in ("A", "B", "pooled", "PG published", "wrong ref.", "lag-1"):
+    for word in ("A", "B", "pooled", "PG published", "wrong refs.", "lag-1"):
         assert word in text
     numbers = results["pooled"]["model"]
     assert f"{numbers['kl']:.4f} ({numbers['kl_floor']:.4f})" in text

@@ -122,6 +122,18 @@ def test_windows_are_crops_and_mirrored_crops_of_the_stored_patch():
     assert len(kinds) == 9 + 6  # every offset, mirrored and not
 
 
+def test_references_may_be_larger_than_targets():
+    batch = next(batches(patches((3, 3), size=6), 4, seed=0, size=2, reference_size=6))
+    sizes = {name: value.shape[1:3] for name, value in batch.items() if value.ndim == 4}
+    assert sizes == {
+        "clean": (2, 2),
+        "noisy": (2, 2),
+        **dict.fromkeys(("anchor", "positive", "negative"), (6, 6)),
+    }
+    with pytest.raises(BadInput, match="stored patches of 6 x 6.*smaller than 8"):
+        batches(patches((3, 3), size=6), 4, seed=0, size=2, reference_size=8)
+
+
 def test_patches_without_a_column_to_spare_are_never_mirrored():
     source = patches((3, 3), size=4)
     for batch in take(batches(source, 8, seed=7, size=4), 10):

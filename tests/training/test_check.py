@@ -49,6 +49,9 @@ def test_a_sensor_model_may_be_the_initial_noise(choice):
         ("optimiser.critic_rate", float("nan")),
         ("loss.penalty", -1.0),
         ("loss.feature_target", "noise"),
+        ("loss.triplets", "hard"),
+        ("reference", 12),
+        ("reference", 128),
         ("data.scenes", 0),
     ],
 )

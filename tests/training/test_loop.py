@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.networks.statistics import noise_statistics
 from cannoise_jax.recordings.pipeline import Subset
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import loop
@@ -103,6 +104,27 @@ def test_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp
     assert resumed.finished
     assert seen == [5, 6]
     assert digest(newest_state(config, tmp_path)) == finished[1]
+
+
+def test_the_encoder_starts_with_statistics_of_mean_zero_and_variance_one(config, data):
+    noisy = np.concatenate([camera.reference for camera in data.examples.values()])
+    state = init_state(config, 5, noisy)
+    params, (statistics, _) = state.encoder["params"], noise_statistics(noisy)
+    z = (statistics - params["centre"]) / params["spread"]
+    np.testing.assert_allclose(z.mean(0), 0, atol=1e-3)
+    varied = statistics.std(0) > 0.01
+    assert varied.mean() > 0.8
+    np.testing.assert_allclose(z.std(0)[varied], 1, rtol=1e-3)
+    for name in ("centre", "spread"):
+        np.testing.assert_array_equal(state.average["encoder"][name], params[name])
+
+
+def test_what_the_statistics_are_standardised_by_is_never_trained(config, data, finished):
+    noisy = np.concatenate([camera.reference for camera in data.examples.values()])
+    start, end = init_state(config, 5, noisy), newest_state(config, finished[0])
+    for name in ("centre", "spread"):
+        np.testing.assert_array_equal(end.encoder["params"][name], start.encoder["params"][name])
+    assert (end.encoder["params"]["latent"]["kernel"] != start.encoder["params"]["latent"]["kernel"]).any()
 
 
 def test_another_seed_gives_other_bits(config, first_state):

@@ -116,27 +116,69 @@ def test_triplet_loss_at_distance_zero_has_a_finite_gradient():
     assert all(np.isfinite(g).all() for g in gradient)
 
 
-def numpy_statistics(noise, clean):
-    """Log mean size, log mean square below and above the mean signal; log mean square of row means."""
-    levels = np.empty((len(noise), 2, 2, noise.shape[-1]))
-    rows = np.empty((len(noise), noise.shape[-1]))
-    for b, c in np.ndindex(rows.shape):
-        values, signal = noise[b, ..., c], clean[b, ..., c]
-        for side, chosen in enumerate((signal <= signal.mean(), signal > signal.mean())):
-            size = np.sqrt(values[chosen] ** 2 + 1e-6)
-            n = chosen.sum() + 1e-3
-            levels[b, side, :, c] = np.log([(size.sum() + 1e-3) / n, ((size**2).sum() + 1e-3) / n])
-        rows[b, c] = np.log((values.mean(1) ** 2).mean() + 1e-6)
-    return levels, rows
+def numpy_batch_triplet(latents, camera, margin):
+    terms = [
+        max(np.linalg.norm(latents[a] - latents[p]) - np.linalg.norm(latents[a] - latents[n]) + margin, 0)
+        for a, p, n in np.ndindex(*(len(camera),) * 3)
+        if a != p and camera[a] == camera[p] != camera[n]
+    ]
+    return np.mean(terms)
+
+
+def test_batch_triplet_loss_against_loops():
+    latents, camera = RNG.normal(size=(7, 4)) * 0.3, np.array([0, 1, 2, 0, 1, 0, 3])
+    value, gradient = jax.value_and_grad(losses.batch_triplet_loss)(latents, camera)
+    np.testing.assert_allclose(value, numpy_batch_triplet(latents, camera, 0.2), rtol=1e-12)
+    assert gradient.any() and np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("camera", [[0, 0, 0], [0, 1, 2]])
+def test_batch_triplet_loss_without_triplets_is_zero(camera):
+    value, gradient = jax.value_and_grad(losses.batch_triplet_loss)(np.ones((3, 2)), np.array(camera))
+    assert value == 0 and not gradient.any()
+
+
+def correlation_z(values, axis):
+    a, b = np.delete(values, -1, axis), np.delete(values, 0, axis)
+    return 0.5 * np.log((np.mean((a + b) ** 2) + 1e-6) / (np.mean((a - b) ** 2) + 1e-6))
+
+
+def numpy_moments(noise, clean):
+    """The statistics by loops: each image, each channel, pixels below and above the mean signal."""
+    count, height, _, channels = noise.shape
+    levels, means = np.empty((count, 2, 2, channels)), np.empty((count, 2, channels))
+    neighbours, rows = np.empty((count, 2)), np.empty(count)
+    for b in range(count):
+        for c in range(channels):
+            values, signal = noise[b, ..., c], clean[b, ..., c]
+            for side, chosen in enumerate((signal <= signal.mean(), signal > signal.mean())):
+                size = np.sqrt(values[chosen] ** 2 + 1e-6)
+                n = chosen.sum() + 1e-3
+                levels[b, side, :, c] = np.log([(size.sum() + 1e-3) / n, ((size**2).sum() + 1e-3) / n])
+                means[b, side, c] = values[chosen].sum() / n
+        neighbours[b] = [correlation_z(noise[b], axis) for axis in (0, 1)]
+        sensor = [
+            noise[b, y, :, 2 * k : 2 * k + 2].mean() for y in range(height) for k in range(channels // 2)
+        ]
+        rows[b] = np.log(np.mean(np.square(sensor)) + 1e-6)
+    return levels, means, neighbours, rows
 
 
 def test_statistics_loss_against_loops():
     fake, real, clean = RNG.normal(size=(3, 2, 6, 5, 4))
-    for got, wanted in zip(losses.log_statistics(fake, clean), numpy_statistics(fake, clean), strict=True):
+    for got, wanted in zip(losses.noise_moments(fake, clean), numpy_moments(fake, clean), strict=True):
         np.testing.assert_allclose(got, wanted, rtol=1e-10)
-    (a, r), (b, s) = numpy_statistics(fake, clean), numpy_statistics(real, clean)
-    wanted = np.mean((a - b) ** 2) + 0.1 * np.mean((r - s) ** 2)
+    pairs = zip(numpy_moments(fake, clean), numpy_moments(real, clean), (1, 1, 1, 0.1), strict=True)
+    wanted = sum(weight * np.mean((a - b) ** 2) for a, b, weight in pairs)
     np.testing.assert_allclose(losses.statistics_loss(fake, real, clean), wanted, rtol=1e-10)
+
+
+def test_neighbours_are_fishers_z_of_their_correlation():
+    white = RNG.normal(size=(1, 200, 200, 4))
+    blend = white[:, :, 1:] + 0.5 * white[:, :, :-1]
+    vertical, horizontal = losses.noise_moments(blend, np.zeros_like(blend)).neighbours[0]
+    assert vertical == pytest.approx(0, abs=0.01)
+    assert horizontal == pytest.approx(np.arctanh(0.5 / 1.25), abs=0.01)
 
 
 def test_statistics_loss_leads_to_the_level_of_each_image():

@@ -72,6 +72,7 @@ def test_the_key_is_never_used_up(trained):
 SWITCHES = {
     "no encoder": ({"encoder": False}, {"generator/triplet"}),
     "no triplet": ({"loss.triplet": 0.0}, {"generator/triplet"}),
+    "drawn triplets": ({"loss.triplets": "drawn"}, set()),
     "literal": ({"literal": True, "critic_condition": "none"}, set()),
     "latent": ({"critic_condition": "latent", "critic_updates": 2}, set()),
     "gaussian": ({"initial_noise": "gaussian", "clip": False}, set()),
