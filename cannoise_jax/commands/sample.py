@@ -197,14 +197,15 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
     import jax.numpy as jnp
 
     from cannoise_jax.physics.single_image import estimate_nlf
+    from cannoise_jax.sampling import repeated
 
     if iso is not None and recording.iso is not None and recording.iso != iso:
         raise BadInput(
             f"{recording.path}: recorded at ISO {recording.iso:g}: a reference sets the ISO, leave --iso"
         )
     height, width = (size // 2 for size in recording.size)
-    if min(height, width) < 16:
-        raise BadInput(f"{recording.path}: {2 * height} x {2 * width} pixels: at least 32 x 32 are needed")
+    if min(height, width) < 1:
+        raise BadInput(f"{recording.path}: {recording.size[0]} x {recording.size[1]} pixels: no 2 x 2 fits")
     patches = []
     side = (min(_PATCH, height), min(_PATCH, width))
     dark = recording.black_map()
@@ -219,7 +220,7 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
     if recording.shot is not None and recording.read is not None:
         nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in (recording.shot, recording.read))
     else:
-        nlf = tuple(np.asarray(v) for v in estimate_nlf(jnp.asarray(reference)))
+        nlf = tuple(np.asarray(v) for v in estimate_nlf(repeated(jnp.asarray(reference))))
     return Target(
         recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), recording.black_level,
         recording.white_level,

@@ -244,6 +244,9 @@ def _noise_profile(
     if profile is None:
         return None, None
     pairs = np.reshape(profile, (-1, 2)).astype(np.float64)
+    if not (np.isfinite(pairs).all() and (pairs[:, 0] >= 0).all()):
+        _log.warning("%s: NoiseProfile holds a negative or undefined shot noise: left out", path)
+        return None, None
     if len(pairs) == 1:
         return per_channel(pairs[0, 0]), per_channel(pairs[0, 1])
     if len(pairs) != 3 or cfa == "MONO":

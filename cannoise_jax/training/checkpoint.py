@@ -87,6 +87,7 @@ class Checkpoints:
         except (OSError, ValueError) as error:
             if not _is_disk_error(error):
                 raise
+            _without_late_callbacks()
             raise _unwritable(self.folder, error) from error
 
     def restore(self, like: State, step: int) -> tuple[State, dict[str, Any]]:
@@ -126,6 +127,18 @@ def _without_logs() -> Iterator[None]:
     finally:
         logger.setLevel(level)
         sys.excepthook = hook
+
+
+def _without_late_callbacks() -> None:
+    """From here on a write that failed reports to an event loop that is gone in silence: Python would print
+    a traceback whenever that happens, after the one line that says what is wrong."""
+    before = sys.unraisablehook
+
+    def hook(dropped):
+        if "Event loop is closed" not in str(dropped.exc_value):
+            before(dropped)
+
+    sys.unraisablehook = hook
 
 
 def _is_disk_error(error: BaseException) -> bool:

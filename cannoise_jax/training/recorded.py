@@ -8,14 +8,16 @@ What a folder gives:
   noise + a real dark frame. This needs the system gain: photon transfer on flats and darks, or a
   recording's `shot`.
 Three scenes and more of one ISO are parted whole into training (0.7), validation (0.1) and test (0.2), in the
-order of their files; the frames of all else are parted in capture order. No frame is in two of them; computed
-scenes are parted as well. shot and read come from photon transfer where the files
-do not state them.
+order of their files; scenes of other ISOs likewise over their ISOs, or all for training where there are fewer
+than three. Of a camera with one scene or two the frames are parted, in capture order, which is said in a
+warning; so are those of flats and darks. No frame is in two of them; computed scenes are parted as well. shot
+and read come from photon transfer where the files do not state them.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -45,6 +47,7 @@ _SHARES = (0.7, 0.8)
 """Where validation and test frames begin."""
 _LONGEST_S = 1.0
 """Darks of longer exposures hold dark signal and hot pixels, which are no part of a scene's `clean`."""
+_log = logging.getLogger(__name__)
 Columns = dict[str, np.ndarray]
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -137,19 +140,19 @@ def _levels_of(captured: CaptureSet) -> tuple[PerChannel, PerChannel]:
 
 
 def _parts(recordings: Sequence[Recording]) -> list[Parts]:
-    """Frame numbers of training, validation and test for each recording.
-
-    Three scenes and more of one ISO are parted whole, so that no scene is in two splits; so are recordings of
-    too few frames to part where that leaves others. All else is parted by frame.
-    """
+    """Frame numbers of training, validation and test for each recording, see the module's docstring."""
     groups: dict[Any, list[int]] = {}
     for n, recording in enumerate(recordings):
         if recording.kind == "scene":
             groups.setdefault(recording.iso, []).append(n)
     whole = [group for group in groups.values() if len(group) >= len(SPLITS)]
-    short = [n for group in groups.values() if group not in whole for n in group if recordings[n].count < 3]
-    if len(short) >= len(SPLITS):
-        whole.append(short)
+    rest = [n for group in groups.values() if group not in whole for n in group]
+    if whole or len(rest) >= len(SPLITS):
+        whole.append(rest)
+    elif rest:
+        _log.warning(
+            "%s: %d scenes only: training and test share them, by frame", recordings[rest[0]].path, len(rest)
+        )
     made = [_parted(recording.count) for recording in recordings]
     for group in whole:
         for split, members in enumerate(_parted(len(group))):

@@ -78,6 +78,17 @@ def test_a_recording_as_reference_sets_camera_levels_and_noise(model, tmp_path):
     assert abs(np.std(noise) / 8 - 1) < 0.15  # the reference's noise, estimated from its pixels
 
 
+@pytest.mark.parametrize("size", [(2, 2), (10, 14), (22, 64)])
+def test_a_reference_may_be_of_any_size(model, tmp_path, size):
+    frames = np.random.default_rng(0).normal(BLACK + 200, 8, (2, *size)).astype(np.uint16)
+    np.save(tmp_path / "ref.npy", frames)
+    clean = good(tmp_path)
+    flags = ("--cfa", "GBRG", *LEVELS)
+    assert run(model, clean, tmp_path / "ref.npy", tmp_path / "out", *flags) == 0
+    made = read_recording(tmp_path / "out" / f"good_{tmp_path.name}.h5")
+    assert np.asarray(made.frames).std() > 0 or size == (2, 2)
+
+
 def test_the_seed_decides(model, tmp_path):
     clean = write(tmp_path / "scene.h5")
     for out, seed in (("one", 0), ("two", 0), ("three", 1)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -125,6 +126,21 @@ def test_an_interruption_outside_training_is_one_line(number, tmp_path, capsys, 
     message = capsys.readouterr().err
     assert message.startswith("bin/train: interrupted") and message.count("\n") == 1
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_an_interruption_that_python_drops_is_not_lost(tmp_path, capsys, monkeypatch):
+    class Dropped:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+
+    def interrupted(config, workdir):
+        Dropped()  # an exception in a destructor goes nowhere
+
+    monkeypatch.setattr(data, "load_data", interrupted)
+    monkeypatch.setattr(sys, "unraisablehook", lambda dropped: None)
+    assert train.main(["--workdir", str(tmp_path), "--config", CI]) == 130
+    assert "interrupted" in capsys.readouterr().err
 
 
 def test_help(capsys):

@@ -75,6 +75,16 @@ def test_one_noise_profile_for_all_and_none(tmp_path):
     assert none.shot is None and none.read is None and none.iso is None and none.exposure_s is None
 
 
+@pytest.mark.parametrize("shot", [-1e-4, float("nan")])
+def test_an_impossible_noise_profile_is_left_out_and_the_image_used(tmp_path, caplog, shot):
+    pixels = sensor("RGGB")
+    path = write_dng(tmp_path / "a.dng", pixels, noise_profile=[1e-3, 1e-6, shot, 1e-6, 1e-3, 1e-6])
+    recording = load_recording(path)
+    assert recording.shot is None and recording.read is None
+    np.testing.assert_array_equal(recording.frames[:], pixels[None])
+    assert "NoiseProfile" in caplog.text and str(path) in caplog.text
+
+
 def test_a_noise_profile_that_fits_no_plane_is_left_out(tmp_path, caplog):
     path = write_dng(tmp_path / "a.dng", sensor("RGGB"), noise_profile=[1e-3, 1e-6] * 5)
     assert read_camera_raw(path).shot is None

@@ -40,8 +40,9 @@ def write_instance(
     folder = root / f"{number:04d}_{scene}_{camera}_{iso:05d}_00050_3200_N"
     folder.mkdir(parents=True)
     rng = np.random.default_rng(number)
-    level = np.tile(np.array(black, float).reshape(2, 2), (SIZE[0] // 2, SIZE[1] // 2))
     codes = rng.integers(70, white, (2, *SIZE)) if codes is None else codes
+    height, width = codes.shape[1:]
+    level = np.tile(np.array(black, float).reshape(2, 2), (height // 2, width // 2))
     for t, name in enumerate(("010", "011")):
         x = ((codes[t] - level) / (white - level)).clip(0, 1).astype(np.float32)
         for kind, image in (("NOISY", x), ("GT", 0.5 * x)):

@@ -12,6 +12,7 @@ from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import BadInput, Recording, per_channel
 from cannoise_jax.training.data import HeldOut, load_data
 from cannoise_jax.training.recorded import _parted
+from tests.recordings.test_sidd import write_instance
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SPAN, BLACK = 4000.0, 95.0
@@ -133,6 +134,58 @@ def test_single_frames_at_an_iso_each_are_parted_together(config, tmp_path):
     config.loss.triplet = 0.0
     data = load_data(config, tmp_path)
     assert set(data.validation.iso) == {400} and set(data.test.iso) == {800}
+
+
+def scenes_of(data):
+    return [
+        set(np.unique(np.round(p.clean.mean((1, 2, 3)), 3))) for p in (data.train, data.validation, data.test)
+    ]
+
+
+@pytest.mark.parametrize("isos", [(100, 200, 400), (100, 100, 100, 800, 800), (100, 100, 200)])
+def test_scenes_of_scattered_isos_are_parted_whole(isos, config, tmp_path):
+    config.data.recordings = (write_scenes(tmp_path / "a", 5, isos),)
+    config.loss.triplet = 0.0
+    train, validation, test = scenes_of(load_data(config, tmp_path))
+    assert train and validation and test
+    assert not (train & validation or train & test or validation & test)
+    assert len(train) + len(validation) + len(test) == len(isos)
+
+
+def test_two_scenes_are_shared_by_frame_with_a_warning(config, tmp_path, caplog):
+    config.data.recordings = (write_scenes(tmp_path / "a", 5, (100, 200)),)
+    config.loss.triplet = 0.0
+    train, _, test = scenes_of(load_data(config, tmp_path))
+    assert train == test
+    assert caplog.text.count("share them") == 1
+
+
+def write_sidd(folder: Path) -> Path:
+    """Made-up SIDD Medium folders of two cameras: three test scenes, one for validation, one to train on."""
+    rng = np.random.default_rng(0)
+    for n, scene in enumerate(("001", "002", "008", "010", "003")):
+        for c, (camera, cfa) in enumerate((("S6", "GRBG"), ("GP", "BGGR"))):
+            write_instance(folder, 2 * n + c + 1, scene, camera, cfa, rng.integers(70, 1000, (2, 140, 150)))
+    return folder
+
+
+def test_sidd_gives_training_and_test_scenes_their_numbers_of_patches(tmp_path):
+    config = run_path(str(CONFIGS / "paper.py"))["get_config"]()
+    config.data.update({"path": str(write_sidd(tmp_path / "sidd")), "train_patches": 30, "test_patches": 14})
+    data = load_data(config, tmp_path / "run")
+    assert set(data.cameras) == {"S6", "GP"}
+    assert len(data.test.camera) == 14 and len(data.train) + len(data.validation.camera) == 30
+    assert min(len(data.train), len(data.validation.camera)) >= 14
+    assert data.test.clean.shape[1:] == (64, 64, 4)
+    assert not set(data.validation.scene) & set(data.test.scene)
+
+
+def test_sidd_without_the_validation_scene_is_refused(tmp_path):
+    config = run_path(str(CONFIGS / "paper.py"))["get_config"]()
+    config.data.update({"path": str(write_sidd(tmp_path / "sidd")), "train_patches": 30, "test_patches": 14})
+    config.data.validation_scene = "009"
+    with pytest.raises(BadInput, match="config.data.validation_scene: '009': use one of 003, 010"):
+        load_data(config, tmp_path / "run")
 
 
 def test_two_single_frames_cannot_be_parted(config, tmp_path):
