@@ -26,7 +26,7 @@ def png(figure) -> bytes:
 
 
 def detection(result: dict[str, Any]) -> bytes:
-    """Share of sets with a finding against strength, one curve a signature family, the limit beside them."""
+    """Share of sets whose effect was seen against strength, one curve a signature family, and the limit."""
     figure, axes = plt.subplots(figsize=(7.2, 4.4))
     strength = np.geomspace(0.2, 12, 300)
     axes.plot(
@@ -76,7 +76,8 @@ def confusion(result: dict[str, Any]) -> bytes:
     if counts.size:
         axes.imshow(counts / np.maximum(counts.sum(1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1.2)
         for i, j in zip(*np.nonzero(counts), strict=True):
-            axes.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8)
+            colour = "w" if counts[i, j] > 0.6 * counts[i].sum() else "k"
+            axes.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=90, fontsize=8)
     axes.set_yticks(range(len(order)), [m.replace("_", " ") for m in order], fontsize=8)
     axes.set(xlabel="leading finding", ylabel="injected at 4 x MDE")

@@ -14,6 +14,8 @@ from typing import Any
 
 from scipy import stats
 
+from cannoise_jax.blind.expected import EXPECTED
+
 Report = dict[str, Any]
 Entry = dict[str, Any]
 Rows = list[tuple[Entry, Report]]
@@ -63,6 +65,19 @@ def named(finding: dict, mechanism: str) -> bool:
         return False
     chances = {c["mechanism"]: c["probability"] for c in finding["candidates"]}
     return all(abs(math.log(chances[m] / chances[mechanism])) <= TIE_NATS for m in members)
+
+
+def seen(entry: Entry, report: Report) -> bool:
+    """Whether a report shows the one effect of a set: by name, in a group, as unknown, or by another name of
+    its signature family. A finding of another family has seen something else."""
+    mechanism = told(entry)["mechanism"]
+    family = EXPECTED[mechanism].family
+    return any(
+        f["mechanism"] in (mechanism, "unknown")
+        or mechanism in group(f)
+        or (f["mechanism"] in EXPECTED and EXPECTED[f["mechanism"]].family == family)
+        for f in findings(report)
+    )
 
 
 def rank(finding: dict, mechanism: str) -> int | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.blind.expected import EXPECTED, card_right, place_right
-from cannoise_jax.blind.judge import Rows, alarm, count, findings, matching, share, told
+from cannoise_jax.blind.judge import Rows, alarm, count, findings, matching, seen, share, told
 from cannoise_jax.vocabulary import VOCABULARY
 
 
@@ -159,7 +159,7 @@ def ablation(nulls: Rows, strong: Rows, known: dict[str, dict]) -> dict[str, Any
     return {
         "whole_tool": {
             "false_alarms": count(alarm(r) for _, r in nulls),
-            "detected": count(bool(findings(r)) for _, r in strong),
+            "detected": count(seen(e, r) for e, r in strong),
         },
         "kl_only": {
             "rule": "KL over its floor above that of every effect-free set",

@@ -19,6 +19,7 @@ from cannoise_jax.blind.judge import (
     group,
     named,
     rank,
+    seen,
     tally,
     told,
 )
@@ -43,7 +44,7 @@ def score(truth: dict[str, Entry], claims: dict[str, Report], known: dict[str, d
     diagnosed = get("null", "strong", "curve", "double", "unlisted", "concealed", "adversarial")
     families = sorted({EXPECTED[told(e)["mechanism"]].family for e, _ in single})
     each = sorted({told(e)["mechanism"] for e, _ in single})
-    mild = [(e, r) for e, r in single if 1 <= told(e)["multiple"] <= 2 and findings(r)]
+    mild = [(e, r) for e, r in single if 1 <= told(e)["multiple"] <= 2 and seen(e, r)]
     return {
         "sets": {name: len(rows) for name, rows in sorted(by.items())},
         "errors": sum("error" in r for r in claims.values()),
@@ -135,8 +136,8 @@ def naming(rows: Rows) -> dict[str, Any]:
 
 
 def detection(rows: Rows) -> dict[str, Any]:
-    """Share of sets with any finding, against the strength."""
-    return curves.half_power([told(e)["multiple"] for e, _ in rows], [bool(findings(r)) for _, r in rows])
+    """Share of sets whose effect was seen, against the strength."""
+    return curves.half_power([told(e)["multiple"] for e, _ in rows], [seen(e, r) for e, r in rows])
 
 
 def confusion(rows: Rows) -> dict[str, dict[str, int]]:

@@ -245,6 +245,10 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--out", type=Path, help="folder for blind.html and blind.json (that of the claims)")
     step.add_argument("--quick", action="store_true", help="leave out the true model's gain and MDE")
     step.set_defaults(step=_score)
+    step = steps.add_parser("develop", prog="bin/blind develop", help="figures of fixed development sets")
+    step.add_argument("--figures", type=Path, required=True, help="file of recorded figures, written anew")
+    step.add_argument("--slow", action="store_true", help="the sixty sets, not the ten")
+    step.set_defaults(step=_develop)
     step = steps.add_parser(
         "real", prog="bin/blind real", help="concealment in real recordings of one camera"
     )

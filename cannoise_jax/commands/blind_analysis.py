@@ -15,6 +15,7 @@ from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import prepare, split_frames
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.locate import Located, locate
+from cannoise_jax.discovery.name import BLURS
 from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document
 from cannoise_jax.recordings.recording import CaptureSet
@@ -83,7 +84,9 @@ def smallest_p(first: Located) -> dict[str, float | None]:
 
 def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | None:
     """Held-out gain, nats, of the mechanism at its true population amplitude: maps, offsets, phases and
-    frequencies from the very frames held out, the same composite score. None where no probe looks for it."""
+    frequencies from the very frames held out, the same composite score. None where no probe looks for it.
+
+    A mechanism that blurs the scenes too gets the best gain of the probe of blur beside its own."""
     held = [split_frames(r.count)[1] for r in capture.recordings]
     if not any(held):
         return None
@@ -94,7 +97,12 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
         for s in scores
         if s is not None
     ]
-    return max(gains, default=None)
+    blurs = [
+        s.gain
+        for p in prepared.probes
+        if BLURS.get(p.name, ("",))[0] == mechanism and (s := p.score(prepared.fields)) is not None
+    ]
+    return max(gains) + sum(blurs) if gains else None
 
 
 def fingerprint() -> str:

@@ -56,7 +56,7 @@ def real_trial(
         elif part == "withhold":
             result[part] = withhold(capture, alpha, tell)
         else:
-            result[part] = permute(capture, permutations, alpha, tell)
+            result[part] = permute(capture, permutations, alpha, tell, out / "permutations.json")
         result[part]["seconds"] = time.monotonic() - started
         write_atomically(path, json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
     return result
@@ -156,8 +156,11 @@ def withhold(capture: CaptureSet, alpha: float, tell: Tell) -> dict[str, Any]:
     }
 
 
-def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell) -> dict[str, Any]:
-    """Permuted frames as nulls with the sensor's own noise: false alarms of the families of time."""
+def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell, kept: Path) -> dict[str, Any]:
+    """Permuted frames as nulls with the sensor's own noise: false alarms of the families of time.
+
+    kept: what every permutation gave, so that a run that was cut off goes on.
+    """
 
     def look(changed: CaptureSet) -> tuple[dict[str, float], float]:
         prepared = whole(changed)
@@ -170,12 +173,14 @@ def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell) ->
         return rejected, math.exp(max(min(found.log_p.values()), -700.0))
 
     original, _ = look(capture)
-    smallest, names = [], []
-    for n in range(permutations):
+    done: list[list[Any]] = json.loads(kept.read_text()) if kept.exists() else []
+    for n in range(len(done), permutations):
         rejected, p = look(real.permuted(capture, np.random.default_rng([7, n])))
-        smallest.append(p)
-        names.append(sorted(rejected))
+        done.append([sorted(rejected), p])
+        write_atomically(kept, json.dumps(done))
         tell(n + 1, permutations)
+    names = [rejected for rejected, _ in done[:permutations]]
+    smallest = [p for _, p in done[:permutations]]
     return {
         "permutations": permutations,
         "reported_before": original,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cannoise_jax.blind.judge import alarm, named, share
+from cannoise_jax.blind.judge import alarm, named, seen, share
 from cannoise_jax.blind.score import detection, score
 
 
@@ -48,6 +48,14 @@ def test_detection_recovers_the_half_power_point():
         report = {"findings": [finding("row_noise")] if seen else []}
         rows.append((entry("s", "curve", ("row_noise", multiple)), report))
     assert detection(rows)["half_at"] == pytest.approx(1.5, rel=0.12)
+
+
+def test_another_family_has_not_seen_the_effect():
+    set_ = entry("s", "curve", ("row_noise", 1.0))
+    assert seen(set_, {"findings": [finding("column_noise")]})
+    assert seen(set_, {"findings": [finding("unknown", outcome="UNKNOWN_STRUCTURE")]})
+    assert not seen(set_, {"findings": [finding("heavy_tails"), finding("bookkeeping", "bookkeeping")]})
+    assert not seen(set_, {"findings": []})
 
 
 def test_score_counts_every_category():

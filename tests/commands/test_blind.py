@@ -40,6 +40,9 @@ def test_seal_run_and_score_make_the_table(trial, capsys):
         (["seal", "--out", "o", "--truth", "t", "--seed", "1", "--kinds", "odd"], "'odd'"),
         (["run", "--sets", "nowhere", "--out", "o"], "no manifest"),
         (["run", "--sets", "s", "--out", "o", "--shard", "3/2"], "give i/n"),
+        (["develop"], "--figures"),
+        (["real", "--recordings", "nowhere", "--out", "o", "--size", "63x64"], "give HxW"),
+        (["real", "--recordings", "nowhere", "--out", "o", "--parts", "odd"], "give some of"),
         (["score", "--sets", "nowhere", "--claims", "c", "--truth", "t"], "no manifest"),
     ],
 )
