@@ -1,0 +1,26 @@
+"""Fixed development sets against recorded figures, which `bin/blind develop --figures FILE` records anew."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cannoise_jax.commands.blind_develop import HIGHER_IS_BETTER, develop, worse
+
+pytest.importorskip("getframes", reason="getframes is not installed: pip install 'cannoise-jax[blind]'")
+RECORDED = json.loads((Path(__file__).parent / "recorded.json").read_text())
+
+
+def test_figures_are_compared_in_their_own_direction():
+    good = dict.fromkeys(HIGHER_IS_BETTER, 5)
+    assert not worse(good, good)
+    assert worse({**good, "named": 4}, good) == ["named: 4, recorded 5"]
+    assert worse({**good, "errors": 6}, good) == ["errors: 6, recorded 5"]
+    assert not worse({**good, "named": 6, "errors": 4}, good)
+
+
+@pytest.mark.parametrize("name", ["fast"])
+def test_development_sets_come_out_no_worse_than_recorded(name, tmp_path):
+    found = develop(name, tmp_path, lambda done, total: None)
+    assert found["errors"] == 0
+    assert not worse(found, RECORDED[name])
