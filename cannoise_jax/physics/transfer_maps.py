@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,8 +19,9 @@ from jaxtyping import Float
 from scipy import special, stats
 
 from cannoise_jax.physics.chain import mechanism_key
+from cannoise_jax.physics.estimate import NotMeasurable
 from cannoise_jax.physics.estimators import charge, noise
-from cannoise_jax.physics.estimators.maps import offset_pattern, response_pattern
+from cannoise_jax.physics.estimators.maps import offset_pattern, pixel_read_noise_map, response_pattern
 from cannoise_jax.physics.estimators.pick import (
     brightest_flat,
     column_offsets,
@@ -35,7 +37,16 @@ from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer_spatial import temporal_mean_square
 
 Statistics = Sequence[FrameStatistics]
-Draw = Callable[[tuple[int, ...]], np.ndarray]
+
+
+class Seen(NamedTuple):
+    """What a map is made of: recordings, the baseline that was measured on them, standard normal numbers of a
+    shape from the unit's key, and the mechanisms before it in the chain with their maps, by id."""
+
+    statistics: Statistics
+    baseline: Baseline
+    draw: Callable[[tuple[int, ...]], np.ndarray]
+    known: dict[str, Fitted]
 
 
 def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Baseline) -> SensorModel:
@@ -49,15 +60,24 @@ def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Bas
             return np.asarray(sample_normal(key, shape), np.float64)
 
         measure = _MEASURED.get(fitted.mechanism)
-        maps = measure(fitted.parameters, statistics, baseline, draw) if measure else {}
-        other = _EXPLAINED_BY.get(fitted.mechanism)
-        if other is not None and maps:
-            name, mechanism, by, without = other
-            known = next((f.maps[by] for f in kept if f.mechanism == mechanism and f.maps), 0.0)
-            maps[name] = np.where(np.asarray(known) > 0, without, maps[name])
+        seen = Seen(statistics, baseline, draw, {f.mechanism: f for f in kept})
+        if fitted.mechanism == "pixel_read_noise_map":
+            fitted = _beside_telegraph_pixels(fitted, seen)
+        maps = measure(fitted.parameters, seen) if measure else {}
         stored = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
         kept.append(dataclasses.replace(fitted, maps=stored))
     return dataclasses.replace(model, mechanisms=tuple(kept))
+
+
+def _beside_telegraph_pixels(fitted: Fitted, seen: Seen) -> Fitted:
+    """The spread of read noise over the pixels that are no telegraph pixels."""
+    telegraph = seen.known.get("rts")
+    if telegraph is None or not telegraph.maps:
+        return fitted
+    found = pixel_read_noise_map(seen.statistics, without=np.asarray(telegraph.maps["sites"])[0] > 0)
+    if isinstance(found, NotMeasurable):
+        return fitted
+    return dataclasses.replace(fitted, parameters={"spread": max(found["spread"].value, 1e-3)})
 
 
 def without_repetition(model: SensorModel, statistics: Statistics) -> SensorModel:
@@ -97,83 +117,93 @@ def _in_electrons(fitted: Fitted, factor: float) -> Fitted:
     return dataclasses.replace(fitted, parameters=changed)
 
 
-def shrunk(seen: np.ndarray, sigma: float, noise_variance: float, rest: np.ndarray) -> np.ndarray:
+def shrunk(shown: np.ndarray, sigma: float, noise_variance: float, rest: np.ndarray) -> np.ndarray:
     """A pattern in units of its rms `sigma`: the seen one shrunk by its noise, filled up with standard normal
     numbers `rest`."""
     share = sigma**2 / (sigma**2 + noise_variance)
-    return share * seen / sigma + np.sqrt(1 - share) * rest
+    return share * shown / sigma + np.sqrt(1 - share) * rest
 
 
-def _dsnu(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    dark = darkest(statistics)
+def _dsnu(values, seen: Seen):
+    dark = darkest(seen.statistics)
     if dark is None:
         return {}
     found = offset_pattern(dark)
-    rest = draw(found.pixels.shape)
+    rest = seen.draw(found.pixels.shape)
     field = shrunk(found.pixels, values["sigma_dn"], found.noise, rest)
-    # Of pixels far out nothing is noise.
+    # Of a pixel far out nothing is noise, and of a hot one everything is its heat.
     out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
     far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(found.noise)
-    return {"field": np.where(found.keep, field, np.where(far, out, rest))[None]}
+    field = np.where(found.keep, field, np.where(far, out, rest))
+    hot = seen.known.get("hot_pixels")
+    return {
+        "field": np.where(np.asarray(hot.maps["heat"])[0] > 0, 0.0, field)[None]
+        if hot and hot.maps
+        else field[None]
+    }
 
 
-def _prnu(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    flat, dark = brightest_flat(statistics), darkest(statistics)
+def _prnu(values, seen: Seen):
+    flat, dark = brightest_flat(seen.statistics), darkest(seen.statistics)
     if flat is None:
         return {}
     found, offsets = response_pattern(flat), np.zeros(flat.mean.shape)
     if dark is not None:
         offsets = offset_pattern(dark).pixels / float(np.mean(flat.level))
-    rest = draw(found.pixels.shape)
+    rest = seen.draw(found.pixels.shape)
     field = shrunk(found.pixels - offsets, values["sigma"], found.noise, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 
-def _column_gain(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    flat = brightest_flat(statistics)
+def _column_gain(values, seen: Seen):
+    flat = brightest_flat(seen.statistics)
     if flat is None:
         return {}
     found = response_pattern(flat)
     height, width = found.pixels.shape
     share = float(np.mean(found.pixels[found.keep] ** 2)) / height
-    field = shrunk(found.columns.mean(0), values["sigma"], share, draw((width,)))
+    field = shrunk(found.columns.mean(0), values["sigma"], share, seen.draw((width,)))
     return {"field": field[None, None]}
 
 
-def _lines(offsets: Float[np.ndarray, "T n"], sigma: float, draw: Draw) -> np.ndarray:
+def _lines(offsets: Float[np.ndarray, "T n"], sigma: float, draw) -> np.ndarray:
     temporal, _ = temporal_mean_square(offsets)
     return shrunk(offsets.mean(0), sigma, temporal / len(offsets), draw(offsets.shape[1:]))
 
 
-def _row_fpn(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    dark = darkest(statistics)
+def _row_fpn(values, seen: Seen):
+    dark = darkest(seen.statistics)
     return (
-        {} if dark is None else {"field": _lines(row_offsets(dark), values["sigma_dn"], draw)[None, :, None]}
+        {}
+        if dark is None
+        else {"field": _lines(row_offsets(dark), values["sigma_dn"], seen.draw)[None, :, None]}
     )
 
 
-def _column_fpn(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    dark = darkest(statistics)
+def _column_fpn(values, seen: Seen):
+    dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"field": _lines(column_offsets(dark), values["sigma_dn"], draw)[None, None]}
+    return {"field": _lines(column_offsets(dark), values["sigma_dn"], seen.draw)[None, None]}
 
 
-def _read_noise_map(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    dark = darkest(statistics)
+def _read_noise_map(values, seen: Seen):
+    dark = darkest(seen.statistics)
     if dark is None:
         return {}
     # Log-normal read noise of unit mean square: the variances have logs of rms 2 w, w^2 = ln(1 + spread^2).
     width, half = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2))), dark.dof / 2
-    ratio = np.empty(dark.mean.shape)
+    telegraph, ratio, jumps = seen.known.get("rts"), np.empty(dark.mean.shape), np.zeros(dark.mean.shape)
+    if telegraph is not None and telegraph.maps:
+        jumps = np.asarray(telegraph.maps["sites"])[0] * telegraph.parameters["jump_dn"] ** 2 / 4
     for c in range(4):
         square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
         rounding = dark.code_step**2 / 12
-        site(ratio, c)[...] = (pixel_variance(dark, c) - rounding) / (square - rounding)
+        site(ratio, c)[...] = (pixel_variance(dark, c) - site(jumps, c) - rounding) / (square - rounding)
     ratio = np.maximum(ratio, 0.05)
     logs = np.log(ratio) - (special.digamma(half) - np.log(half)) + width**2 / 2
-    unit = shrunk(logs, width, float(special.polygamma(1, half)), draw(logs.shape))
-    factor = np.exp(width / 2 * unit - width**2 / 4)
+    unit = shrunk(logs, width, float(special.polygamma(1, half)), seen.draw(logs.shape))
+    factor = np.where(jumps > 0, 1.0, np.exp(width / 2 * unit - width**2 / 4))
     return {"factor": np.where(_loud(ratio * np.exp(-2 * width), dark.dof), np.sqrt(ratio), factor)[None]}
 
 
@@ -187,28 +217,22 @@ def _loud(ratio: np.ndarray, dof: float) -> np.ndarray:
     return (ratio > 1.0) & (loud > chance)
 
 
-def _hot_pixels(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    found = charge.hot_map(statistics, baseline, values["e_per_s"], values["fraction"])
+def _hot_pixels(values, seen: Seen):
+    found = charge.hot_map(seen.statistics, seen.baseline, values["e_per_s"], values["fraction"])
     return {} if found is None else {"heat": found[None]}
 
 
-def _glow(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    found = charge.glow_map(statistics, baseline)
+def _glow(values, seen: Seen):
+    found = charge.glow_map(seen.statistics, seen.baseline)
     return {} if found is None else {"glow": found[None]}
 
 
-def _telegraph(values, statistics: Statistics, baseline: Baseline, draw: Draw):
-    dark = darkest(statistics)
+def _telegraph(values, seen: Seen):
+    dark = darkest(seen.statistics)
     if dark is None:
         return {}
     return {"sites": noise.telegraph_sites(dark, **values)[None]}
 
-
-# A map, and the mechanism and map of it by which a pixel of it is explained, and what is left there.
-_EXPLAINED_BY = {
-    "pixel_read_noise_map": ("factor", "rts", "sites", 1.0),
-    "dsnu": ("field", "hot_pixels", "heat", 0.0),
-}
 
 _MEASURED = {
     "dsnu": _dsnu,

@@ -22,6 +22,7 @@ from cannoise_jax.physics.estimators.pick import (
     REPEATED_DARKS,
     column_offsets,
     darkest,
+    mean_variance,
     pooled_variance,
     row_offsets,
     steady_pixels,
@@ -98,7 +99,7 @@ def columns_apart(dark: FrameStatistics) -> bool:
     frames, height, _ = rest.shape
     even, odd = rest[..., 0], rest[..., 1]
     alike = float(np.mean(even * odd) / np.sqrt(np.mean(even**2) * np.mean(odd**2)))
-    variance, _ = pooled_variance(dark)
+    variance, _ = mean_variance(dark)
     white = 2 * variance / dark.recording.size[1]
     shares = [float(np.mean(r**2)) * frames / (frames - 1) / white for r in (even, odd)]
     return min(shares) > 2 and max(shares) < 2 * min(shares) and abs(alike) < max(0.1, 3 / np.sqrt(rest.size))
@@ -113,7 +114,7 @@ def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     groups = row_groups(dark) if axis == 0 else None
     if groups is not None:  # the likeness that thins them out is not that of a stationary sequence
         dof = min(dof, (len(means) - 1) * (means.shape[1] // groups[0]))
-    pixel, pixel_dof = pooled_variance(dark)
+    pixel, pixel_dof = mean_variance(dark)
     white = pixel / dark.recording.size[1 - axis]
     return {"sigma_dn": root(variance_difference(square, dof, white, pixel_dof))}
 

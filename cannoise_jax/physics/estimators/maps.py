@@ -107,16 +107,22 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     return {"sigma": root(found)}
 
 
-def pixel_read_noise_map(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+def pixel_read_noise_map(
+    statistics: Sequence[FrameStatistics], baseline=None, without: Bool[np.ndarray, "H W"] | None = None
+) -> Estimates:
     """spread (std over mean) of the pixels' read noise, from the spread of their log variances over frames,
-    less what few frames make of it: var(ln v) = 4 w^2 + psi'(dof / 2) for log-normal read noise."""
+    less what few frames make of it: var(ln v) = 4 w^2 + psi'(dof / 2) for log-normal read noise.
+
+    without: pixels to leave out, as those that are known for telegraph pixels.
+    """
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 4:
         return REPEATED_DARKS
     rounding = dark.code_step**2 / 12
     logs, shares = [], []
     for c in range(4):
-        variance = np.maximum(pixel_variance(dark, c)[~site(dark.clipped, c)], max(rounding, 1e-6) / 4)
+        keep = ~site(dark.clipped if without is None else dark.clipped | without, c)
+        variance = np.maximum(pixel_variance(dark, c)[keep], max(rounding, 1e-6) / 4)
         logs.append(np.log(variance) - np.log(variance).mean())
         shares.append(max(1 - rounding / float(variance.mean()), 0.1))
     values = np.concatenate(logs)

@@ -55,6 +55,14 @@ def pooled_variance(s: FrameStatistics) -> tuple[float, float]:
     return float(np.mean([f[0] for f in found])), float(sum(f[1].sum() for f in found) * s.dof)
 
 
+def mean_variance(s: FrameStatistics) -> tuple[float, float]:
+    """Temporal pixel variance, the mean over all pixels, loud ones included, DN^2, and the degrees of freedom
+    that its scatter is worth: what the noise of pixels leaves in means of rows and columns."""
+    values = np.concatenate([pixel_variance(s, c).ravel() for c in range(4)])
+    mean = float(values.mean())
+    return mean, 2 * mean**2 * values.size / max(float(values.var()), 1e-12)
+
+
 def row_offsets(s: FrameStatistics) -> Float[np.ndarray, "T H"]:
     """Mean of every row of every frame above the frame's mean, DN, both colours of the row together."""
     means = s.row_means.mean(-1)

@@ -17,7 +17,7 @@ from scipy.interpolate import PchipInterpolator
 
 from cannoise_jax.physics.estimate import Estimate, Estimates, normal_estimate
 from cannoise_jax.physics.estimators.circle import circle
-from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, darkest, pooled_variance
+from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, darkest, mean_variance, pooled_variance
 from cannoise_jax.physics.transfer_frames import FrameStatistics
 from cannoise_jax.recordings.metadata import chunks
 
@@ -44,7 +44,7 @@ def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
     rest = rest - rest.mean(0)
     rest = rest - rest.mean(1, keepdims=True)
     scatter, dof = rest.T @ rest, len(rest) - 1
-    variance, _ = pooled_variance(dark)
+    variance, _ = mean_variance(dark)
     white = variance / dark.recording.size[1]
     sigmas = _STRENGTHS * np.sqrt(np.trace(scatter) / (dof * len(scatter)))
     loglik = [_line_loglik(scatter, dof, white, sigmas, height, a) for a in _EXPONENTS]
