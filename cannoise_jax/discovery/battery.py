@@ -17,10 +17,11 @@ from cannoise_jax.discovery.calibrate import (
     standardise,
     stated_black,
 )
-from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.statistics import (
     codes,
     covariance,
+    groups,
     levels,
     light,
     lines,
@@ -69,7 +70,10 @@ def prepare(
     groups = [[s for s in stacks if s.recording.iso == iso] for iso in isos]
     baselines = tuple(fit_baseline(g, iso) for g, iso in zip(groups, isos, strict=True) if g)
     order = {baseline.iso: n for n, baseline in enumerate(baselines)}
-    fields = tuple(standardise(s, baselines[order[s.recording.iso]], order[s.recording.iso]) for s in stacks)
+    # A lit recording's own contrasts say how noisy it is better than the curve through all of them.
+    fields = refit(
+        tuple(standardise(s, baselines[order[s.recording.iso]], order[s.recording.iso]) for s in stacks)
+    )
     span = float(np.mean([r.white_level - np.mean(r.black_level) for r in capture.recordings]))
     stated = None
     if drawn is not None:
@@ -95,6 +99,7 @@ def build_probes(
     lattice = collect_codes(capture, stacks, fields, chosen, step)
     return (
         *lines.probes(),
+        *groups.probes(),
         *spectra.probes(),
         *covariance.probes(),
         *shape.probes(),

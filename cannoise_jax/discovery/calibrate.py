@@ -24,7 +24,8 @@ _BINS = 8
 
 
 class Level(NamedTuple):
-    """One point of a photon-transfer curve: temporal variance of pixels of like signal."""
+    """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
+    sure: whether the signal of each pixel is known well enough to judge the curve."""
 
     recording: int
     channel: int
@@ -33,6 +34,7 @@ class Level(NamedTuple):
     error: float
     pixels: int
     full: bool = False
+    sure: bool = True
 
 
 class Baseline(NamedTuple):
@@ -80,7 +82,7 @@ def stack(recording: Recording, index: int, chosen: list[int], step: float) -> S
         for k in range(max(n - 1, 0), len(chosen) - 1):
             contrasts[k] += matrix[k, n] * moved
     mean = (total / len(chosen)).astype(np.float32)
-    variance = (contrasts**2).mean(0) if len(contrasts) else np.zeros(size, np.float32)
+    variance = _steady_variance(contrasts, mean)
     white = min(recording.white_level, 65535.0)
     usable = (high < white - 0.5) & (low > 0)
     if recording.kind in ("dark", "bias") and usable.mean() < 0.9:
@@ -97,6 +99,24 @@ def stack(recording: Recording, index: int, chosen: list[int], step: float) -> S
         float(low.min()),
         float(high.max()),
     )
+
+
+def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Mean square of the contrasts once what a whole frame shares, an offset and a factor per channel, is
+    taken out: neither drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
+    total = np.zeros(mean.shape, np.float32)
+    channel = channel_index(mean.shape)
+    for c in range(4):
+        chosen = channel == c
+        level = mean[chosen].astype(np.float64)
+        basis = np.stack([np.ones_like(level), level - level.mean()], 1)
+        if np.ptp(level) < 1e-6:
+            basis = basis[:, :1]
+        for contrast in contrasts:
+            values = contrast[chosen].astype(np.float64)
+            rest = values - np.einsum("nk,k->n", basis, least_squares(basis, values))
+            total[chosen] += (rest**2).astype(np.float32)
+    return total / max(len(contrasts), 1)
 
 
 def code_step(capture: CaptureSet) -> float:
@@ -220,7 +240,8 @@ def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarr
                 mean, number = float(vb[kept].mean()), int(kept.sum())
                 xb = xb[kept]
             error = max(mean, stacked.step**2 / 12) * np.sqrt(2 / (n * number))
-            out.append(Level(stacked.number, c, float(xb.mean()), mean, float(error), int(number)))
+            level = Level(stacked.number, c, float(xb.mean()), mean, float(error), int(number))
+            out.append(level._replace(sure=not _noisy_reference(stacked.recording)))
     return out
 
 
@@ -231,7 +252,12 @@ def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
         return smooth_mean(stacked) - mosaic_map(black, recording.size)
     if recording.clean is not None:
         clean = reference(recording)
-        return clean * (recording.white_level - mosaic_map(tuple(black), recording.size))
+        low = clean < 0.45
+        if low.mean() < 0.5:
+            low = np.ones(clean.shape, bool)
+        spread = np.sqrt(np.maximum(clean, 1e-3))
+        fitted = _affine(stacked, clean, spread, channel_index(clean.shape), low)
+        return fitted - mosaic_map(tuple(black), recording.size)
     return _plane_blur(stacked.mean) - mosaic_map(tuple(black), recording.size)
 
 
@@ -239,8 +265,15 @@ def reference(recording: Recording) -> np.ndarray:
     """The recording's reference as one normalised frame; a noisy one is smoothed within its colour plane."""
     clean = np.asarray(recording.clean, np.float32)
     clean = clean.mean(0) if clean.ndim == 3 else clean
-    noisy = recording.reference == "burst_mean" and (recording.reference_frames or 0) < 32
-    return _plane_blur(clean) if noisy else clean
+    return _plane_blur(clean) if _noisy_reference(recording) else clean
+
+
+def _noisy_reference(recording: Recording) -> bool:
+    """Whether a scene's reference is a mean of too few frames, or missing."""
+    if recording.kind != "scene":
+        return False
+    few = recording.reference == "burst_mean" and (recording.reference_frames or 0) < 32
+    return recording.clean is None or few
 
 
 def _plane_blur(image: np.ndarray) -> np.ndarray:
@@ -397,6 +430,8 @@ def _affine(
     out = np.zeros(clean.shape)
     for c in range(4):
         chosen = (channel == c) & stacked.usable & linear
+        if chosen.sum() < 64:
+            chosen = channel == c
         basis = np.stack([np.ones(chosen.sum()), clean[chosen]], 1) / sigma[chosen][:, None]
         values = stacked.mean[chosen] / sigma[chosen]
         kept = np.ones(values.size, bool)

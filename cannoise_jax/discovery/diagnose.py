@@ -16,8 +16,8 @@ from scipy import stats
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, prepare, split_frames, stated_parameters
 from cannoise_jax.discovery.calibrate import MOST_FRAMES
-from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.fit import Fitted, Step, refit, stepwise
+from cannoise_jax.discovery.fields import refit
+from cannoise_jax.discovery.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
@@ -105,7 +105,7 @@ def diagnose(
     splits = split_recordings(capture)
     seen = prepare(capture, [a for a, _ in splits], judged, drawn)
     own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
-    first = seen._replace(fields=_take_out(seen.fields, own))
+    first = _without(seen, own)
     tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
     fitted = stepwise(first.fields, first.probes, frozenset(ids), float(np.log(alpha)), tell)
     yes, no = declare.testable(fitted.first, first.probes, ids)
@@ -115,7 +115,7 @@ def diagnose(
     if any(chosen):
         tell("prove: on the other half of the frames")
         unseen = prepare(capture, chosen, judged, drawn)
-        second = unseen._replace(fields=_take_out(unseen.fields, own))
+        second = _without(unseen, own)
         proven = prove(fitted.steps, first, second, chosen)
     if handed is None:
         stated = stated_parameters(capture, first.baselines) if judged else None
@@ -169,10 +169,14 @@ def _own_effects(drawn: CaptureSet, ids: frozenset[str], log_alpha: float) -> tu
     return stepwise(prepared.fields, prepared.probes, ids, log_alpha).steps
 
 
-def _take_out(fields: tuple[Fields, ...], steps: tuple[Step, ...]) -> tuple[Fields, ...]:
-    for step in steps:
+def _without(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
+    """A split with what the simulator has already taken out, and the probes set aside that cannot be trusted
+    beside it."""
+    fields = prepared.fields
+    for step in own:
         fields = refit(step.named.probe.absorb(fields, step.named.score))
-    return fields
+    aside = {name for s in own for name in s.named.probe.covers} - {s.named.probe.name for s in own}
+    return prepared._replace(fields=fields, probes=tuple(p for p in prepared.probes if p.name not in aside))
 
 
 def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:

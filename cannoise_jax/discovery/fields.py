@@ -111,3 +111,28 @@ def map_contrasts(field: Fields, function) -> Fields:
     contrasts = function(field.contrasts)
     static = None if field.static is None else function(field.static[None])[0]
     return field._replace(contrasts=contrasts, static=static)
+
+
+def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[Fields, ...]:
+    """Brings the variance of every channel back to one after something was taken out."""
+    out = []
+    for f in fields:
+        if not len(f.contrasts) or any(f.contrasts is g.contrasts for g in before):
+            out.append(f)  # nothing was taken out of the contrasts, so the variance is what it was
+            continue
+        channel = channel_index(f.mean.shape)
+        factor = np.ones(f.mean.shape, np.float32)
+        for c in range(4):
+            chosen = (channel == c) & f.usable
+            if chosen.any():
+                values = f.contrasts[:, chosen]
+                inner = np.abs(values) < 5
+                factor[channel == c] = 1 / np.sqrt(np.mean(values[inner] ** 2))
+        out.append(
+            f._replace(
+                contrasts=f.contrasts * factor,
+                sigma=f.sigma / factor,
+                static=None if f.static is None else f.static * factor,
+            )
+        )
+    return tuple(out)

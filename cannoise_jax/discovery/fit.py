@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
-
-from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import Named, name
 from cannoise_jax.discovery.statistics.score import Probe
@@ -30,31 +28,6 @@ class Fitted(NamedTuple):
     fields: tuple[Fields, ...]
     last: Located
     first: Located
-
-
-def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[Fields, ...]:
-    """Brings the variance of every channel back to one after something was taken out."""
-    out = []
-    for f in fields:
-        if not len(f.contrasts) or any(f.contrasts is g.contrasts for g in before):
-            out.append(f)  # nothing was taken out of the contrasts, so the variance is what it was
-            continue
-        channel = channel_index(f.mean.shape)
-        factor = np.ones(f.mean.shape, np.float32)
-        for c in range(4):
-            chosen = (channel == c) & f.usable
-            if chosen.any():
-                values = f.contrasts[:, chosen]
-                inner = np.abs(values) < 5
-                factor[channel == c] = 1 / np.sqrt(np.mean(values[inner] ** 2))
-        out.append(
-            f._replace(
-                contrasts=f.contrasts * factor,
-                sigma=f.sigma / factor,
-                static=None if f.static is None else f.static * factor,
-            )
-        )
-    return tuple(out)
 
 
 def _known(located: Located, before: tuple[Fields, ...], after: tuple[Fields, ...], probes: list[Probe]):

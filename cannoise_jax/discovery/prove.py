@@ -17,14 +17,16 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.fields import Fields, helmert
-from cannoise_jax.discovery.fit import Step, refit
+from cannoise_jax.discovery.fields import Fields, helmert, refit
+from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.heldout import Scored, predicted, score_frames
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 MOST_JOINT = 4
 """Up to so many findings each is judged with all others in the model."""
 _BLOCKS = 6
+_LARGE = 5_000_000
+"""Values from which a jackknife takes fewer blocks: statistics of large sets take seconds each."""
 _NUISANCES = 12
 """Black level, gain and read noise of four channels, fitted on the frames that are scored: half a nat each.
 """
@@ -142,7 +144,8 @@ def jackknife_interval(
     probe: Probe, fields: tuple[Fields, ...], found: Score, gain: float
 ) -> tuple[float, float]:
     """90 % interval of a held-out gain by leaving out blocks of frames; nan for fewer than two blocks."""
-    blocks = frame_blocks(fields, _BLOCKS)
+    size = sum(f.contrasts.size for f in fields)
+    blocks = frame_blocks(fields, _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1)
     if len(blocks) < 2:
         return float("nan"), float("nan")
     again = [probe.score(leave_out(fields, block)) for block in blocks]

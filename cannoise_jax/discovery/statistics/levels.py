@@ -182,7 +182,9 @@ def curve_score(fields, *, probe: str, baselines: tuple[Baseline, ...], step: fl
     chi2, dof, at, worst = 0.0, 0, 0.0, 0.0
     for baseline in baselines:
         for c in range(4):
-            levels = [p for p in baseline.levels if p.channel == c and p.signal > 4 * step and not p.full]
+            levels = [
+                p for p in baseline.levels if p.channel == c and p.signal > 4 * step and not p.full and p.sure
+            ]
             if len(levels) < 4:
                 continue
             model = (

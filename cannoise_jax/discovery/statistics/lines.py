@@ -60,10 +60,11 @@ def temporal_score(fields: tuple[Fields, ...], *, probe: str, axis: str, scaling
     power = np.concatenate([((s.score**2).sum(0) / np.maximum(s.information, 1e-30)) for s in sums])
     information = np.concatenate([s.information for s in sums])
     dof = np.concatenate([np.full(s.information.shape, len(s.score)) for s in sums])
-    return _component_score(probe, power, information, dof, scaling, {"axis": axis})
+    return component_score(probe, power, information, dof, scaling, {"axis": axis})
 
 
-def _component_score(probe, power, information, dof, scaling, where, scale_variance=0.0) -> Score:
+def component_score(probe, power, information, dof, scaling, where, scale_variance=0.0) -> Score:
+    """The score of one variance component of offsets (DN) or factors, see `variance_component`."""
     fit = variance_component(power, information, dof, scale_variance)
     sigma = np.sqrt(fit.variance)
     error = fit.error / (2 * sigma) if sigma > 0 else np.sqrt(fit.error)
@@ -133,7 +134,7 @@ def static_score(fields: tuple[Fields, ...], *, probe: str, axis: str, scaling: 
     power = sums.score**2 / np.maximum(sums.information, 1e-30)
     largest = np.argsort(-power)[:8]
     where = {"axis": axis, "index": sorted(int(i) for i in largest)}
-    return _component_score(probe, power, sums.information, np.ones(power.shape), scaling, where)
+    return component_score(probe, power, sums.information, np.ones(power.shape), scaling, where)
 
 
 def static_absorb(fields: tuple[Fields, ...], score: Score, *, axis: str, scaling: str) -> tuple[Fields, ...]:
@@ -168,7 +169,7 @@ def frame_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
             dof.append(len(f.contrasts))
     if len(power) < 2:
         return None
-    return _component_score(
+    return component_score(
         probe, np.array(power), np.array(information), np.array(dof), scaling, {"axis": "frame"}
     )
 
@@ -215,7 +216,7 @@ def pixel_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
     # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map.
     limit = 30.0
     information = np.where(power < limit, np.ravel(sums.information), 0.0)
-    score = _component_score(
+    score = component_score(
         probe,
         power,
         information,
@@ -273,7 +274,7 @@ def own_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         return None
     power = np.concatenate([np.ravel(f.static) ** 2 for f in chosen if f.static is not None])
     information = np.concatenate([np.ravel(f.frames * f.weight.astype(np.float64) ** 2) for f in chosen])
-    return _component_score(
+    return component_score(
         probe,
         power,
         information,

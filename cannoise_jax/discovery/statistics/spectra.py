@@ -6,6 +6,7 @@ Whittle likelihood: under the baseline the power of every Fourier mode is expone
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from scipy import fft, optimize, special
 
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.statistics.lines import line_sums, response
-from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, quadratic_log_p, sidak
+from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
 _PAD = 2
@@ -166,59 +167,42 @@ def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
 
 def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | None:
     """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
-    (frozen)."""
-    total: np.ndarray | float = 0.0
-    count = 0
-    information = 0.0
+    (frozen). Fields count by their information, which is the score for a small amplitude."""
+    chosen = []
     for f in fields:
-        values = (
-            redrawn(f)
-            if time == "redrawn"
-            else f.static[None]
-            if f.static is not None and not f.lit
-            else None
-        )
-        if values is None or not len(values):
-            continue
-        total = total + plane_power(f, values)
-        count += len(values)
-        information += (
-            len(values)
-            * float(np.sum(f.weight.astype(np.float64) ** 2))
-            * (f.frames if time == "frozen" else 1)
-        )
-    if count == 0:
+        values = redrawn(f) if time == "redrawn" else None if f.static is None or f.lit else f.static[None]
+        information = float(np.sum(f.weight.astype(np.float64) ** 2))
+        if values is not None and len(values) and information > 0:
+            chosen.append((f, values, information * (f.frames if time == "frozen" else 1)))
+    if not chosen:
         return None
-    power = np.array(total)
+    scale = sum(len(v) * i for _, v, i in chosen)
+    power: np.ndarray = np.sum([plane_power(f, v) * (i / scale) for f, v, i in chosen], axis=0)
     h, w = fields[0].mean.shape
     power[0, 0] = 0
     # Less than a period in the frame is a drift, not interference, and its two phases are not independent.
     power[:_PAD, :_PAD] = power[1 - _PAD :, :_PAD] = 0
     where = np.unravel_index(np.argmax(power), power.shape)
-    peak = float(power[where])
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
-    log_p = sidak(chi2_log_sf(2 * peak, 2 * count), trials)
-    # A wave of peak A in every frame adds A^2 I / 4 to the power of a field of information I.
-    excess = max(peak - count, 0.0)
-    amplitude = 2 * np.sqrt(excess / max(information, 1e-30))
-    mean_lambda = excess / count
-    gain = _rician_gain(peak, count, mean_lambda)
-    error = np.sqrt(2 / max(information, 1e-30))
-    log_shift = np.sqrt(count) * 4 / max(information, 1e-30)
+    y, x = np.arange(h)[:, None], np.arange(w)[None, :]
+    turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
+    own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen])
+    weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen])
+    fit = _rician_fit(float(power[where]), own, weights)
     direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
     along = np.hypot(fx, fy)
     return Score(
         probe,
-        log_p,
-        gain,
+        sidak(fit.log_p, trials),
+        fit.gain,
         float(np.log(trials)),
-        float(amplitude),
-        float(error),
-        float(np.sqrt(log_shift)),
+        fit.amplitude,
+        fit.error,
+        fit.shift,
         2,
         {
-            "amplitude": (float(amplitude), "DN", float(error)),
+            "amplitude": (fit.amplitude, "DN", fit.error),
             "frequency_y": (fy, "1/px", 0.2 / h),
             "frequency_x": (fx, "1/px", 0.2 / w),
         },
@@ -227,15 +211,48 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
     )
 
 
-def _rician_gain(peak: float, count: int, mean_lambda: float) -> float:
-    """Log-likelihood gain of waves of constant power in `count` fields whose summed power is `peak`."""
-    if mean_lambda <= 0:
-        return 0.0
-    total = count * mean_lambda
-    x = 2 * np.sqrt(peak * total)
-    order = count - 1
-    bessel = np.log(max(special.ive(order, x), 1e-300)) + x
-    return float(max(bessel - total - order / 2 * np.log(peak * total) + special.gammaln(count), 0.0))
+def _centred_power(field: Fields, values: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Power of each field at one frequency, mean 1 under the null."""
+    w = field.weight.astype(np.float32)
+    total = float(np.sum(w.astype(np.float64) ** 2))
+    weighted = values * w
+    level = np.einsum("nij->n", weighted) / total
+    sums = np.einsum("nij,ij->n", weighted - level[:, None, None] * w**2, turn)
+    return np.abs(sums) ** 2 / total
+
+
+class _Rician(NamedTuple):
+    """Waves of one amplitude in several fields: log p at one frequency, gain, amplitude, its error, shift."""
+
+    log_p: float
+    gain: float
+    amplitude: float
+    error: float
+    shift: float
+
+
+def _rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rician:
+    """Likelihood of amplitude A when the power of field k, of information I_k, is that of a phasor of mean
+    power A^2 I_k / 4 in complex noise of power 1. peak: sum of I_k power_k over sum of I_k."""
+    share = information / information.sum()
+    log_p = quadratic_log_p(2 * peak, share, 2.0)
+    start = (
+        4 * max(float(np.sum(information * (power - 1))), 1e-3 * information.sum()) / np.sum(information**2)
+    )
+
+    def loss(log_square: float) -> float:
+        mean = np.exp(log_square) * information / 4
+        argument = 2 * np.sqrt(power * mean)
+        return -float(np.sum(np.log(special.i0e(argument)) + argument - mean))
+
+    middle = float(np.log(start))
+    best = optimize.minimize_scalar(
+        loss, bounds=(middle - 5, middle + 3), method="bounded", options={"xatol": 1e-3}
+    )
+    amplitude = float(np.exp(best.x / 2)) if best.fun < 0 else 0.0
+    error = float(np.sqrt(2 / information.sum()))
+    shift = float(np.sqrt(4 / np.sqrt(np.sum(information**2))))
+    return _Rician(log_p, max(-float(best.fun), 0.0), amplitude, error, shift)
 
 
 def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
@@ -266,7 +283,8 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
 
 
 def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """Half the chi-square of both phases at every frequency k / 4h, their correlation accounted for."""
+    """Half the chi-square of both phases of each field at every frequency k / 4h, their correlation accounted
+    for."""
     h = information.size
     u = fft.rfft(score, 4 * h, axis=1)
     double = fft.fft(information, 4 * h)[(2 * np.arange(2 * h + 1)) % (4 * h)]
@@ -274,47 +292,40 @@ def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
     aa, bb, ab = (total + double.real) / 2, (total - double.real) / 2, double.imag / 2
     determinant = np.maximum(aa * bb - ab**2, 1e-3 * total**2)
     chi2 = (bb * u.real**2 + aa * u.imag**2 - 2 * ab * u.real * u.imag) / determinant
-    return (chi2 / 2).sum(0)
+    return chi2 / 2
 
 
 def flicker_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
-    """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings."""
-    total: np.ndarray | float = 0.0
-    count, information = 0, 0.0
+    """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings, counted
+    by their information."""
+    powers, information = [], []
     for f in fields:
         if not f.lit or not len(f.contrasts):
             continue
         values = redrawn(f)
         sums = line_sums(f, values, "row", "relative")
-        h = sums.information.size
-        if h < 2:
-            continue
-        i = sums.information.sum()
-        total = total + _wave_power(sums.score, sums.information)
-        count += len(values)
-        information += len(values) * i
-    if not count:
+        if sums.information.size > 1 and sums.information.sum() > 0:
+            powers.append(_wave_power(sums.score, sums.information))
+            information.append(np.full(len(values), sums.information.sum()))
+    if not powers:
         return None
-    power = np.array(total)
+    own, weights = np.concatenate(powers), np.concatenate(information)
+    power = np.einsum("nk,n->k", own, weights / weights.sum())
     power[:4] = 0  # less than one period in the frame: its two phases are not independent
-    k = int(np.argmax(power))
-    peak, h = float(power[k]), fields[0].mean.shape[0]
-    trials = h / 2 * 2.5
-    excess = max(peak - count, 0.0)
-    amplitude = 2 * np.sqrt(excess / information)
-    error = np.sqrt(2 / information)
-    gain = _rician_gain(peak, count, excess / count)
+    k, h = int(np.argmax(power)), fields[0].mean.shape[0]
+    trials = 2 * h  # every point of the padded grid
+    fit = _rician_fit(float(power[k]), own[:, k], weights)
     frequency = k / (4 * h)
     return Score(
         probe,
-        sidak(chi2_log_sf(2 * peak, 2 * count), trials),
-        gain,
+        sidak(fit.log_p, trials),
+        fit.gain,
         float(np.log(trials)),
-        float(amplitude),
-        float(error),
-        float(np.sqrt(np.sqrt(count) * 4 / information)),
+        fit.amplitude,
+        fit.error,
+        fit.shift,
         2,
-        {"amplitude": (float(amplitude), "1", float(error)), "frequency": (frequency, "1/row", 0.3 / h)},
+        {"amplitude": (fit.amplitude, "1", fit.error), "frequency": (frequency, "1/row", 0.3 / h)},
         {"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
         frequency,
     )

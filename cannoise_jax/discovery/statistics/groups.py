@@ -1,0 +1,159 @@
+"""Offsets shared by groups of pixels that no listed mechanism shares: tiles, diagonals, the sites of a
+colour.
+
+Points of the grammar without a name: what is found here is reported as unknown, with its axis.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+
+import numpy as np
+
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.statistics.lines import component_score, response
+from cannoise_jax.discovery.statistics.score import Probe, Score
+
+LAYOUTS = (
+    "tile_8",
+    "tile_16",
+    "tile_32",
+    "tile_64",
+    "diagonal",
+    "antidiagonal",
+    "site",
+    "row_parity",
+    "column_parity",
+)
+
+
+@lru_cache(maxsize=16)
+def layout(name: str, size: tuple[int, int]) -> np.ndarray:
+    """Number of the group of every pixel."""
+    rows, columns = np.indices(size)
+    if name == "site":
+        return channel_index(size)
+    if name.endswith("parity"):
+        return rows % 2 if name == "row_parity" else columns % 2
+    if name == "diagonal":
+        return rows - columns + size[1] - 1
+    if name == "antidiagonal":
+        return rows + columns
+    side = int(name.removeprefix("tile_"))
+    return rows // side * -(-size[1] // side) + columns // side
+
+
+def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str):
+    """Scores [n, groups] and information [groups] of one offset per group, the frame's own taken out, and the
+    share of a degree of freedom that this leaves to each group."""
+    r = response(field, scaling).astype(np.float32)
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    total = max(float(information.sum()), 1e-30)
+    score = np.array([np.bincount(flat, (v * r).ravel(), number) for v in values])
+    score = score - score.sum(1, keepdims=True) / total * information
+    return score, information, 1 - information / total
+
+
+def _values(field: Fields, time: str) -> np.ndarray | None:
+    """What a layout is looked for in. The smooth mean of a flat takes large tiles away, so only darks and
+    scenes show what stays."""
+    if time == "redrawn":
+        return field.contrasts if len(field.contrasts) else None
+    return None if field.static is None or field.kind == "flat" else field.static[None]
+
+
+def group_score(fields: tuple[Fields, ...], *, probe: str, name: str, time: str) -> Score | None:
+    """White offsets of groups of pixels, new in every frame, or of darks and scenes and staying."""
+    powers, informations, freedoms = [], [], []
+    groups = layout(name, fields[0].mean.shape)
+    shared: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    for f in fields:
+        values = _values(f, time)
+        if values is None:
+            continue
+        score, information, left = _sums(f, values, groups, "additive")
+        if time == "redrawn":
+            powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
+            informations.append(information)
+            freedoms.append(len(score) * left)
+        else:
+            u, i = np.sqrt(f.frames) * score[0], f.frames * information
+            shared = (u, i, left) if shared is None else (shared[0] + u, shared[1] + i, left)
+    if shared is not None:
+        powers, informations = [shared[0] ** 2 / np.maximum(shared[1], 1e-30)], [shared[1]]
+        freedoms = [shared[2]]
+    if not powers:
+        return None
+    channel = name == "site" or name.endswith("parity")
+    where = {"axis": "channel", "channel": name} if channel else {"axis": "block", "layout": name}
+    return component_score(
+        probe,
+        np.concatenate(powers),
+        np.concatenate(informations),
+        np.concatenate(freedoms),
+        "additive",
+        where,
+    )
+
+
+def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: str) -> tuple[Fields, ...]:
+    """Whitens what was drawn anew; takes the whitening part of a pattern that stays out of all fields."""
+    groups = layout(name, fields[0].mean.shape)
+    if time == "redrawn":
+        return tuple(_whitened(f, groups, score.payload) for f in fields)
+    u: np.ndarray | float = 0.0
+    i: np.ndarray | float = 0.0
+    for f in fields:
+        values = _values(f, time)
+        if values is not None:
+            scores, information, _ = _sums(f, values, groups, "additive")
+            u, i = u + np.sqrt(f.frames) * scores[0], i + f.frames * information
+    pattern = u * (1 - 1 / np.sqrt(1 + score.payload * np.asarray(i))) / np.maximum(i, 1e-30)
+    spread = np.asarray(pattern)[groups]
+    return tuple(
+        f
+        if f.static is None or f.kind == "flat"
+        else f._replace(static=(f.static - np.sqrt(f.frames) * spread * f.weight).astype(np.float32))
+        for f in fields
+    )
+
+
+def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
+    def function(x: np.ndarray) -> np.ndarray:
+        if not len(x):
+            return x
+        score, information, _ = _sums(field, x, groups, "additive")
+        shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
+        return (x - (score * shrink)[:, groups] * field.weight).astype(np.float32)
+
+    static = None if field.static is None else function(field.static[None])[0]
+    return field._replace(contrasts=function(field.contrasts), static=static)
+
+
+def probes() -> tuple[Probe, ...]:
+    """One probe for each layout, redrawn and frozen; what stays per colour site is the black level's."""
+    out = []
+    for name in LAYOUTS:
+        for time in ("redrawn", "frozen"):
+            if (name == "site" or name.endswith("parity")) and time == "frozen":
+                continue
+            probe = f"{name}_{time}"
+            axes = {
+                "enters": "readout",
+                "varies_over": "block" if "tile" in name else "diagonal" if "diagonal" in name else "channel",
+                "time": time,
+                "scales": "additive",
+                "law": "white",
+            }
+            out.append(
+                Probe(
+                    probe,
+                    None,
+                    axes,
+                    partial(group_score, probe=probe, name=name, time=time),
+                    partial(group_absorb, name=name, time=time),
+                    ("black_channels", "black_level", "greens", "stated_read"),
+                )
+            )
+    return tuple(out)
