@@ -10,6 +10,7 @@ real    conceals in real recordings: injects effects, withholds what the sensor 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -133,8 +134,9 @@ def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, A
 
 def _develop(arguments: argparse.Namespace) -> None:
     name = "slow" if arguments.slow else "fast"
-    with tempfile.TemporaryDirectory() as folder:
-        figures = develop(name, Path(folder), progress("diagnosed"))
+    with contextlib.ExitStack() as stack:
+        folder = arguments.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        figures = develop(name, folder, progress("diagnosed"))
     path = arguments.figures
     recorded = json.loads(path.read_text()) if path.exists() else {}
     write_atomically(path, json.dumps({**recorded, name: figures}, indent=1, sort_keys=True) + "\n")
@@ -248,6 +250,9 @@ def _parser() -> argparse.ArgumentParser:
     step = steps.add_parser("develop", prog="bin/blind develop", help="figures of fixed development sets")
     step.add_argument("--figures", type=Path, required=True, help="file of recorded figures, written anew")
     step.add_argument("--slow", action="store_true", help="the sixty sets, not the ten")
+    step.add_argument(
+        "--work", type=Path, help="folder for sets and claims, to go on in later; else a temporary"
+    )
     step.set_defaults(step=_develop)
     step = steps.add_parser(
         "real", prog="bin/blind real", help="concealment in real recordings of one camera"

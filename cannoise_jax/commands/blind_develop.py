@@ -28,10 +28,14 @@ HIGHER_IS_BETTER = {
 
 
 def develop(name: str, folder: Path, tell: Callable[[int, int], None]) -> dict[str, int]:
-    """Seals, diagnoses and scores the development sets; the figures are counts of sets (of names for two)."""
+    """Seals, diagnoses and scores the development sets; the figures are counts of sets (of names for two).
+
+    Goes on with what `folder` holds already.
+    """
     seed, sets, nulls = SETS[name]
     truth = folder / "truth.json"
-    seal(folder / "sets", truth, seed, sets, nulls, lambda done, total: None)
+    if not truth.exists():
+        seal(folder / "sets", truth, seed, sets, nulls, lambda done, total: None)
 
     def analyse(capture: CaptureSet, without: tuple[str, ...], locate_only: bool) -> dict[str, Any]:
         if locate_only:
