@@ -28,8 +28,10 @@ from cannoise_jax.physics.likelihood_composite import Profile, composite_score, 
 _PIT_BINS = 20
 _PIT_MOST = 40_000
 _LEVEL_BINS = 8
-_LEARNED = 8
-"""Drawn frames of each recording from which the composite score learns, at least."""
+_LEARNED = 400_000
+"""Drawn pixels of each recording from which the composite score learns, at least."""
+_LEAST_USABLE = 0.05
+"""Share of the pixels that must not lie at a rail for a recording to be compared."""
 
 
 class Curves(NamedTuple):
@@ -87,8 +89,13 @@ def compare_models(
     score the frames by it too. None where no recording has two frames in both halves.
     """
     plain, extended, control = sides.plain, sides.extended, sides.control
-    names = {f.number for f in first.fields if f.frames > 1}
-    names &= {f.number for f in second.fields if f.frames > 1}
+    shown = [
+        {f.number for f in p.fields if f.frames > 1 and f.usable.mean() > _LEAST_USABLE}
+        for p in (first, second)
+    ]
+    names = shown[0] & shown[1]
+    if not names:
+        return None
     halves = [_only(p, names) for p in (first, second)]
     draws = [plain, control, *([extended] if extended else []), *([] if sides.calibrated else [control])]
     drawn = [
@@ -152,9 +159,9 @@ def composite_scores(key: Key[Array, ""], half: Prepared, draw: Drawings) -> Flo
     """Composite score of every frame of a half, nats per pixel, learned from draws of the simulator: batches
     of as many frames as each recording has, for the mean of a batch is taken out of it."""
     batches: list[tuple[Fields, ...]] = []
-    for k in range(_LEARNED // 2):
-        short = [f.number for f in half.fields if k * f.frames < _LEARNED]
-        part = _only(half, set(short))
+    while short := {f.number for f in half.fields if len(batches) * f.frames * f.mean.size < _LEARNED}:
+        k = len(batches)
+        part = _only(half, short)
         batches.append(as_fields(part, draw_like(draw(jax.random.fold_in(key, k)), part)))
     out = []
     for f in half.fields:

@@ -1,0 +1,121 @@
+"""The extended model draws what was found: as strong, in the same place, with or without a name."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import prepare
+from cannoise_jax.discovery.declare import registered
+from cannoise_jax.discovery.diagnose import diagnose, split_recordings
+from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.discovery.model import baseline_model, extended_model
+from cannoise_jax.discovery.simulate import simulate_like
+from cannoise_jax.physics.sensor import Settings
+from cannoise_jax.physics.sensor_json import read_sensor, write_sensor
+from tests.discovery.capture import (
+    SIZE,
+    capture_set,
+    column_pattern,
+    offset_map,
+    response_map,
+    row_offsets,
+)
+
+
+def looked_at(capture):
+    return prepare(capture, [look for look, _ in split_recordings(capture)], False)
+
+
+def found(capture, without=()):
+    first = looked_at(capture)
+    fitted = stepwise(first.fields, first.probes, frozenset(registered(without)), float(np.log(0.01)))
+    return first, fitted.steps
+
+
+@pytest.mark.parametrize(
+    "alter, hidden, expected",
+    [
+        (row_offsets(2.0), (), "row_noise"),
+        (row_offsets(2.0), ("row_noise", "row_pink_noise"), "unknown_row_additive_temporal"),
+        (offset_map(3.0), (), "dsnu"),
+        (response_map(0.01), ("prnu",), "unknown_pixel_relative_static"),
+    ],
+)
+def test_draws_show_the_finding_as_strong_as_the_recordings_did(alter, hidden, expected):
+    capture = capture_set(51, alter, kinds="df")
+    first, steps = found(capture, hidden)
+    model = extended_model(capture, first, steps[:1])
+    assert [f.mechanism for f in model.mechanisms] == [expected]
+    again = looked_at(simulate_like(capture, model.sample, jax.random.key(0), True))
+    named = steps[0].named
+    probe = next(p for p in again.probes if p.name == named.probe.name)
+    score = probe.score(again.fields)
+    assert score.amplitude == pytest.approx(named.score.amplitude, abs=4 * named.score.error, rel=0.1)
+    # The noise that the effect was part of is not counted twice.
+    for before, after in zip(first.baselines, again.baselines, strict=True):
+        np.testing.assert_allclose(after.read_dn, before.read_dn, rtol=0.04)
+        np.testing.assert_allclose(after.gain, before.gain, rtol=0.04)
+
+
+def test_a_frozen_pattern_is_this_camera_s_own():
+    rng = np.random.default_rng(0)
+    pattern = 2.0 * rng.standard_normal((1, SIZE[1]))
+    capture = capture_set(52, lambda rng: lambda dn, signal, kind, t: dn + pattern, kinds="d")
+    first, steps = found(capture)
+    model = extended_model(capture, first, steps)
+    drawn = np.asarray(
+        model.sample(jax.random.key(0), np.zeros(SIZE, np.float32), Settings(100.0, 0.01, None, 64))
+    )
+    columns = drawn.mean((0, 1)) - drawn.mean()
+    assert np.corrcoef(columns, pattern[0])[0, 1] > 0.95
+    assert np.std(columns) == pytest.approx(np.std(pattern), rel=0.1)
+    other = model.with_unit(jax.random.key(9)).sample(
+        jax.random.key(0), np.zeros(SIZE), Settings(100.0, 0.01)
+    )
+    assert abs(np.corrcoef(np.asarray(other).mean((0, 1)), pattern[0])[0, 1]) < 0.4
+
+
+def test_an_unnamed_model_survives_its_file(tmp_path):
+    capture = capture_set(53, column_pattern(2.0), kinds="d")
+    first, steps = found(capture, ("column_fpn", "dsnu", "column_noise"))
+    model = extended_model(capture, first, steps)
+    assert model.mechanisms and all(f.mechanism.startswith("unknown") for f in model.mechanisms)
+    write_sensor(tmp_path / "sensor.json", model)
+    read = read_sensor(tmp_path / "sensor.json")
+    clean, settings = np.zeros(SIZE, np.float32), Settings(100.0, 0.01, None, 2)
+    both = [np.asarray(m.sample(jax.random.key(1), clean, settings)) for m in (model, read)]
+    np.testing.assert_array_equal(*both)
+
+
+def test_without_findings_it_is_the_baseline():
+    capture = capture_set(54, kinds="df")
+    first = looked_at(capture)
+    model, bare = extended_model(capture, first, ()), baseline_model(capture, first)
+    assert model.mechanisms == () and np.array_equal(model.gain_dn_per_e, bare.gain_dn_per_e)
+    np.testing.assert_allclose(bare.gain_dn_per_e, 1.5, rtol=0.05)
+
+
+def test_the_written_model_is_no_mismatch_to_its_own_recordings(tmp_path):
+    capture = capture_set(55, row_offsets(2.0), kinds="df")
+    run = diagnose(capture, compare=False)
+    write_sensor(tmp_path / "sensor.json", run.model)
+    again = diagnose(capture, str(tmp_path / "sensor.json"), compare=False)
+    assert run.findings == ["row_noise"] and again.findings == []
+
+
+def test_a_function_gains_by_the_composite_score_and_has_no_likelihood():
+    capture = capture_set(56, row_offsets(4.0), kinds="f", frames=4)
+
+    def camera(key, clean, settings):
+        signal = clean * 16183.0
+        return 200.0 + signal + jax.random.normal(key, clean.shape) * np.sqrt(1.5 * signal + 4.5**2)
+
+    run = diagnose(capture, camera)
+    assert "row_noise" in run.findings
+    proof = run.proofs[run.findings.index("row_noise")]
+    assert proof.basis == "composite" and proof.log_e is None and proof.gain > 0
+    assert (
+        run.proven.before is None and run.quality.after.composite.mean() > run.quality.before.composite.mean()
+    )
