@@ -159,7 +159,7 @@ def test_a_place_in_the_grammar_without_a_name_can_be_sampled():
 
 def test_measured_maps_of_another_size_are_refused():
     model = MODEL.with_mechanism("dsnu").with_maps((16, 16))
-    with pytest.raises(BadInput, match="frames of that size"):
+    with pytest.raises(BadInput, match="use that size, or another unit"):
         model.sample(KEY, FLAT)
 
 
@@ -193,7 +193,7 @@ def test_n_init_serves_training_with_maps_larger_than_the_patch():
     seen = np.stack([noise for noise, _ in drawn]).std(axis=(0, 2, 3))
     dsnu = 3.0 / (1084 - np.asarray((60, 64, 68, 72)).mean())
     np.testing.assert_allclose(seen, np.sqrt((sigma**2).mean(axis=(1, 2)) + dsnu**2), rtol=0.06)
-    with pytest.raises(BadInput, match="frames of that size"):
+    with pytest.raises(BadInput, match="use that size, or another unit"):
         model.with_maps((16, 16)).n_init()(KEY, pack(np.zeros((1, 96, 96)), "RGGB"), shot[:1], read[:1])
 
 
