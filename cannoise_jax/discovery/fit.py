@@ -8,13 +8,14 @@ from typing import NamedTuple
 from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import Named, name
-from cannoise_jax.discovery.statistics.score import Probe
+from cannoise_jax.discovery.statistics.score import Probe, sidak
 
 MOST_STEPS = 12
 
 
 class Step(NamedTuple):
-    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its probe."""
+    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its probe with
+    all other accepted mechanisms in the model."""
 
     named: Named
     before: tuple[Fields, ...]
@@ -63,4 +64,17 @@ def stepwise(
         gone = {named.probe.name, *named.probe.covers}
         active = [p for p in active if p.name not in gone]
         located = locate(fields, tuple(active), first.tests, _known(located, previous, fields, active))
-    return Fitted(tuple(steps), fields, located, first)
+    return Fitted(_in_final_model(steps, first.tests), fields, located, first)
+
+
+def _in_final_model(steps: list[Step], tests: int) -> tuple[Step, ...]:
+    """The steps with the p-value that each has when it alone is dropped from the final model. A probe that
+    the others leave nothing to look at keeps the p-value of its step."""
+    out = []
+    for k, step in enumerate(steps):
+        fields = step.before
+        for later in steps[k + 1 :]:
+            fields = refit(later.named.probe.absorb(fields, later.named.score), fields)
+        score = step.named.probe.score(fields) if k + 1 < len(steps) else step.named.score
+        out.append(step if score is None else step._replace(log_p=sidak(score.log_p, tests)))
+    return tuple(out)

@@ -120,12 +120,16 @@ def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: s
 
 
 def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
+    """Offsets of groups move the mean of the frame as well: that part is whitened with the rest."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    r = field.weight.astype(np.float32)
+    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
+
     def function(x: np.ndarray) -> np.ndarray:
-        if not len(x):
-            return x
-        score, information, _ = _sums(field, x, groups, "additive")
-        shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
-        return (x - (score * shrink)[:, groups] * field.weight).astype(np.float32)
+        scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]
+        removed = [(s * shrink)[groups] * r for s in scores]
+        return (x - np.array(removed)).astype(np.float32) if len(x) else x
 
     static = None if field.static is None else function(field.static[None])[0]
     return field._replace(contrasts=function(field.contrasts), static=static)

@@ -1,0 +1,59 @@
+"""Forward selection: both of two effects are found, and p-values are those of the final model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.fields import Fields, helmert, refit
+from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.discovery.statistics import groups, lines
+from cannoise_jax.discovery.statistics.score import sidak
+
+SIZE = (64, 96)
+PROBES = (*groups.probes(), *lines.probes())
+ALLOWED = frozenset({"row_noise", "column_noise", "row_fpn", "column_fpn", "dsnu"})
+
+
+def dark(rng, number, tiles=0.0, columns=0.0, frames=6):
+    """A dark of unit noise with offsets of tiles and of columns, both new in every frame."""
+    tile = groups.layout("tile_16", SIZE)
+    values = rng.standard_normal((frames, *SIZE)) + columns * rng.standard_normal((frames, 1, SIZE[1]))
+    values += tiles * rng.standard_normal((frames, tile.max() + 1))[:, tile]
+    one = np.ones(SIZE, np.float32)
+    contrasts = np.einsum("nt,tij->nij", helmert(frames), values).astype(np.float32)
+    static = (values.mean(0) * np.sqrt(frames)).astype(np.float32)
+    return Fields(
+        "d", "dark", frames, number, 0, 1.0, 0.1, one, 0 * one, one, 0 * one, one > 0,
+        contrasts, static, None, np.ones(4), np.zeros(4),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    rng = np.random.default_rng(4)
+    fields = refit(tuple(dark(rng, n, 0.25, 0.3) for n in range(3)))
+    return stepwise(fields, PROBES, ALLOWED, float(np.log(0.01)))
+
+
+def test_both_effects_are_found_and_nothing_else(fitted):
+    assert {s.named.probe.name for s in fitted.steps} == {"tile_16_redrawn", "column_additive_temporal"}
+    assert {s.named.mechanism for s in fitted.steps} == {"unknown", "column_noise"}
+
+
+def test_p_of_the_first_is_taken_with_the_second_in_the_model(fitted):
+    first, second = fitted.steps
+    without = refit(second.named.probe.absorb(first.before, second.named.score), first.before)
+    expected = sidak(first.named.probe.score(without).log_p, fitted.first.tests)
+    assert first.log_p == pytest.approx(expected)
+    assert first.log_p != pytest.approx(sidak(first.named.score.log_p, fitted.first.tests))
+    assert second.log_p == pytest.approx(sidak(second.named.score.log_p, fitted.first.tests))
+
+
+def test_nothing_is_found_where_there_is_nothing():
+    rng = np.random.default_rng(5)
+    found = [
+        stepwise(tuple(dark(rng, n) for n in range(2)), PROBES, ALLOWED, float(np.log(0.01))).steps
+        for _ in range(40)
+    ]
+    assert sum(map(bool, found)) <= 3  # 0.4 expected: more than 3 has probability 1e-4
