@@ -44,6 +44,38 @@ POINTS = {
 """A sparse frozen pattern is an offset map with zeros; noisy pixels blink about their level."""
 
 
+def point_of(probe: str, score: Score, size: tuple[int, int]) -> Point | None:
+    """Where in the grammar a probe's finding sits; None where the grammar has no place for it."""
+    name, _, time = probe.rpartition("_")
+    if probe == "lags_any":
+        kernel = neighbour_kernel(score.where["lags"], score.where["correlations"])[0]
+        return Point("readout", "signal", "pixel", "redrawn", spectrum="kernel", kernel=kernel)
+    if name.startswith("tile_"):
+        side = int(name.removeprefix("tile_"))
+        blocks = (-(-size[0] // side), -(-size[1] // side))
+        return Point("readout", "signal", "block", time, blocks=blocks)  # type: ignore[arg-type]
+    if name in ("diagonal", "antidiagonal"):
+        return Point("readout", "signal", name, time)  # type: ignore[arg-type]
+    if name in ("site", "row_parity", "column_parity"):
+        return Point("readout", "signal", "channel", time)  # type: ignore[arg-type]
+    return POINTS.get(probe)
+
+
+def neighbour_kernel(lags, correlations, reach: int = 4) -> tuple[tuple[float, ...], float]:
+    """The filter, of norm 1, that gives white noise these correlations at these lags (dy, dx) when it is a
+    part of the noise, and that share of the variance: the least that leaves no frequency with less than
+    nothing."""
+    side = 32
+    covariance = np.zeros((side, side))
+    for (dy, dx), value in zip(lags, correlations, strict=True):
+        covariance[dy % side, dx % side] = covariance[-dy % side, -dx % side] = value
+    spectrum = np.real(np.fft.fft2(covariance))
+    share = float(np.clip(-spectrum.min(), 1e-6, 0.9))
+    root = np.real(np.fft.ifft2(np.sqrt(np.maximum(spectrum + share, 0))))
+    window = np.roll(root, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    return tuple((window / np.linalg.norm(window)).round(6).ravel().tolist()), share
+
+
 def grammar_maps(
     probe: str, score: Score, prepared: Prepared, field: np.ndarray | None
 ) -> tuple[float, dict[str, np.ndarray]]:
@@ -52,6 +84,9 @@ def grammar_maps(
     field: the measured pattern in DN or fractions (`frozen.frozen_map`); None: the point draws its own.
     """
     value = float(score.amplitude)
+    if probe == "lags_any":
+        share = neighbour_kernel(score.where["lags"], score.where["correlations"])[1]
+        return float(np.sqrt(share) * np.mean(prepared.baselines[0].read_dn)), {}
     if probe == "curvature":
         loss = score.parameters["curvature"][0]
         return abs(loss), {"field": np.full((1, *prepared.fields[0].mean.shape), -np.sign(loss))}

@@ -17,7 +17,7 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import channel_index
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.frozen import frozen_map, noise_factors
-from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps
+from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps, point_of
 from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.physics.chain import closed_form
 from cannoise_jax.physics.mechanism import Scaling
@@ -165,7 +165,7 @@ def _add_unknown(
 ) -> SensorModel:
     """A finding without a name at its place in the grammar; the model as it was where the grammar has
     none."""
-    point = POINTS.get(probe)
+    point = point_of(probe, score, prepared.fields[0].mean.shape)
     if point is None:
         return model
     strength, maps = grammar_maps(probe, score, prepared, field)

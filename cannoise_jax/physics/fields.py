@@ -31,6 +31,8 @@ def site_shape(point, size: tuple[int, int]) -> tuple[int, ...]:
         "raster": (height * width,),
         "channel": (2, 2),
         "block": point.blocks,
+        "diagonal": (height + width - 1,),
+        "antidiagonal": (height + width - 1,),
         "whole": (),
     }[point.over]
 
@@ -51,6 +53,9 @@ def spread(drawn: Float[Array, "t ..."], point, size: tuple[int, int]) -> Float[
         return drawn.reshape(frames, 1, width)
     if over == "whole":
         return drawn.reshape(frames, 1, 1)
+    if over in ("diagonal", "antidiagonal"):
+        y, x = np.indices(size)
+        return drawn[:, y + x if over == "antidiagonal" else y - x + width - 1]
     if over in ("channel", "block"):
         rows, columns = drawn.shape[1:]
         if over == "channel":
@@ -74,6 +79,19 @@ def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Arr
         if n > 1:
             lags[lag("column" if point.over == "row" else "row", k, size[1])] = power * float(k % n == 0)
     return lags
+
+
+def neighbours(key: Key[Array, ""], frames: int, size: tuple[int, int], kernel) -> Float[Array, "t h w"]:
+    """White noise filtered by a square kernel (its values row by row, unit norm for unit variance), around
+    the edges."""
+    side = int(len(kernel) ** 0.5)
+    white = sample_normal(key, (frames, *size))
+    out = jnp.zeros_like(white)
+    for n, weight in enumerate(kernel):
+        if weight:
+            shift = (n // side - side // 2, n % side - side // 2)
+            out = out + weight * jnp.roll(white, shift, (1, 2))
+    return out
 
 
 def numbers(key: Key[Array, ""], shape: tuple[int, ...], distribution: str, values) -> Float[Array, "..."]:

@@ -7,7 +7,7 @@ effect is known in closed form, and it can be stored, whether the field has a na
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -24,11 +24,11 @@ from cannoise_jax.physics.mechanism import (
     Values,
 )
 
-Site = Literal["pixel", "row", "column", "block", "channel", "raster", "whole"]
+Site = Literal["pixel", "row", "column", "block", "channel", "raster", "diagonal", "antidiagonal", "whole"]
 Time = Literal["frozen", "redrawn", "telegraph", "drifting"]
-Spectrum = Literal["white", "power_law", "sinusoid"]
+Spectrum = Literal["white", "power_law", "sinusoid", "kernel"]
 Distribution = Literal["gaussian", "tukey_lambda", "sparse"]
-SITES: tuple[Site, ...] = ("pixel", "row", "column", "block", "channel", "raster", "whole")
+SITES: tuple[Site, ...] = get_args(Site)
 TIMES: tuple[Time, ...] = ("frozen", "redrawn", "telegraph", "drifting")
 
 
@@ -43,7 +43,9 @@ class Point:
       fixed sites; "drifting" is redrawn with a memory of the frames before.
     combine: "add" or "multiply" into what the stage carries. signal: exponent p of a further factor
       (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
-    spectrum: along the sites. distribution: of one number; "sparse": a few sites, exponential heights.
+    spectrum: along the sites; "kernel": pixels correlate with their neighbours, as white noise does after a
+      filter by `kernel`, a square of odd side, row by row, of norm 1.
+    distribution: of one number; "sparse": a few sites, exponential heights.
     group, phase: so many neighbouring rows (or columns) share one number, as where two are read at once;
       `phase` of the first group's lie before the frame. interleave: so many columns of a row (or rows of a
       column) take turns and have numbers of their own, as where even and odd columns are read apart.
@@ -61,6 +63,7 @@ class Point:
     group: int = 1
     phase: int = 0
     interleave: int = 1
+    kernel: tuple[float, ...] = ()
 
     @property
     def plain(self) -> bool:
@@ -106,6 +109,8 @@ def _fields(key, frames: int, point: Point, values: Values, context: Context) ->
     """Unit-rms (unit-peak for a sinusoid) field [frames, ...] that broadcasts against x[T, H, W]."""
     size = context.size
     sites = fields.site_shape(point, size)
+    if point.spectrum == "kernel":
+        return fields.neighbours(key, frames, size, point.kernel)
     if point.spectrum == "sinusoid":
         drawn = fields.sinusoid(key, frames, sites, values["frequency"], redrawn=point.time != "frozen")
     elif point.time == "telegraph":

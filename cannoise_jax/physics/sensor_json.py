@@ -232,10 +232,14 @@ def _scaling(id: str, law: Any) -> Scaling | None:
 def _point(id: str, entry: Any) -> Point | None:
     if entry is None:
         return None
-    point = Point(**{**entry, "blocks": tuple(entry["blocks"])})
+    kernel = tuple(float(_number(v, f"{id}: grammar kernel")) for v in entry.get("kernel", ()))
+    point = Point(**{**entry, "blocks": tuple(entry["blocks"]), "kernel": kernel})
+    side = round(len(kernel) ** 0.5)
+    if side**2 != len(kernel) or side % 2 == (point.spectrum != "kernel") or side > 65:
+        raise ValueError(f"{id}: grammar kernel has {len(kernel)} values, not those of a square of odd side")
     for axis, kind in get_type_hints(Point).items():
         choices = get_args(kind)
-        if choices and axis != "blocks" and getattr(point, axis) not in choices:
+        if choices and axis not in ("blocks", "kernel") and getattr(point, axis) not in choices:
             value = reprlib.repr(getattr(point, axis))
             raise ValueError(f"{id}: grammar {axis} is {value}, not one of {', '.join(choices)}")
     _number(point.signal, f"{id}: grammar signal")

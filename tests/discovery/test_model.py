@@ -10,9 +10,11 @@ from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import diagnose, split_recordings
 from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.discovery.grammar_points import neighbour_kernel
 from cannoise_jax.discovery.model import baseline_model, extended_model
 from cannoise_jax.discovery.simulate import simulate_like
-from cannoise_jax.physics.sensor import Settings
+from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import read_sensor, write_sensor
 from tests.discovery.capture import (
     SIZE,
@@ -119,3 +121,33 @@ def test_a_function_gains_by_the_composite_score_and_has_no_likelihood():
     assert (
         run.proven.before is None and run.quality.after.composite.mean() > run.quality.before.composite.mean()
     )
+
+
+def test_correlations_without_a_name_are_drawn_by_a_kernel_that_survives_its_file(tmp_path):
+    wanted = {(0, 1): -0.08, (0, 2): 0.05, (1, 0): 0.04, (1, 1): -0.06}
+    kernel, share = neighbour_kernel(list(wanted), list(wanted.values()))
+    point = Point("readout", "signal", "pixel", "redrawn", spectrum="kernel", kernel=kernel)
+    model = SensorModel.poisson_gaussian(1.0, 4.0 * np.sqrt(1 - share), 500.0)
+    model = model.with_mechanism("unknown_lags", point=point, sigma_dn=float(4.0 * np.sqrt(share)))
+    write_sensor(tmp_path / "sensor.json", model)
+    read = read_sensor(tmp_path / "sensor.json")
+    dark, settings = np.zeros((128, 128), np.float32), Settings(100.0, 0.01, None, 16)
+    frames = np.asarray(read.sample(jax.random.key(0), dark, settings), float) - 500
+    power = np.mean(frames**2)
+    assert power == pytest.approx(16 + 1 / 12, rel=0.02)
+    for (dy, dx), rho in {**wanted, (1, -1): 0.0, (3, 3): 0.0}.items():
+        product = frames * np.roll(frames, (-dy, -dx), (1, 2))
+        assert product.mean() / power == pytest.approx(rho, abs=0.008)
+
+
+@pytest.mark.parametrize("over, step", [("diagonal", 1), ("antidiagonal", -1)])
+def test_diagonal_offsets_are_shared_along_their_diagonal(over, step):
+    point = Point("readout", "signal", over, "redrawn")
+    model = SensorModel.poisson_gaussian(1.0, 2.0, 500.0).with_mechanism("unknown", point=point, sigma_dn=4.0)
+    frames = np.asarray(
+        model.sample(jax.random.key(1), np.zeros((64, 96)), Settings(100.0, 0.01, None, 4)), float
+    )
+    frames -= frames.mean()
+    along = np.mean(frames * np.roll(frames, (-1, -step), (1, 2))) / np.mean(frames**2)
+    across = np.mean(frames * np.roll(frames, (-1, step), (1, 2))) / np.mean(frames**2)
+    assert along > 0.6 and abs(across) < 0.15
