@@ -57,6 +57,9 @@ def main(argv: list[str] | None = None) -> int:
     print(f"{capture.camera}: {report['verdict']}")
     for finding in report["findings"]:
         print(f"- {finding['mechanism']}: {finding['sentence']}")
+    before, after = report["before"]["two_sample_auc"], report["after"]["two_sample_auc"]
+    if before is not None:
+        print(f"told from draws of the simulator with an area of {before:.3f} before, {after:.3f} after")
     print(f"{arguments.out / 'report.html'}")
     return 0
 
@@ -80,7 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--simulator",
         default="poisson-gaussian",
-        help="poisson-gaussian (calibrated from the recordings) or nlf (shot and read of the files)",
+        help="poisson-gaussian (calibrated from the recordings), nlf (shot and read of the files), a "
+        "sensor.json, or a training folder",
     )
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for report.html, report.json, sensor.json"
