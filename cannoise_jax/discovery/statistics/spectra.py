@@ -277,7 +277,7 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
                 basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
         q = orthonormal(np.array(basis))
         both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
-        new = [v - ((v.reshape(len(v), -1) @ q.T) @ q).reshape(v.shape) for v in both]
+        new = [v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape) for v in both]
         out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
     return tuple(out)
 
@@ -348,7 +348,7 @@ def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ..
         ]
         q = orthonormal(np.array(basis))
         both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
-        new = [v - ((v.reshape(len(v), -1) @ q.T) @ q).reshape(v.shape) for v in both]
+        new = [v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape) for v in both]
         out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
     return tuple(out)
 
