@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from cannoise_jax.commands.blind import main
+from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.recording import Recording
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +35,25 @@ def test_seal_run_and_score_make_the_table(trial, capsys):
     result = json.loads((trial / "score" / "blind.json").read_text())
     assert result["false_alarms"]["sets"] == 2 and result["errors"] == 0
     assert "min left" in capsys.readouterr().err
+
+
+def test_permuting_real_frames_takes_the_rows_away(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    (tmp_path / "camera").mkdir()
+    for n, seconds in enumerate((0.01, 1.0)):
+        values = 500 + rng.normal(0, 3, (8, 96, 128)) + rng.normal(0, 1, (8, 96, 1))
+        frames = np.rint(values).astype(np.uint16)
+        dark = Recording(frames, "RGGB", (500.0,) * 4, 4095.0, kind="dark", exposure_s=seconds, code_step=1.0)
+        write_recording(tmp_path / "camera" / f"dark_{n}.h5", dark)
+    asked = ["--recordings", str(tmp_path / "camera"), "--out", str(tmp_path), "--size", "96x128"]
+    assert main(["real", *asked, "--parts", "permute", "--permutations", "3"]) == 0
+    found = json.loads((tmp_path / "real.json").read_text())["permute"]
+    assert "row_noise" in found["reported_before"]
+    assert found["permutations"] == 3 and found["by_mechanism"]["row_noise"]["hits"] == 0
+    kept = (tmp_path / "permutations.json").read_text()
+    assert main(["real", *asked, "--parts", "permute", "--permutations", "3"]) == 0
+    assert (tmp_path / "permutations.json").read_text() == kept
+    assert "permuted: " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
