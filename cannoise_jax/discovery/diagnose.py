@@ -116,7 +116,7 @@ def diagnose(
         tell("prove: on the other half of the frames")
         unseen = prepare(capture, chosen, judged, drawn)
         second = _without(unseen, own)
-        proven = prove(fitted.steps, first, second, chosen)
+        proven = prove(fitted, first, second, chosen)
     if handed is None:
         stated = stated_parameters(capture, first.baselines) if judged else None
         sides = simulators(capture, first, fitted.steps, stated)

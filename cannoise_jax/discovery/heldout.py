@@ -91,15 +91,20 @@ class Scored(NamedTuple):
 
 
 def score_frames(
-    first: Prepared, second: Prepared, chosen: list[list[int]], found: list[Predicted]
+    first: Prepared,
+    second: Prepared,
+    chosen: list[list[int]],
+    found: list[Predicted],
+    masks: dict[int, np.ndarray] | None = None,
 ) -> Scored:
     """Scores the frames of the second half, `chosen` per recording. A mean that is not modelled (a
     reference averaged from the recording's own frames, or none) is rebuilt from the first half, its noise
-    added to the pixel's."""
+    added to the pixel's. masks: pixels to score, by recording."""
     before = {f.number: (s, f) for s, f in zip(first.stacks, first.fields, strict=True)}
     values, recordings, pixels = [], [], []
     for stacked, field in zip(second.stacks, second.fields, strict=True):
         mean, extra, usable = _mean(stacked, field, before.get(field.number))
+        usable = usable & masks[field.number] if masks and field.number in masks else usable
         if mean is None or not usable.any():
             continue
         frames = chosen[field.number][: field.frames]

@@ -18,7 +18,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import Fields, helmert, refit
-from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.fit import Fitted, Step
 from cannoise_jax.discovery.heldout import Scored, predicted, score_frames
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
@@ -68,15 +68,23 @@ def unproven(steps: tuple[Step, ...]) -> Proofs:
     return Proofs(tuple(Proof(None, None, np.nan, np.nan, 0) for _ in steps), None, None)
 
 
-def prove(steps: tuple[Step, ...], first: Prepared, second: Prepared, chosen: list[list[int]]) -> Proofs:
+def prove(fitted: Fitted, first: Prepared, second: Prepared, chosen: list[list[int]]) -> Proofs:
     """Every accepted mechanism on the other half of the frames, `chosen` per recording, all others in the
-    model; for statistics, of many findings, those accepted before it, which have the larger effects."""
+    model; for statistics, of many findings, those accepted before it, which have the larger effects.
+
+    Pixels that a finding is about one by one (hot, telegraph) are scored for hot pixels only: their noise is
+    not that of the others, and would drown what rows or frames share.
+    """
+    steps = fitted.steps
     probes = {p.name: p for p in second.probes}
     laws = [predicted(step) for step in steps]
     known = [p for p in laws if p is not None]
     base = score_frames(first, second, chosen, [])
     full = score_frames(first, second, chosen, known) if known else base
     pixels = int(base.pixels.sum())
+    ordinary = {f.number: f.usable for f in fitted.fields}
+    masked = any(not np.array_equal(f.usable, ordinary.get(f.number)) for f in first.fields)
+    most = score_frames(first, second, chosen, known, ordinary) if masked and known else full
     out = []
     earlier = second.fields
     for n, step in enumerate(steps):
@@ -91,9 +99,12 @@ def prove(steps: tuple[Step, ...], first: Prepared, second: Prepared, chosen: li
         law = laws[n]
         if law is not None and pixels:
             rest = [p for p in laws if p is not None and p is not law]
-            without = score_frames(first, second, chosen, rest) if rest else base
-            gain, low, high = frame_interval(full, without)
-            out.append(Proof(score, gain, low, high, pixels, "likelihood", gain - _NUISANCES / 2))
+            single = step.named.probe.name.startswith("hot_") or not masked
+            reference = full if single else most
+            without = score_frames(first, second, chosen, rest, None if single else ordinary)
+            gain, low, high = frame_interval(reference, without)
+            scored = int(reference.pixels.sum())
+            out.append(Proof(score, gain, low, high, scored, "likelihood", gain - _NUISANCES / 2))
         elif score is None or probe is None or not pixels:
             out.append(Proof(None, None, np.nan, np.nan, 0))
         else:

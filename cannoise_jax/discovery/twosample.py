@@ -147,20 +147,34 @@ def area(real: np.ndarray, fake: np.ndarray) -> float:
 
 def judge(real: Pair, fake: Pair, seed: int) -> Scored | None:
     """Trains the network on the first of both pairs and scores the second, on the other half of the image,
-    either way round; None for frames too few or small."""
+    either way round; None for frames too few or small.
+
+    Scores are counted, recording by recording, from those of the draws that trained it, on the half of the
+    image that did not: what tells one recording from another says nothing about the simulator.
+    """
     parts: list[tuple[np.ndarray, ...]] = []
+    trained, judged = recording_of(fake[0]), recording_of(real[1])
     for parity in (0, 1):
         a, b = cut(real[0], parity, seed), cut(fake[0], parity, seed + 1)
         c, d = cut(real[1], 1 - parity, seed + 2), cut(fake[1], 1 - parity, seed + 3)
-        if min(len(p.values) for p in (a, b, c, d)) < 2:
+        e = cut(fake[0], 1 - parity, seed + 4)
+        if min(len(p.values) for p in (a, b, c, d, e)) < 2:
             return None
         weights = read_out(all_features(a.values), all_features(b.values))
-        told, plain = all_features(c.values) @ weights, all_features(d.values) @ weights
-        centre = float(np.median(plain))
-        parts.append((told - centre, plain - centre, c.frame, d.frame))
+        told, plain, usual = (all_features(p.values) @ weights for p in (c, d, e))
+        for number in np.unique(judged):
+            mine = usual[trained[e.frame] == number]
+            for scores, frame in ((told, c.frame), (plain, d.frame)):
+                there = judged[frame] == number
+                scores[there] = (scores[there] - mine.mean()) / max(float(mine.std()), 1e-9)
+        parts.append((told, plain, c.frame, d.frame))
     told, plain, frame, other = (np.concatenate(column) for column in zip(*parts, strict=True))
-    recordings = [np.full(f.frames, f.number) for f in real[1] if len(f.contrasts)]
-    return Scored(told, plain, frame, other, np.concatenate(recordings))
+    return Scored(told, plain, frame, other, judged)
+
+
+def recording_of(fields: tuple[Fields, ...]) -> np.ndarray:
+    """The recording of every frame, in the order of `cut`."""
+    return np.concatenate([np.full(f.frames, f.number) for f in fields if len(f.contrasts)])
 
 
 def grouped(scores: np.ndarray, frame: np.ndarray, size: int, rng: np.random.Generator):
