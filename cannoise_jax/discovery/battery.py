@@ -6,29 +6,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.discovery.calibrate import (
-    Baseline,
-    Stack,
-    code_step,
-    detected_step,
-    fit_baseline,
-    gain_groups,
-    stack,
-    standardise,
-    stated_black,
-)
+from cannoise_jax.discovery.calibrate import Baseline, fit_baseline, gain_groups, standardise, stated_black
 from cannoise_jax.discovery.fields import Fields, refit
+from cannoise_jax.discovery.stacks import Stack, code_step, detected_step, stack
 from cannoise_jax.discovery.statistics import (
     codes,
     covariance,
+    curve,
     groups,
     levels,
     light,
     lines,
     means,
+    patterns,
+    pixels,
     reference,
     shape,
     spectra,
+    waves,
 )
 from cannoise_jax.discovery.statistics.score import Probe
 from cannoise_jax.recordings.recording import CaptureSet
@@ -100,13 +95,17 @@ def build_probes(
     return (
         *lines.probes(),
         *groups.probes(),
+        *patterns.probes(),
         *spectra.probes(),
+        *waves.probes(),
         *covariance.probes(),
         *shape.probes(),
+        *pixels.probes(),
         *means.probes(),
         *light.probes(described, span),
         *reference.probes(span),
-        *levels.probes(described, baselines, stated, step, span, jitter, fitted_too),
+        *levels.probes(described, jitter),
+        *curve.probes(baselines, stated, step, span, fitted_too),
         *codes.probes(lattice, float(described.black.mean())),
     )
 

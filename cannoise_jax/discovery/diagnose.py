@@ -15,13 +15,13 @@ from scipy import stats
 
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, prepare, split_frames, stated_parameters
-from cannoise_jax.discovery.calibrate import MOST_FRAMES
 from cannoise_jax.discovery.fields import refit
 from cannoise_jax.discovery.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
+from cannoise_jax.discovery.stacks import MOST_FRAMES
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY

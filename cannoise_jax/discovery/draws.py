@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.calibrate import stack, standardise
+from cannoise_jax.discovery.calibrate import standardise
 from cannoise_jax.discovery.fields import Fields, frame_fields
+from cannoise_jax.discovery.stacks import stack
 from cannoise_jax.physics.sensor import SensorModel, Settings
 
 CHUNK = 4

@@ -11,7 +11,8 @@ import numpy as np
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.lines import ALL_KINDS, pixel_sums, static_sums
+from cannoise_jax.discovery.statistics.lines import static_sums
+from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.discovery.statistics.score import Score
 
 _DARK = ("dark", "bias")

@@ -19,11 +19,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.calibrate import Stack
 from cannoise_jax.discovery.fields import Fields, channel_index
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.frozen import hot_map
-from cannoise_jax.discovery.statistics.lines import ALL_KINDS, pixel_sums, static_sums
+from cannoise_jax.discovery.stacks import Stack
+from cannoise_jax.discovery.statistics.lines import static_sums
+from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.physics.likelihood import CodeGrid
 from cannoise_jax.physics.likelihood_crossed import SharedTerms, crossed_gaussian, stationary_factor
 

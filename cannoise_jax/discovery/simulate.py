@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import split_frames
-from cannoise_jax.discovery.calibrate import MOST_FRAMES, code_step, smooth_mean, stack
+from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack

@@ -7,11 +7,11 @@ import pytest
 
 from cannoise_jax.discovery.fields import Fields, helmert, refit
 from cannoise_jax.discovery.fit import stepwise
-from cannoise_jax.discovery.statistics import groups, lines
+from cannoise_jax.discovery.statistics import groups, lines, patterns
 from cannoise_jax.discovery.statistics.score import sidak
 
 SIZE = (64, 96)
-PROBES = (*groups.probes(), *lines.probes())
+PROBES = (*groups.probes(), *lines.probes(), *patterns.probes())
 ALLOWED = frozenset({"row_noise", "column_noise", "row_fpn", "column_fpn", "dsnu"})
 
 

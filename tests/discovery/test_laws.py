@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cannoise_jax.discovery.statistics.pixels import sparse_log_p
 from cannoise_jax.discovery.statistics.score import normal_log_p, skewed_log_p
-from cannoise_jax.discovery.statistics.shape import rounding_kurtosis, sparse_log_p
-from cannoise_jax.discovery.statistics.spectra import orthonormal
+from cannoise_jax.discovery.statistics.shape import rounding_kurtosis
+from cannoise_jax.discovery.statistics.waves import orthonormal
 
 
 @pytest.mark.parametrize("width", [0.45, 0.6, 0.8, 2.0])

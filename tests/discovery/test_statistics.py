@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.calibrate import detected_step
 from cannoise_jax.discovery.fields import Fields, frame_fields, helmert
-from cannoise_jax.discovery.statistics import covariance, lines, shape, spectra
+from cannoise_jax.discovery.stacks import detected_step
+from cannoise_jax.discovery.statistics import covariance, lines, patterns, pixels, shape, spectra, waves
 from cannoise_jax.discovery.statistics.score import chi2_log_sf, quadratic_log_p, sidak, variance_component
 from tests.discovery.capture import capture_set
 
@@ -113,7 +113,18 @@ def null_scores(score, count=60, **kind):
     ],
 )
 def test_null_p_values_are_not_too_small(name):
-    probes = {p.name: p for p in (*lines.probes(), *spectra.probes(), *covariance.probes(), *shape.probes())}
+    probes = {
+        p.name: p
+        for p in (
+            *lines.probes(),
+            *patterns.probes(),
+            *spectra.probes(),
+            *waves.probes(),
+            *covariance.probes(),
+            *shape.probes(),
+            *pixels.probes(),
+        )
+    }
     kind = {"frames": 8, "size": (32, 48)} if name == "frame_additive" else {"size": (32, 48)}
     p = null_scores(probes[name].score, **kind)
     assert stats.kstest(p, "uniform", alternative="greater").pvalue > 1e-3
@@ -174,7 +185,7 @@ def test_plane_wave_is_found_at_its_frequency():
         )
         for f in white(rng)
     )
-    probe = next(p for p in spectra.probes() if p.name == "wave_redrawn")
+    probe = next(p for p in waves.probes() if p.name == "wave_redrawn")
     score = probe.score(fields)
     fy, fx = score.parameters["frequency_y"][0], score.parameters["frequency_x"][0]
     assert score.log_p < -20

@@ -1,0 +1,186 @@
+"""One split of a recording: its frames reduced, its mean modelled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.discovery.fields import channel_index, helmert, least_squares
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+MOST_FRAMES = 16
+"""Frames of one recording and split that are held at once: memory does not grow beyond."""
+
+
+_DEGREE = 4
+
+
+class Stack(NamedTuple):
+    """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails."""
+
+    recording: Recording
+    number: int
+    mean: Float[np.ndarray, "h w"]
+    variance: Float[np.ndarray, "h w"]
+    contrasts: Float[np.ndarray, "n h w"]
+    usable: np.ndarray
+    frames: int
+    step: float
+    low: float
+    high: float
+
+
+def stack(recording: Recording, index: int, chosen: list[int], step: float) -> Stack:
+    """Reads the chosen frames one by one (at most MOST_FRAMES) and forms their contrasts."""
+    chosen = chosen[:MOST_FRAMES]
+    matrix = helmert(len(chosen)).astype(np.float32)
+    size = recording.size
+    total = np.zeros(size, np.float64)
+    contrasts = np.zeros((len(chosen) - 1, *size), np.float32)
+    high, low = np.zeros(size, np.uint16), np.full(size, 65535, np.uint16)
+    anchor = None
+    for n, t in enumerate(chosen):
+        frame = np.asarray(recording.frames[t : t + 1])[0]
+        high, low = np.maximum(high, frame), np.minimum(low, frame)
+        anchor = frame.astype(np.float32) if anchor is None else anchor
+        moved = frame.astype(np.float32) - anchor
+        total += frame
+        for k in range(max(n - 1, 0), len(chosen) - 1):
+            contrasts[k] += matrix[k, n] * moved
+    mean = (total / len(chosen)).astype(np.float32)
+    variance = _steady_variance(contrasts, mean)
+    white = min(recording.white_level, 65535.0)
+    usable = (high < white - 0.5) & (low > 0)
+    if recording.kind in ("dark", "bias") and usable.mean() < 0.9:
+        usable = np.ones(size, bool)
+    return Stack(
+        recording,
+        index,
+        mean,
+        variance,
+        contrasts,
+        usable,
+        len(chosen),
+        step,
+        float(low.min()),
+        float(high.max()),
+    )
+
+
+def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Mean square of the contrasts once what a whole frame shares, an offset and a factor per channel, is
+    taken out: neither drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
+    total = np.zeros(mean.shape, np.float32)
+    channel = channel_index(mean.shape)
+    for c in range(4):
+        chosen = channel == c
+        level = mean[chosen].astype(np.float64)
+        basis = np.stack([np.ones_like(level), level - level.mean()], 1)
+        if np.ptp(level) < 1e-6:
+            basis = basis[:, :1]
+        for contrast in contrasts:
+            values = contrast[chosen].astype(np.float64)
+            rest = values - np.einsum("nk,k->n", basis, least_squares(basis, values))
+            total[chosen] += (rest**2).astype(np.float32)
+    return total / max(len(contrasts), 1)
+
+
+def code_step(capture: CaptureSet) -> float:
+    """Spacing of the codes: stated in the files, else the greatest common divisor of the differences, DN."""
+    stated = {r.code_step for r in capture.recordings if r.code_step}
+    return float(stated.pop()) if len(stated) == 1 else detected_step(capture)
+
+
+def detected_step(capture: CaptureSet) -> float:
+    """Greatest common divisor of the differences between the codes that occur, DN."""
+    step = 0
+    for recording in capture.recordings:
+        codes = np.unique(np.asarray(recording.frames[0:1]))
+        codes = codes[codes < recording.white_level]
+        if codes.size > 1:
+            step = int(np.gcd.reduce(np.append(np.diff(codes).astype(np.int64), step)))
+    return float(max(step, 1))
+
+
+def robust_mean(values: np.ndarray) -> float:
+    """Mean of the values within six robust standard deviations of their median."""
+    centre = np.median(values)
+    spread = max(1.4826 * np.median(np.abs(values - centre)), 1e-6)
+    return float(values[np.abs(values - centre) < 6 * spread].mean())
+
+
+def reference(recording: Recording) -> np.ndarray:
+    """The recording's reference as one normalised frame; a noisy one is smoothed within its colour plane."""
+    clean = np.asarray(recording.clean, np.float32)
+    clean = clean.mean(0) if clean.ndim == 3 else clean
+    return plane_blur(clean) if noisy_reference(recording) else clean
+
+
+def noisy_reference(recording: Recording) -> bool:
+    """Whether a scene's reference is a mean of too few frames, or missing."""
+    if recording.kind != "scene":
+        return False
+    few = recording.reference == "burst_mean" and (recording.reference_frames or 0) < 32
+    return recording.clean is None or few
+
+
+def plane_blur(image: np.ndarray) -> np.ndarray:
+    """Mean of 3 x 3 pixels of one colour plane."""
+    padded = np.pad(image, 2, mode="reflect")
+    h, w = image.shape
+    shifts = [padded[2 + dy : 2 + dy + h, 2 + dx : 2 + dx + w] for dy in (-2, 0, 2) for dx in (-2, 0, 2)]
+    return np.mean(shifts, axis=0)
+
+
+def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean of a flat (a surface of degree 4 per channel) or of a dark (a constant per channel), DN."""
+    mean, size = stacked.mean, stacked.mean.shape
+    channel = channel_index(size)
+    out = np.zeros(size, np.float32)
+    degree = _DEGREE if stacked.recording.kind == "flat" else 0
+    y, x = np.indices(size)
+    y, x = 2 * y / max(size[0] - 1, 1) - 1, 2 * x / max(size[1] - 1, 1) - 1
+    for c in range(4):
+        chosen = channel == c
+        if degree == 0:
+            out[chosen] = robust_mean(mean[chosen])
+            continue
+        basis = np.stack(
+            [
+                np.polynomial.legendre.legval(y[chosen], np.eye(degree + 1)[i])
+                * np.polynomial.legendre.legval(x[chosen], np.eye(degree + 1)[j])
+                for i in range(degree + 1)
+                for j in range(degree + 1 - i)
+            ],
+            1,
+        )
+        values = mean[chosen].astype(np.float64)
+        kept = np.ones(values.size, bool)
+        for _ in range(2):
+            beta = least_squares(basis[kept], values[kept])
+            rest = values - np.einsum("nk,k->n", basis, beta)
+            kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+        out[chosen] = np.einsum("nk,k->n", basis, beta)
+    return out
+
+
+def affine(
+    stacked: Stack, clean: np.ndarray, sigma: np.ndarray, channel: np.ndarray, linear: np.ndarray
+) -> np.ndarray:
+    """Mean of every pixel, DN: offset and factor per channel on the reference, fitted where it is linear."""
+    out = np.zeros(clean.shape)
+    for c in range(4):
+        chosen = (channel == c) & stacked.usable & linear
+        if chosen.sum() < 64:
+            chosen = channel == c
+        basis = np.stack([np.ones(chosen.sum()), clean[chosen]], 1) / sigma[chosen][:, None]
+        values = stacked.mean[chosen] / sigma[chosen]
+        kept = np.ones(values.size, bool)
+        for _ in range(2):
+            beta = least_squares(basis[kept], values[kept])
+            rest = values - np.einsum("nk,k->n", basis, beta)
+            kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+        out[channel == c] = beta[0] + beta[1] * clean[channel == c]
+    return out

@@ -1,0 +1,260 @@
+"""Lines in the spectrum: interference and mains flicker, on the unpacked mosaic."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import fft, optimize, special
+
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.statistics.lines import line_sums, response
+from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
+
+_PAD = 2
+
+
+def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
+    """Summed power of 2-D plane waves on the padded frequency grid, mean 1 per field: [pad H, pad W /
+    2 + 1]."""
+    w = field.weight.astype(np.float32)
+    total = np.sum(w.astype(np.float64) ** 2)
+    h, wd = w.shape
+    out = np.zeros((_PAD * h, _PAD * wd // 2 + 1))
+    for x in values:
+        y = x * w
+        y = y - y.sum() / total * w**2
+        out += np.abs(fft.rfft2(y, (_PAD * h, _PAD * wd))) ** 2
+    return out / total
+
+
+def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
+    """Fields in which what is new in every frame shows: the contrasts, and of two frames their mean as well,
+    which holds half of what two frames know."""
+    if field.frames == 2 and field.static is not None:
+        return np.concatenate([field.contrasts, field.static[None]])
+    return field.contrasts
+
+
+def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | None:
+    """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
+    (frozen). Fields count by their information, which is the score for a small amplitude."""
+    chosen = []
+    for f in fields:
+        values = redrawn(f) if time == "redrawn" else None if f.static is None or f.lit else f.static[None]
+        information = float(np.sum(f.weight.astype(np.float64) ** 2))
+        if values is not None and len(values) and information > 0:
+            chosen.append((f, values, information * (f.frames if time == "frozen" else 1)))
+    if not chosen:
+        return None
+    scale = sum(len(v) * i for _, v, i in chosen)
+    power: np.ndarray = np.sum([plane_power(f, v) * (i / scale) for f, v, i in chosen], axis=0)
+    h, w = fields[0].mean.shape
+    power[0, 0] = 0
+    # Less than a period in the frame is a drift, not interference, and its two phases are not independent.
+    power[:_PAD, :_PAD] = power[1 - _PAD :, :_PAD] = 0
+    where = np.unravel_index(np.argmax(power), power.shape)
+    fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
+    trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
+    y, x = np.arange(h)[:, None], np.arange(w)[None, :]
+    turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
+    own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen])
+    weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen])
+    fit = _rician_fit(float(power[where]), own, weights)
+    direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
+    along = np.hypot(fx, fy)
+    return Score(
+        probe,
+        sidak(fit.log_p, trials),
+        fit.gain,
+        float(np.log(trials)),
+        fit.amplitude,
+        fit.error,
+        fit.shift,
+        2,
+        {
+            "amplitude": (fit.amplitude, "DN", fit.error),
+            "frequency_y": (fy, "1/px", 0.2 / h),
+            "frequency_x": (fx, "1/px", 0.2 / w),
+        },
+        {"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
+        (fy, fx, time),
+    )
+
+
+def _centred_power(field: Fields, values: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Power of each field at one frequency, mean 1 under the null."""
+    w = field.weight.astype(np.float32)
+    total = float(np.sum(w.astype(np.float64) ** 2))
+    weighted = values * w
+    level = np.einsum("nij->n", weighted) / total
+    sums = np.einsum("nij,ij->n", weighted - level[:, None, None] * w**2, turn)
+    return np.abs(sums) ** 2 / total
+
+
+class _Rician(NamedTuple):
+    """Waves of one amplitude in several fields: log p at one frequency, gain, amplitude, its error, shift."""
+
+    log_p: float
+    gain: float
+    amplitude: float
+    error: float
+    shift: float
+
+
+def _rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rician:
+    """Likelihood of amplitude A when the power of field k, of information I_k, is that of a phasor of mean
+    power A^2 I_k / 4 in complex noise of power 1. peak: sum of I_k power_k over sum of I_k."""
+    share = information / information.sum()
+    log_p = quadratic_log_p(2 * peak, share, 2.0)
+    start = (
+        4 * max(float(np.sum(information * (power - 1))), 1e-3 * information.sum()) / np.sum(information**2)
+    )
+
+    def loss(log_square: float) -> float:
+        mean = np.exp(log_square) * information / 4
+        argument = 2 * np.sqrt(power * mean)
+        return -float(np.sum(np.log(special.i0e(argument)) + argument - mean))
+
+    middle = float(np.log(start))
+    best = optimize.minimize_scalar(
+        loss, bounds=(middle - 5, middle + 3), method="bounded", options={"xatol": 1e-3}
+    )
+    amplitude = float(np.exp(best.x / 2)) if best.fun < 0 else 0.0
+    error = float(np.sqrt(2 / information.sum()))
+    shift = float(np.sqrt(4 / np.sqrt(np.sum(information**2))))
+    return _Rician(log_p, max(-float(best.fun), 0.0), amplitude, error, shift)
+
+
+def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
+    """Orthonormal rows that span those of the basis, by its small Gram matrix."""
+    values, vectors = np.linalg.eigh(np.einsum("kn,ln->kl", basis, basis))
+    kept = values > 1e-6 * values[-1]
+    return ((vectors[:, kept] / np.sqrt(values[kept])).T @ basis).astype(np.float32)
+
+
+def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Projects the wave out of every field, and its near neighbours on the frequency grid."""
+    fy, fx, _ = score.payload
+    h, w = fields[0].mean.shape
+    y, x = np.indices((h, w))
+    out = []
+    for f in fields:
+        weight = f.weight.astype(np.float64)
+        basis = []
+        for dy in (-0.5 / h, 0.0, 0.5 / h):
+            for dx in (-0.5 / w, 0.0, 0.5 / w):
+                phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
+                basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
+        q = orthonormal(np.array(basis))
+        both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
+        new = [v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape) for v in both]
+        out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
+    return tuple(out)
+
+
+def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Half the chi-square of both phases of each field at every frequency k / 4h, their correlation accounted
+    for."""
+    h = information.size
+    u = fft.rfft(score, 4 * h, axis=1)
+    double = fft.fft(information, 4 * h)[(2 * np.arange(2 * h + 1)) % (4 * h)]
+    total = information.sum()
+    aa, bb, ab = (total + double.real) / 2, (total - double.real) / 2, double.imag / 2
+    determinant = np.maximum(aa * bb - ab**2, 1e-3 * total**2)
+    chi2 = (bb * u.real**2 + aa * u.imag**2 - 2 * ab * u.real * u.imag) / determinant
+    return chi2 / 2
+
+
+def flicker_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings, counted
+    by their information."""
+    powers, information = [], []
+    for f in fields:
+        if not f.lit or not len(f.contrasts):
+            continue
+        values = redrawn(f)
+        sums = line_sums(f, values, "row", "relative")
+        if sums.information.size > 1 and sums.information.sum() > 0:
+            powers.append(_wave_power(sums.score, sums.information))
+            information.append(np.full(len(values), sums.information.sum()))
+    if not powers:
+        return None
+    own, weights = np.concatenate(powers), np.concatenate(information)
+    power = np.einsum("nk,n->k", own, weights / weights.sum())
+    power[:4] = 0  # less than one period in the frame: its two phases are not independent
+    k, h = int(np.argmax(power)), fields[0].mean.shape[0]
+    trials = 2 * h  # every point of the padded grid
+    fit = _rician_fit(float(power[k]), own[:, k], weights)
+    frequency = k / (4 * h)
+    return Score(
+        probe,
+        sidak(fit.log_p, trials),
+        fit.gain,
+        float(np.log(trials)),
+        fit.amplitude,
+        fit.error,
+        fit.shift,
+        2,
+        {"amplitude": (fit.amplitude, "1", fit.error), "frequency": (frequency, "1/row", 0.3 / h)},
+        {"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
+        frequency,
+    )
+
+
+def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Projects the row sinusoid, times the signal, out of every lit field."""
+    out = []
+    for f in fields:
+        if not f.lit:
+            out.append(f)
+            continue
+        h = f.mean.shape[0]
+        rows = np.arange(h)[:, None]
+        r = response(f, "relative")
+        basis = [
+            (g(2 * np.pi * (score.payload + d) * rows) * r).ravel()
+            for d in (-0.5 / h, 0, 0.5 / h)
+            for g in (np.cos, np.sin)
+        ]
+        q = orthonormal(np.array(basis))
+        both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
+        new = [v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape) for v in both]
+        out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
+    return tuple(out)
+
+
+def probes() -> tuple[Probe, ...]:
+    """The probes of this signature."""
+    line = {"enters": "readout", "varies_over": "raster time", "scales": "additive", "law": "sinusoid"}
+    return (
+        Probe(
+            "wave_redrawn",
+            "banding",
+            {**line, "time": "redrawn"},
+            partial(wave_score, probe="wave_redrawn", time="redrawn"),
+            wave_absorb,
+        ),
+        Probe(
+            "wave_frozen",
+            "banding",
+            {**line, "time": "frozen"},
+            partial(wave_score, probe="wave_frozen", time="frozen"),
+            wave_absorb,
+        ),
+        Probe(
+            "flicker",
+            "flicker",
+            {
+                "enters": "photons",
+                "varies_over": "row",
+                "time": "redrawn",
+                "scales": "relative",
+                "law": "sinusoid",
+            },
+            partial(flicker_score, probe="flicker"),
+            flicker_absorb,
+        ),
+    )
