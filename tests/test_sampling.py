@@ -53,9 +53,9 @@ def noisy(key, height=64, width=64):
 
 
 def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
-    last = jax.tree.map(jnp.zeros_like, model.generator["params"]["pixels"]["out"])
     params = model.generator["params"]
-    params = params | {"pixels": params["pixels"] | {"out": last}}
+    last = jax.tree.map(jnp.zeros_like, {name: params["pixels"][name] for name in ("out", "direct")})
+    params = params | {"pixels": params["pixels"] | last}
     model = model.replace(generator={"params": params})
     clean = jnp.full((2, 96, 96, 4), 0.2)
     noise = jax.jit(sample_noise)(model, jax.random.key(1), clean, noisy(jax.random.key(2)), NLF)
