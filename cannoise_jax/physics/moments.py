@@ -153,10 +153,10 @@ def fit_moments(
             moved = middle.copy()
             moved[k] = to_line(float(np.clip(s * p.default, p.low, p.high)), p)
             starts.append(moved)
-    scale = spread(middle).std(0) + 1e-6
+    scale = _scale(spread(middle))
     misses = [float(np.sum(np.minimum(np.abs((moments(x) - observed) / scale), 30) ** 2)) for x in starts]
     x = starts[int(np.argmin(misses))]
-    scale = spread(x).std(0) + 1e-6
+    scale = _scale(spread(x))
 
     def residual(x):
         return (observed - moments(x)) / scale
@@ -179,16 +179,23 @@ def fit_moments(
         if np.max(np.abs(move)) < 1e-3:
             break
     draws = spread(x)
-    scale, left = draws.std(0) + 1e-6, residual(x) * scale / (draws.std(0) + 1e-6)
-    slope = jacobian(x)
+    scale = _scale(draws)
+    left, slope = residual(x), jacobian(x)
     solve = np.linalg.pinv(slope, rcond=1e-4)
     shifted = ((draws - draws.mean(0)) / scale) @ solve.T * np.sqrt(1 + 1 / simulations)
     error = shifted.std(0, ddof=1)
     estimates = {p.name: _estimate(x[k], error[k], bootstrap, p) for k, p in enumerate(parameters)}
     at_bound = any(not p.low < e.value < p.high for p, e in zip(parameters, estimates.values(), strict=True))
     settled = bool(np.all(np.abs(solve @ left) < 0.3 * error + 1e-3))
-    misfit = float(left @ left / (1 + 1 / simulations) / max(len(left) - len(x), 1))
+    misfit = float(left @ left / (1 + 1 / simulations) / max(int(np.isfinite(scale).sum()) - len(x), 1))
     return MomentsFit(estimates, misfit, settled and not at_bound)
+
+
+def _scale(draws: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s"]:
+    """Spread of each statistic; infinite where it is the same in all draws, as the share of values that never
+    occur: a single count elsewhere would outweigh all others."""
+    spread = draws.std(0)
+    return np.where(spread > 1e-5, spread, np.inf)
 
 
 def _estimate(x: float, error: float, bootstrap: int, p: Parameter) -> Estimate:
