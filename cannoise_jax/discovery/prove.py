@@ -83,7 +83,7 @@ def prove(fitted: Fitted, first: Prepared, second: Prepared, chosen: list[list[i
     full = score_frames(first, second, chosen, known) if known else base
     pixels = int(base.pixels.sum())
     ordinary = {f.number: f.usable for f in fitted.fields}
-    masked = any(not np.array_equal(f.usable, ordinary.get(f.number)) for f in first.fields)
+    masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
     most = score_frames(first, second, chosen, known, ordinary) if masked and known else full
     out = []
     earlier = second.fields
