@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cannoise_jax.discovery.statistics.lines import by_own_noise
 from cannoise_jax.discovery.statistics.pixels import sparse_log_p
 from cannoise_jax.discovery.statistics.score import normal_log_p, skewed_log_p
 from cannoise_jax.discovery.statistics.shape import rounding_kurtosis
@@ -73,3 +74,26 @@ def test_orthonormal_rows_span_the_basis():
     assert q.shape == (5, 400)
     np.testing.assert_allclose(q @ q.T, np.eye(5), atol=1e-5)
     np.testing.assert_allclose(basis @ q.T @ q, basis, atol=1e-4)
+
+
+@pytest.mark.parametrize("count", [64, 256])
+@pytest.mark.parametrize("offsets", [0.0, 0.5])
+def test_sums_by_their_own_noise_keep_their_mean_square(count, offsets):
+    rng = np.random.default_rng(5)
+    values = rng.standard_normal((20_000, count)) + offsets * rng.standard_normal((20_000, 1))
+    score, total = values.sum(1), (values**2).sum(1)
+    scaled = by_own_noise(
+        score, np.full(score.shape, float(count)), total, np.full(score.shape, float(count))
+    )
+    expected = count * (1 + count * offsets**2)
+    assert np.mean(scaled**2) == pytest.approx(expected, rel=4 * np.sqrt(2 / 20_000))
+
+
+def test_uneven_noise_is_no_offset():
+    rng = np.random.default_rng(6)
+    spread = np.exp(0.8 * rng.standard_normal((4000, 1)))  # every line as noisy as it likes
+    values = spread * rng.standard_t(3, (4000, 200))
+    score, total = values.sum(1), (values**2).sum(1)
+    scaled = by_own_noise(score, np.full(4000, 200.0), total, np.full(4000, 200.0))
+    assert np.mean(scaled**2) / 200 == pytest.approx(1, abs=0.1)
+    assert np.var(score**2 / 200) > 10 * np.var(scaled**2 / 200)

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from cannoise_jax.discovery.fields import Fields, channel_index
-from cannoise_jax.discovery.statistics.lines import component_score, response
+from cannoise_jax.discovery.statistics.lines import by_own_noise, component_score, response
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 LAYOUTS = (
@@ -43,7 +43,7 @@ def layout(name: str, size: tuple[int, int]) -> np.ndarray:
     return rows // side * -(-size[1] // side) + columns // side
 
 
-def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str):
+def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, own: bool = False):
     """Scores [n, groups] and information [groups] of one offset per group, the frame's own taken out, and the
     share of a degree of freedom that this leaves to each group."""
     r = response(field, scaling).astype(np.float32)
@@ -52,6 +52,9 @@ def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str):
     total = max(float(information.sum()), 1e-30)
     score = np.array([np.bincount(flat, (v * r).ravel(), number) for v in values])
     score = score - score.sum(1, keepdims=True) / total * information
+    if own:
+        squares = np.array([np.bincount(flat, ((v * r) ** 2).ravel(), number) for v in values])
+        score = by_own_noise(score, information, squares, np.bincount(flat, (r > 0).ravel(), number))
     return score, information, 1 - information / total
 
 
@@ -72,7 +75,7 @@ def group_score(fields: tuple[Fields, ...], *, probe: str, name: str, time: str)
         values = _values(f, time)
         if values is None:
             continue
-        score, information, left = _sums(f, values, groups, "additive")
+        score, information, left = _sums(f, values, groups, "additive", own=time == "redrawn")
         if time == "redrawn":
             powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
             informations.append(information)

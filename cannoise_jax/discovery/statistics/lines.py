@@ -38,8 +38,21 @@ def response(field: Fields, scaling: str) -> np.ndarray:
     return field.weight if scaling == "additive" else field.relative
 
 
-def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str) -> LineSums:
-    """Per line of `values` [n, h, w], after the mean of each field is taken out."""
+def by_own_noise(score: np.ndarray, information: np.ndarray, total: np.ndarray, count: np.ndarray):
+    """Scores scaled to the noise that their own pixels show instead of the modelled one.
+
+    score, total [n, groups]: sum of response times value, and of its square; information [groups]; count:
+    pixels of a group. Noise that is uneven or heavy-tailed makes sums of modelled variance 1 vary by more or
+    less, which looks like shared offsets. What the sum itself adds to the squares of its pixels is taken out,
+    and the mean square stays 1 to order 1/count^2.
+    """
+    count = np.maximum(count, 4.0)
+    own = (total - (score**2 - information) / count) * (count + 2) / count
+    return score * np.sqrt(information / np.maximum(own, 0.05 * np.maximum(information, 1e-30)))
+
+
+def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: bool = True) -> LineSums:
+    """Per line of `values` [n, h, w], after the mean of each field is taken out; own: see `by_own_noise`."""
     r = response(field, scaling).astype(np.float32)
     total = float(np.sum(r.astype(np.float64) ** 2))
     if total == 0:
@@ -47,7 +60,13 @@ def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str) -> Lin
     frame = np.einsum("nij,ij->n", values, r) / total
     score = np.einsum("nij,ij->ni" if axis == "row" else "nij,ij->nj", values, r).astype(np.float64)
     information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
-    return LineSums(score - frame[:, None] * information, information * (1 - information / total))
+    score = score - frame[:, None] * information
+    if own:
+        subs = "nij->ni" if axis == "row" else "nij->nj"
+        squares = np.einsum(subs, (values * r) ** 2).astype(np.float64)
+        count = np.sum(r > 0, axis=AXES[axis] - 1)
+        score = by_own_noise(score, information, squares, count)
+    return LineSums(score, information * (1 - information / total))
 
 
 def component_score(probe, power, information, dof, scaling, where, scale_variance=0.0) -> Score:
@@ -121,7 +140,7 @@ def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> LineSums
     for f in fields:
         if f.static is None or (scaling == "relative" and not f.lit):
             continue
-        s = line_sums(f, f.static[None], axis, scaling)
+        s = line_sums(f, f.static[None], axis, scaling, own=False)
         if s.information.size < 2:
             continue
         score = score + np.sqrt(f.frames) * s.score[0]

@@ -7,7 +7,14 @@ from functools import partial
 import numpy as np
 
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.lines import LEVELS, SCALES, LineSums, component_score, response
+from cannoise_jax.discovery.statistics.lines import (
+    LEVELS,
+    SCALES,
+    LineSums,
+    by_own_noise,
+    component_score,
+    response,
+)
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 ALL_KINDS = ("scene", "flat", "dark", "bias")
@@ -22,7 +29,10 @@ def frame_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
         r = response(f, scaling)
         i = float(np.sum(r.astype(np.float64) ** 2))
         if i > 0:
-            u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32))
+            u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32)).astype(np.float64)
+            squares = np.einsum("nij->n", (f.contrasts * r) ** 2).astype(np.float64)
+            count = np.full(u.shape, float(np.sum(r > 0)))
+            u = by_own_noise(u, np.full(u.shape, i), squares, count)
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
             information.append(i)
             dof.append(len(f.contrasts))

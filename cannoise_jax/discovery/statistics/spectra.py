@@ -33,8 +33,10 @@ def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
     power = np.zeros((w.size - 1) // 2)
     for contrast in field.contrasts:
         x = (contrast * w).ravel()
-        power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2
-    return power / total, total / w.size
+        # By the scan's own power: heavy tails add to all frequencies alike.
+        own = max(float(np.sum(x.astype(np.float64) ** 2)), 1e-30)
+        power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2 / own
+    return power, total / w.size
 
 
 def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score | None:

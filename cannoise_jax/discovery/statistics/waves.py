@@ -26,8 +26,9 @@ def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
     for x in values:
         y = x * w
         y = y - y.sum() / total * w**2
-        out += np.abs(fft.rfft2(y, (_PAD * h, _PAD * wd))) ** 2
-    return out / total
+        own = max(float(np.sum(y.astype(np.float64) ** 2)), 1e-30)
+        out += np.abs(fft.rfft2(y, (_PAD * h, _PAD * wd))) ** 2 / own
+    return out
 
 
 def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
@@ -90,8 +91,9 @@ def _centred_power(field: Fields, values: np.ndarray, turn: np.ndarray) -> np.nd
     total = float(np.sum(w.astype(np.float64) ** 2))
     weighted = values * w
     level = np.einsum("nij->n", weighted) / total
-    sums = np.einsum("nij,ij->n", weighted - level[:, None, None] * w**2, turn)
-    return np.abs(sums) ** 2 / total
+    centred = weighted - level[:, None, None] * w**2
+    own = np.maximum(np.einsum("nij,nij->n", centred, centred, dtype=np.float64), 1e-30)
+    return np.abs(np.einsum("nij,ij->n", centred, turn)) ** 2 / own
 
 
 class _Rician(NamedTuple):
