@@ -17,6 +17,7 @@ HEADINGS = {
     "model_wrong_reference": "wrong refs.",
 }
 _WIDTH = 17
+_ONE = "model_one_reference"
 
 Row = Mapping[str, Mapping[str, float]]
 
@@ -52,12 +53,17 @@ def settings_table(results: Mapping[str, Any]) -> str:
 def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extra: Any) -> None:
     """Write `results.json` atomically: schema, cameras, pooled, settings, seconds, and any `extra` keys.
 
+    What the model does with one reference, where it was given several, has a key of its own, `one_reference`.
     Raises ValueError for numbers that are not finite, which JSON cannot hold; then nothing is written.
     """
+    rows = {**results["cameras"], "pooled": results["pooled"]}
+    kept = {name: {m: row[m] for m in row if m != _ONE} for name, row in rows.items()}
+    one = {name: row[_ONE] for name, row in rows.items() if _ONE in row}
     record = {
         "schema": SCHEMA,
-        "cameras": results["cameras"],
-        "pooled": results["pooled"],
+        "cameras": {name: kept[name] for name in results["cameras"]},
+        "pooled": kept["pooled"],
+        **({"one_reference": one} if one else {}),
         "settings": results.get("settings", {}),
         "seconds": seconds,
         **extra,

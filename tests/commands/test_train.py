@@ -22,7 +22,7 @@ def test_a_run_ends_with_table_picture_and_results(tmp_path, capsys):
     arguments = ["--workdir", str(folder), "--config", CI, "--config.steps=2", "--config.evaluate_every=2"]
     assert train.main(arguments) == 0
     printed = capsys.readouterr().out
-    assert "PG published" in printed and "wrong ref." in printed and "pooled" in printed
+    assert "PG published" in printed and "wrong refs." in printed and "pooled" in printed
     assert (folder / "noise.png").stat().st_size > 10_000
     assert json.loads((folder / "config.json").read_text())["steps"] == 2
     results = json.loads((folder / "results.json").read_text())
@@ -35,6 +35,7 @@ def test_a_run_ends_with_table_picture_and_results(tmp_path, capsys):
         assert set(row) == models
         for numbers in row.values():
             assert {"kl", "kl_floor", "kl_smoothed", "patches"} <= set(numbers)
+    assert set(results["one_reference"]) == {*results["cameras"], "pooled"}
     # Two steps leave the model at its initial noise: published Poisson-Gaussian, up to chance.
     pooled = results["pooled"]
     assert pooled["model"]["kl"] == pytest.approx(pooled["poisson_gaussian"]["kl"], rel=0.2)
