@@ -130,8 +130,9 @@ def _without_logs() -> Iterator[None]:
 
 
 def _without_late_callbacks() -> None:
-    """From here on a write that failed reports to an event loop that is gone in silence: Python would print
-    a traceback whenever that happens, after the one line that says what is wrong."""
+    """From here on the tasks of a write that failed end in silence: Python would print their tracebacks, and
+    that their event loop is gone, whenever it comes upon them, around the line that says what is wrong."""
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     before = sys.unraisablehook
 
     def hook(dropped):
