@@ -163,7 +163,7 @@ def _score(
                 own = own + p.doubt * unit**2
         row = row + p.row**2 * _autocovariance(h, p.exponent)
         column, frame = column + p.column**2, frame + p.frame**2
-    shared = row[0] + column + frame
+    shared = row[0] + column  # the fitted read noise holds these; drift of whole frames was kept out of it
     own = np.maximum(own - shared, _LEAST * own)
     factor = stationary_factor(jnp.asarray(row, jnp.float32)) if row[0] > 0 else jnp.zeros((h, 1))
     terms = SharedTerms(
