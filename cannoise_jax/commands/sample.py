@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.commands.parser import OneLineParser, count, numbers
+from cannoise_jax.recordings.codes import detect_code_step
 from cannoise_jax.recordings.load import load_recording, recording_paths
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order, unpack
@@ -54,6 +55,7 @@ class Target:
     nlf: tuple[Any, Any]
     black_level: PerChannel | None = None
     white_level: float | None = None
+    code_step: float = 1.0
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -101,7 +103,8 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
         for t in range(arguments.frames):
             key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
             noise = np.asarray(sample(model, key, packed, target.reference, target.nlf))
-            frames.append(_codes(source.image + unpack(noise, source.cfa), black, white))
+            mosaic = source.image + unpack(noise, source.cfa)
+            frames.append(_codes(mosaic, black, white, target.code_step))
         shot, read = (
             per_channel(np.asarray(to_mosaic_order(np.broadcast_to(v, 4), source.cfa))) for v in target.nlf
         )
@@ -109,16 +112,17 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             path,
             Recording(
                 np.stack(frames), source.cfa, black, white, target.camera, clean=source.image,
-                iso=target.iso, shot=shot, read=read, code_step=1.0, reference="independent",
+                iso=target.iso, shot=shot, read=read, code_step=target.code_step, reference="independent",
             ),
         )  # fmt: skip
     return outputs
 
 
-def _codes(mosaic, black, white):
-    """DN as a camera stores them: rounded, cut at 0 and at the white level; below black is kept."""
+def _codes(mosaic, black, white, step):
+    """DN as a camera stores them: rounded to its codes, cut at 0 and at the white level; below black is
+    kept."""
     dark = mosaic_map(black, mosaic.shape)
-    return np.clip(np.rint(dark + mosaic * (white - dark)), 0, white).astype(np.uint16)
+    return np.clip(np.rint((dark + mosaic * (white - dark)) / step) * step, 0, white).astype(np.uint16)
 
 
 def _clean_images(arguments) -> list[Clean]:
@@ -219,11 +223,17 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
     reference = np.stack(patches)
     if recording.shot is not None and recording.read is not None:
         nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in (recording.shot, recording.read))
+    elif recording.kind in ("dark", "bias"):
+        raise BadInput(
+            f"{recording.path}: a {recording.kind} frame shows no shot noise: use a lit recording, or one "
+            "that states shot and read"
+        )
     else:
         nlf = tuple(np.asarray(v) for v in estimate_nlf(repeated(jnp.asarray(reference))))
+    step = recording.code_step or detect_code_step(np.asarray(recording.frames[:1])) or 1.0
     return Target(
         recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), recording.black_level,
-        recording.white_level,
+        recording.white_level, step,
     )  # fmt: skip
 
 
@@ -249,6 +259,12 @@ def _overrides(arguments) -> dict[str, Any]:
     return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
 
 
+def _seed(text: str) -> int:
+    if not text.isdigit() or int(text) >= 2**32:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number from 0 to 4294967295")
+    return int(text)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(
         prog="bin/sample",
@@ -263,7 +279,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR")
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=_seed, default=0)
     parser.add_argument(
         "--cfa", choices=CFA_PATTERNS, help="colour order, of the clean images and a reference file"
     )

@@ -31,6 +31,7 @@ from cannoise_jax.recordings.recording import BadInput, Kind, Recording, per_cha
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _SUFFIXES = (*_PICTURES, ".npy", ".h5")
 _LARGEST = 1e30
+_MOST_FRAMES = 10_000
 """Of an ISO or an exposure time: products with gains and rates stay within float32."""
 
 
@@ -75,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         help="folder for the recordings, or the page's file",
     )
     add("--frames", type=int, default=1, help="frames per recording (default 1)")
+    add("--overwrite", action="store_true", help="replace recordings that exist")
     add("--iso", type=float, help="default: the first calibrated ISO")
     add("--exposure", type=float, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
     add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
@@ -104,8 +106,8 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     """Draws and writes one recording per clean mosaic."""
     if not arguments.sensor or not arguments.clean:
         raise BadInput("give --sensor and --clean, or --catalogue")
-    if arguments.frames < 1:
-        raise BadInput(f"--frames {arguments.frames}: at least 1 is needed")
+    if not 1 <= arguments.frames <= _MOST_FRAMES:
+        raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
     if not 0 <= arguments.exposure <= _LARGEST:
         raise BadInput(f"--exposure {arguments.exposure}: a finite time in seconds, 0 or more, is needed")
     if arguments.temperature is not None and not -273.15 <= arguments.temperature <= 1000:
@@ -122,6 +124,15 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     scenes = _scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
+    for clean in scenes:
+        height, width = clean.values.shape
+        if model.cfa != "MONO" and (height % 2 or width % 2):
+            raise BadInput(
+                f"{clean.name}: {height} x {width} pixels: a {model.cfa} mosaic has even sizes: crop it"
+            )
+        path = arguments.out / f"{clean.name}.h5"
+        if path.exists() and not arguments.overwrite:
+            raise BadInput(f"{path}: exists: name another folder, or replace it with --overwrite")
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -228,11 +239,14 @@ def _scene(path: Path, cfa: str) -> Clean:
 def _array(path: Path, suffix: str) -> np.ndarray:
     try:
         if suffix == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False), np.float32)
+            values = np.load(path, allow_pickle=False)
+            if np.iscomplexobj(values):
+                raise BadInput(f"{path}: holds complex numbers: use real values from 0 to 1")
+            return np.asarray(values, np.float32)
         from skimage.io import imread
 
         picture = imread(path)
-    except (OSError, ValueError, SyntaxError) as error:
+    except (OSError, ValueError, SyntaxError, EOFError) as error:
         raise BadInput(f"{path}: cannot be read as a picture: {str(error).splitlines()[0]}") from error
     if picture.dtype == np.uint8:
         encoded = picture.astype(np.float32) / 255

@@ -31,7 +31,7 @@ from cannoise_jax.physics.settings import (
     warn_outside,
 )
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
-from cannoise_jax.recordings.recording import PerChannel, per_channel
+from cannoise_jax.recordings.recording import CFA_PATTERNS, PerChannel, per_channel
 
 __all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings"]
 
@@ -74,8 +74,13 @@ class SensorModel:
         """The baseline alone. Gain and read noise: one number, one per mosaic site, or [N, 1 or 4] for N
         ISOs.
 
-        unit_key: default the key of 0. Raises ValueError for counts that do not match or ISOs out of order.
+        unit_key: default the key of 0. Raises ValueError for counts that do not match, ISOs out of order, an
+        unknown cfa or a black level not below the white level.
         """
+        if cfa not in CFA_PATTERNS:
+            raise ValueError(f"cfa must be one of {', '.join(CFA_PATTERNS)}, got {cfa!r}")
+        if not np.max(black_level) < white_level:
+            raise ValueError(f"white_level {white_level} is not above black_level {black_level}")
         isos = np.atleast_1d(np.asarray(iso, np.float32))
 
         def table(values) -> np.ndarray:

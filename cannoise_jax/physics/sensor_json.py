@@ -33,7 +33,7 @@ _ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
 
 
 def write_sensor(path: str | Path, model: SensorModel) -> None:
-    """Writes `path` and, where maps were measured, an `.npz` of the same stem; both atomically."""
+    """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically."""
     path = Path(path)
     maps: dict[str, Any] = {
         f"{i}/{name}": np.asarray(values, np.float32)
@@ -41,23 +41,30 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
         for name, values in fitted.maps.items()
     }
     document = sensor_document(model)
+    files: dict[Path, bytes] = {}
     if maps:
         content = io.BytesIO()
         np.savez_compressed(content, **maps)
         npz = path.with_suffix(".npz")
         document["maps"] = {"file": npz.name, "sha256": hashlib.sha256(content.getvalue()).hexdigest()}
-        _replace(npz, content.getvalue())
-    _replace(path, (json.dumps(document, indent=1) + "\n").encode())
+        files[npz] = content.getvalue()
+    files[path] = (json.dumps(document, indent=1) + "\n").encode()
+    _replace(files)
 
 
-def _replace(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+def _replace(files: dict[Path, bytes]) -> None:
+    """Writes all files beside their places first, so that a full disk leaves what was there as it was."""
+    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in files}
     try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
+        for path, content in files.items():
+            temporary[path].write_bytes(content)
+        for path in files:
+            os.replace(temporary[path], path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise BadInput(f"{path}: cannot be written ({error.strerror}): choose another place") from error
+        for path in temporary.values():
+            path.unlink(missing_ok=True)
+        name = list(files)[-1]
+        raise BadInput(f"{name}: cannot be written ({error.strerror}): choose another place") from error
 
 
 def sensor_document(model: SensorModel) -> dict[str, Any]:

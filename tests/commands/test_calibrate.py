@@ -95,3 +95,11 @@ def test_four_black_levels_or_one(capsys):
     with pytest.raises(SystemExit):
         main(["--recordings", ".", "--out", "x.json", "--black-level", "1,2"])
     assert "1,2" in capsys.readouterr().err
+
+
+def test_flats_and_darks_that_state_their_light_are_taken(folder, tmp_path, capsys):
+    light = np.full((64, 96), 0.25, np.float32)
+    write(folder / "flat.h5", 2000.0, "flat", rows=2.0, clean=light, reference="independent")
+    write(folder / "dark.h5", 0.0, "dark", rows=2.0, clean=np.zeros((64, 96), np.float32))
+    assert main(["--recordings", str(folder), "--out", str(tmp_path / "sensor.json")]) == 0
+    assert "row_noise" in [f.mechanism for f in read_sensor(tmp_path / "sensor.json").mechanisms]

@@ -78,6 +78,20 @@ def test_a_recording_as_reference_sets_camera_levels_and_noise(model, tmp_path):
     assert abs(np.std(noise) / 8 - 1) < 0.15  # the reference's noise, estimated from its pixels
 
 
+def test_a_reference_on_coarse_codes_gives_its_codes(model, tmp_path):
+    reference = write(tmp_path / "ref.h5", code_step=4.0)
+    clean = write(tmp_path / "scene.h5", camera="C")
+    assert run(model, clean, reference, tmp_path / "out") == 0
+    made = read_recording(tmp_path / "out" / "scene_B.h5")
+    assert made.code_step == 4 and not np.any(np.asarray(made.frames) % 4)
+
+
+def test_a_dark_reference_without_stated_noise_is_refused(model, tmp_path, capsys):
+    reference = write(tmp_path / "ref.h5", kind="dark")
+    assert run(model, write(tmp_path / "scene.h5", camera="C"), reference, tmp_path / "out") == 2
+    assert "no shot noise" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("size", [(2, 2), (10, 14), (22, 64)])
 def test_a_reference_may_be_of_any_size(model, tmp_path, size):
     frames = np.random.default_rng(0).normal(BLACK + 200, 8, (2, *size)).astype(np.uint16)

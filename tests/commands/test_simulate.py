@@ -79,7 +79,15 @@ def test_a_folder_gives_one_recording_per_picture_and_seeds_repeat(sensor, tmp_p
 def test_a_calibrated_unit_gives_frames_of_its_own_size_and_another_unit_any(tmp_path, capsys):
     model = SensorModel.poisson_gaussian(2.0, 3.0, 100, 4095).with_mechanism("dsnu", sigma_dn=5.0)
     write_sensor(tmp_path / "unit.json", model.with_maps((24, 40)))
-    dark = ["--sensor", str(tmp_path / "unit.json"), "--clean", "dark", "--out", str(tmp_path / "out")]
+    dark = [
+        "--sensor",
+        str(tmp_path / "unit.json"),
+        "--clean",
+        "dark",
+        "--out",
+        str(tmp_path / "out"),
+        "--overwrite",
+    ]
     assert main(dark) == 0 and read_recording(tmp_path / "out" / "dark.h5").size == (24, 40)
     assert main([*dark, "--size", "32x32"]) == 2
     assert "another unit" in capsys.readouterr().err
@@ -94,7 +102,9 @@ def test_a_calibrated_unit_gives_frames_of_its_own_size_and_another_unit_any(tmp
         (["--sensor", "SENSOR", "--clean", "flat:bright"], "flat:LEVEL"),
         (["--sensor", "SENSOR", "--clean", "flat:1.5"], "flat:LEVEL"),
         (["--sensor", "SENSOR", "--clean", "nowhere.png"], "no such file"),
-        (["--sensor", "SENSOR", "--clean", "dark", "--frames", "0"], "at least 1"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--frames", "0"], "from 1 to"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--frames", "99999999"], "from 1 to"),
+        (["--sensor", "SENSOR", "--clean", "flat:0.3", "--size", "33x33"], "even sizes"),
         (["--sensor", "SENSOR", "--clean", "dark", "--iso", "0"], "above 0"),
         (["--sensor", "preset:toaster", "--clean", "dark"], "toaster"),
         (["--sensor", "SENSOR", "--clean", "dark", "--iso", "inf"], "--iso inf"),
@@ -122,17 +132,32 @@ def test_pictures_that_cannot_be_used(sensor, tmp_path, capsys):
         (np.full((4, 4), np.nan), "finite"),
         (np.zeros(5), "shape"),
         (np.full((4, 4), 9.0), "from 0"),
+        (np.zeros((4, 4), complex), "complex"),
+        (np.zeros((5, 4)), "even sizes"),
     ):
         np.save(bad, values)
         assert main(["--sensor", sensor, "--clean", str(bad), "--out", str(tmp_path / "out")]) == 2
         assert message in capsys.readouterr().err
     np.save(bad, np.array([{"a": 1}], dtype=object))
     assert main(["--sensor", sensor, "--clean", str(bad), "--out", str(tmp_path / "out")]) == 2
+    bad.write_bytes(b"")
+    assert main(["--sensor", sensor, "--clean", str(bad), "--out", str(tmp_path / "out")]) == 2
     (tmp_path / "broken.png").write_bytes(b"not a picture")
     assert (
         main(["--sensor", sensor, "--clean", str(tmp_path / "broken.png"), "--out", str(tmp_path / "o")]) == 2
     )
     assert "cannot be read as a picture" in capsys.readouterr().err
+
+
+def test_nothing_is_written_over(sensor, tmp_path, capsys):
+    out = tmp_path / "out"
+    flat = ["--sensor", sensor, "--clean", "flat:0.2", "--size", "32x32", "--out", str(out)]
+    assert main(flat) == 0
+    before = (out / "flat_0.2.h5").read_bytes()
+    assert main([*flat, "--seed", "5"]) == 2
+    assert "exists" in capsys.readouterr().err and (out / "flat_0.2.h5").read_bytes() == before
+    assert main([*flat, "--seed", "5", "--overwrite"]) == 0
+    assert (out / "flat_0.2.h5").read_bytes() != before
 
 
 def test_catalogue_needs_a_place(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """A stored sensor model is the same model, and a damaged file says in one line what is wrong."""
 
 import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -207,3 +208,22 @@ def test_deep_nesting_is_one_line(tmp_path):
 def test_unwritable_place_is_one_line(tmp_path):
     with pytest.raises(BadInput, match="cannot be written"):
         write_sensor(tmp_path / "absent" / "sensor.json", camera())
+
+
+def test_a_disk_that_fills_up_leaves_both_files_as_they_were(tmp_path, monkeypatch):
+    path = tmp_path / "sensor.json"
+    maps = {"field": np.ones((4, 6), np.float32)}
+    model = SensorModel.poisson_gaussian(2, 3, 64, 1023).with_mechanism("dsnu", maps=maps)
+    write_sensor(path, model)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    write = Path.write_bytes
+
+    def full(self, content):
+        if "json" in self.name:
+            raise OSError(28, "No space left on device")
+        return write(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(BadInput, match="No space left"):
+        write_sensor(path, model.with_mechanism("prnu", maps={"field": np.full((4, 6), 0.01, np.float32)}))
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before

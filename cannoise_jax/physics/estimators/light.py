@@ -128,7 +128,8 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
 def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma_dn, blur, shift_y, shift_x and scale of a reference: regression of (average frame - reference) on
     the reference, its high-pass and its gradients; what is left beyond temporal noise is sigma_dn."""
-    paired = [s for s in statistics if s.recording.clean is not None and s.recording.clean.ndim == 2]
+    scenes = [s for s in statistics if s.recording.kind == "scene" and s.recording.clean is not None]
+    paired = [s for s in scenes if s.recording.clean is not None and s.recording.clean.ndim == 2]
     repeated = [s for s in paired if s.variance is not None]
     if not repeated:
         return _REFERENCE
@@ -146,6 +147,8 @@ def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Est
     for _ in range(4):  # Gauss and Newton: blur, shift and scale act on each other
         expected, slopes = _referred(reference, **found)
         names = [n for n, t in slopes.items() if np.std(t[inner]) > 1e-9 * max(np.abs(reference).max(), 1)]
+        if not names:
+            return _REFERENCE  # a reference without any structure shows no error of it
         design = np.stack([slopes[n][inner] for n in names], -1)
         rest = target - expected[inner]
         move, *_ = np.linalg.lstsq(design, rest, rcond=None)
