@@ -82,11 +82,23 @@ def test_sums_by_their_own_noise_keep_their_mean_square(count, offsets):
     rng = np.random.default_rng(5)
     values = rng.standard_normal((20_000, count)) + offsets * rng.standard_normal((20_000, 1))
     score, total = values.sum(1), (values**2).sum(1)
-    scaled = by_own_noise(
-        score, np.full(score.shape, float(count)), total, np.full(score.shape, float(count))
-    )
+    full = np.full(20_000, float(count))
+    scaled, more = by_own_noise(score[None], full, total[None], full)
+    assert more == pytest.approx(1, abs=0.01)
     expected = count * (1 + count * offsets**2)
     assert np.mean(scaled**2) == pytest.approx(expected, rel=4 * np.sqrt(2 / 20_000))
+
+
+def test_an_offset_that_the_modelled_noise_holds_keeps_its_amplitude():
+    rng = np.random.default_rng(7)
+    count, offset = 200, 0.7
+    values = rng.standard_normal((5000, count)) + offset * rng.standard_normal((5000, 1))
+    response = 1 / np.sqrt(1 + offset**2)  # the noise was taken for all that varies
+    score, total = response**2 * values.sum(1), response**4 * (values**2).sum(1)
+    information = np.full(5000, count * response**2)
+    scaled, more = by_own_noise(score[None], information, total[None], np.full(5000, float(count)))
+    power = np.mean(scaled**2 / (information * more))
+    assert np.sqrt((power - 1) / (information[0] * more)) == pytest.approx(offset, rel=0.05)
 
 
 def test_uneven_noise_is_no_offset():
@@ -94,6 +106,7 @@ def test_uneven_noise_is_no_offset():
     spread = np.exp(0.8 * rng.standard_normal((4000, 1)))  # every line as noisy as it likes
     values = spread * rng.standard_t(3, (4000, 200))
     score, total = values.sum(1), (values**2).sum(1)
-    scaled = by_own_noise(score, np.full(4000, 200.0), total, np.full(4000, 200.0))
+    scaled, more = by_own_noise(score[None], np.full(4000, 200.0), total[None], np.full(4000, 200.0))
+    scaled = scaled[0] / np.sqrt(more)
     assert np.mean(scaled**2) / 200 == pytest.approx(1, abs=0.1)
     assert np.var(score**2 / 200) > 10 * np.var(scaled**2 / 200)

@@ -54,7 +54,9 @@ def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, o
     score = score - score.sum(1, keepdims=True) / total * information
     if own:
         squares = np.array([np.bincount(flat, ((v * r) ** 2).ravel(), number) for v in values])
-        score = by_own_noise(score, information, squares, np.bincount(flat, (r > 0).ravel(), number))
+        left = 1 - information / total
+        score, more = by_own_noise(score, information, squares, np.bincount(flat, (r > 0).ravel(), number))
+        return score, information * more, left
     return score, information, 1 - information / total
 
 

@@ -44,11 +44,16 @@ def by_own_noise(score: np.ndarray, information: np.ndarray, total: np.ndarray, 
     score, total [n, groups]: sum of response times value, and of its square; information [groups]; count:
     pixels of a group. Noise that is uneven or heavy-tailed makes sums of modelled variance 1 vary by more or
     less, which looks like shared offsets. What the sum itself adds to the squares of its pixels is taken out,
-    and the mean square stays 1 to order 1/count^2.
+    and the mean square stays 1 to order 1/count^2. Returns the scores and how much more the responses tell
+    than the modelled noise says, a factor for the information: where a strong offset is part of the modelled
+    noise, its amplitude would come out too large without it.
     """
     count = np.maximum(count, 4.0)
     own = (total - (score**2 - information) / count) * (count + 2) / count
-    return score * np.sqrt(information / np.maximum(own, 0.05 * np.maximum(information, 1e-30)))
+    own = np.maximum(own, 0.05 * np.maximum(information, 1e-30))
+    noise = max(float(np.sum(own * count / (count + 2))), 1e-30)
+    more = float(np.sum(information)) * len(score) / noise
+    return score * np.sqrt(information / own * more), more
 
 
 def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: bool = True) -> LineSums:
@@ -65,7 +70,8 @@ def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: b
         subs = "nij->ni" if axis == "row" else "nij->nj"
         squares = np.einsum(subs, (values * r) ** 2).astype(np.float64)
         count = np.sum(r > 0, axis=AXES[axis] - 1)
-        score = by_own_noise(score, information, squares, count)
+        score, more = by_own_noise(score, information, squares, count)
+        return LineSums(score, information * (1 - information / total) * more)
     return LineSums(score, information * (1 - information / total))
 
 

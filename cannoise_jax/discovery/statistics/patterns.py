@@ -32,7 +32,8 @@ def frame_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
             u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32)).astype(np.float64)
             squares = np.einsum("nij->n", (f.contrasts * r) ** 2).astype(np.float64)
             count = np.full(u.shape, float(np.sum(r > 0)))
-            u = by_own_noise(u, np.full(u.shape, i), squares, count)
+            u, more = by_own_noise(u[:, None], np.full((1,), i), squares[:, None], count[:1])
+            u, i = u[:, 0], i * more
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
             information.append(i)
             dof.append(len(f.contrasts))
