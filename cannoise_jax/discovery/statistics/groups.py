@@ -52,42 +52,38 @@ def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, o
     total = max(float(information.sum()), 1e-30)
     score = np.array([np.bincount(flat, (v * r).ravel(), number) for v in values])
     score = score - score.sum(1, keepdims=True) / total * information
+    left = 1 - information / total
     if own:
         squares = np.array([np.bincount(flat, ((v * r) ** 2).ravel(), number) for v in values])
-        left = 1 - information / total
         score, more = by_own_noise(score, information, squares, np.bincount(flat, (r > 0).ravel(), number))
-        return score, information * more, left
-    return score, information, 1 - information / total
+        information = information * more
+    return score, information, left
 
 
-def _values(field: Fields, time: str) -> np.ndarray | None:
-    """What a layout is looked for in. The smooth mean of a flat takes large tiles away, so only darks and
-    scenes show what stays."""
-    if time == "redrawn":
-        return field.contrasts if len(field.contrasts) else None
-    return None if field.static is None or field.kind == "flat" else field.static[None]
+def _shared_sums(fields: tuple[Fields, ...], groups: np.ndarray) -> list:
+    """The one set of sums of a pattern that stays, over all fields that show it; none where none does. The
+    smooth mean of a flat takes large tiles away, so only darks and scenes show what stays."""
+    shown = [f for f in fields if f.static is not None and f.kind != "flat"]
+    sums = [_sums(f, f.static[None], groups, "additive") for f in shown if f.static is not None]
+    if not sums:
+        return []
+    score = sum(np.sqrt(f.frames) * u for f, (u, _, _) in zip(shown, sums, strict=True))
+    information = sum(f.frames * i for f, (_, i, _) in zip(shown, sums, strict=True))
+    return [(score, information, sums[-1][2])]
 
 
 def group_score(fields: tuple[Fields, ...], *, probe: str, name: str, time: str) -> Score | None:
     """White offsets of groups of pixels, new in every frame, or of darks and scenes and staying."""
     powers, informations, freedoms = [], [], []
     groups = layout(name, fields[0].mean.shape)
-    shared: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-    for f in fields:
-        values = _values(f, time)
-        if values is None:
-            continue
-        score, information, left = _sums(f, values, groups, "additive", own=time == "redrawn")
-        if time == "redrawn":
-            powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
-            informations.append(information)
-            freedoms.append(len(score) * left)
-        else:
-            u, i = np.sqrt(f.frames) * score[0], f.frames * information
-            shared = (u, i, left) if shared is None else (shared[0] + u, shared[1] + i, left)
-    if shared is not None:
-        powers, informations = [shared[0] ** 2 / np.maximum(shared[1], 1e-30)], [shared[1]]
-        freedoms = [shared[2]]
+    if time == "redrawn":
+        sums = [_sums(f, f.contrasts, groups, "additive", own=True) for f in fields if len(f.contrasts)]
+    else:
+        sums = _shared_sums(fields, groups)
+    for score, information, left in sums:
+        powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
+        informations.append(information)
+        freedoms.append(len(score) * left)
     if not powers:
         return None
     channel = name == "site" or name.endswith("parity")
@@ -107,15 +103,8 @@ def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: s
     groups = layout(name, fields[0].mean.shape)
     if time == "redrawn":
         return tuple(_whitened(f, groups, score.payload) for f in fields)
-    u: np.ndarray | float = 0.0
-    i: np.ndarray | float = 0.0
-    for f in fields:
-        values = _values(f, time)
-        if values is not None:
-            scores, information, _ = _sums(f, values, groups, "additive")
-            u, i = u + np.sqrt(f.frames) * scores[0], i + f.frames * information
-    pattern = u * (1 - 1 / np.sqrt(1 + score.payload * np.asarray(i))) / np.maximum(i, 1e-30)
-    spread = np.asarray(pattern)[groups]
+    ((u, i, _),) = _shared_sums(fields, groups)
+    spread = (u[0] * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
     return tuple(
         f
         if f.static is None or f.kind == "flat"

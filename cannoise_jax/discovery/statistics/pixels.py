@@ -108,7 +108,7 @@ def spread_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
 
 def _dispersion_variance(n: int) -> float:
     """Variance of (chi2_n - n)^2 with its linear part projected out."""
-    return 8.0 * n**2 + 48 * n - 8 * n * 0 - 32.0 * n
+    return 8.0 * n**2 + 16.0 * n
 
 
 def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft, optimize, special
 
-from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.fields import Fields, map_contrasts
 from cannoise_jax.discovery.statistics.lines import line_sums, response
 from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
@@ -137,6 +137,12 @@ def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
     return ((vectors[:, kept] / np.sqrt(values[kept])).T @ basis).astype(np.float32)
 
 
+def _without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
+    """The field with what the rows of `basis` span projected out."""
+    q = orthonormal(basis)
+    return map_contrasts(field, lambda v: v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape))
+
+
 def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Projects the wave out of every field, and its near neighbours on the frequency grid."""
     fy, fx, _ = score.payload
@@ -150,10 +156,7 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
             for dx in (-0.5 / w, 0.0, 0.5 / w):
                 phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
                 basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
-        q = orthonormal(np.array(basis))
-        both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
-        new = [v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape) for v in both]
-        out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
+        out.append(_without(f, np.array(basis)))
     return tuple(out)
 
 
@@ -221,10 +224,7 @@ def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ..
             for d in (-0.5 / h, 0, 0.5 / h)
             for g in (np.cos, np.sin)
         ]
-        q = orthonormal(np.array(basis))
-        both = [f.contrasts] + ([f.static[None]] if f.static is not None else [])
-        new = [v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape) for v in both]
-        out.append(f._replace(contrasts=new[0], static=new[1][0] if len(new) > 1 else None))
+        out.append(_without(f, np.array(basis)))
     return tuple(out)
 
 
