@@ -34,7 +34,8 @@ def drawing(model: SensorModel, key: Key[Array, ""]) -> Drawing:
         parts = []
         for start in range(0, settings.frames, CHUNK):
             k = jax.random.fold_in(jax.random.fold_in(key, number), start)
-            parts.append(np.asarray(model.sample(k, jnp.asarray(clean), settings._replace(frames=CHUNK))))
+            few = dataclasses.replace(settings, frames=CHUNK)
+            parts.append(np.asarray(model.sample(k, jnp.asarray(clean), few)))
         return np.concatenate(parts)[: settings.frames]
 
     return draw

@@ -77,7 +77,7 @@ def score(
     frames = np.asarray(frames, np.float32)
     if kind == "none":
         by = _baseline_ruler(model, clean, settings) if by is None else by
-        taken = settings._replace(frames=_SIMULATED * len(frames))
+        taken = dataclasses.replace(settings, frames=_SIMULATED * len(frames))
         simulated = np.asarray(model.sample(key, np.asarray(clean, np.float32), taken))
         found = composite_score(profile(simulated, by), frames, by)
         return Score(kind, found.total, found.per_frame)

@@ -220,7 +220,7 @@ def fit_mechanism(
     of it are drawn for every simulation. options: of `fit_moments`. Raises ValueError for an unknown id.
     """
     parameters = mechanism(id).parameters
-    settings = settings._replace(frames=len(frames))
+    settings = dataclasses.replace(settings, frames=len(frames))
     mosaic = jnp.asarray(clean, jnp.float32)
     level = model.expected(mosaic, settings)
     summarise = partial(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
-from cannoise_jax.physics import registry
+from cannoise_jax.physics import ranges, registry
 from cannoise_jax.physics.chain import altered_noise, closed_form, maps_of, run_chain, to_codes
 from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.initial_noise import InitialNoise
@@ -31,7 +32,7 @@ from cannoise_jax.physics.settings import (
     warn_outside,
 )
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
-from cannoise_jax.recordings.recording import CFA_PATTERNS, PerChannel, per_channel
+from cannoise_jax.recordings.recording import PerChannel
 
 __all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings"]
 
@@ -74,33 +75,28 @@ class SensorModel:
         """The baseline alone. Gain and read noise: one number, one per mosaic site, or [N, 1 or 4] for N
         ISOs.
 
-        unit_key: default the key of 0. Raises ValueError for counts that do not match, ISOs out of order, an
-        unknown cfa or a black level not below the white level.
+        unit_key: default the key of 0. Numbers may be traced. Raises ValueError for counts that do not match
+        and for what `ranges.check_baseline` refuses.
         """
-        if cfa not in CFA_PATTERNS:
-            raise ValueError(f"cfa must be one of {', '.join(CFA_PATTERNS)}, got {cfa!r}")
-        if not np.max(black_level) < white_level:
-            raise ValueError(f"white_level {white_level} is not above black_level {black_level}")
-        isos = np.atleast_1d(np.asarray(iso, np.float32))
+        ranges.check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa)
+        isos = _array(iso).reshape(-1)
 
-        def table(values) -> np.ndarray:
-            values = np.asarray(values, np.float32)
-            values = values.reshape(isos.size, -1) if isos.size > 1 else values.reshape(1, -1)
-            if values.shape[1] not in (1, 4):
+        def table(values) -> Numbers:
+            values = _array(values)
+            rows = isos.size if isos.size > 1 else 1
+            if values.size not in (rows, 4 * rows):
                 raise ValueError(
                     f"expected 1 or 4 values for each of {isos.size} ISOs, got shape {values.shape}"
                 )
-            return np.broadcast_to(values, (isos.size, 4)).copy()
+            return _spread(values.reshape(rows, -1), (isos.size, 4))
 
-        if np.any(np.diff(isos) <= 0):
-            raise ValueError(f"ISOs must ascend, got {isos.tolist()}")
         return SensorModel(
             iso=isos,
             gain_dn_per_e=table(gain_dn_per_e),
             read_noise_e=table(read_noise_e),
-            black_level=np.asarray(per_channel(black_level), np.float32),
-            white_level=np.float32(white_level),
-            code_step=np.float32(code_step),
+            black_level=_spread(_array(black_level), (4,)),
+            white_level=_array(white_level),
+            code_step=_array(code_step),
             unit_key=jax.random.key(0) if unit_key is None else unit_key,
             mechanisms=(),
             cfa=cfa,
@@ -117,8 +113,9 @@ class SensorModel:
         **more,
     ) -> SensorModel:
         """The baseline of a noise level function `var = shot * clean + read` in normalised units (mosaic
-        order)."""
-        span = white_level - np.asarray(per_channel(black_level))
+        order); a read below 0, as metadata sometimes states, counts as 0. Raises ValueError as
+        `poisson_gaussian`."""
+        span = jnp.asarray(white_level) - jnp.asarray(black_level)
         gain, read_noise = electrons_from_nlf(jnp.asarray(shot), jnp.asarray(read), jnp.asarray(span))
         return SensorModel.poisson_gaussian(gain, read_noise, black_level, white_level, cfa, **more)
 
@@ -141,8 +138,12 @@ class SensorModel:
         """The model with one more mechanism; parameters not given take their typical values.
 
         id: of the vocabulary; or any name with `point`, a bare place in the grammar. Parameters: numbers or
-        `IsoTable`s; they hold at the scaling law's reference setting. Raises ValueError for unknown names.
+        `IsoTable`s, maybe traced; they hold at the scaling law's reference setting. Raises ValueError for
+        unknown names, numbers outside the parameter's range (`registry.mechanism(id).parameters`), and maps
+        that the mechanism does not have.
         """
+        if point is not None:
+            ranges.check_point(id, point)
         record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
         known = record.defaults()
         unknown = sorted(set(parameters) - set(known))
@@ -151,6 +152,8 @@ class SensorModel:
                 f"{id} has no parameter {', '.join(unknown)}: it has {', '.join(known) or 'none'}"
             )
         fitted = Fitted(id, {**known, **parameters}, scaling or record.scaling, dict(maps or {}), point)
+        ranges.check_fitted(fitted)
+        ranges.check_maps(self, fitted)
         return dataclasses.replace(self, mechanisms=chain_order((*self.mechanisms, fitted)))
 
     def without(self, id: str) -> SensorModel:
@@ -171,17 +174,20 @@ class SensorModel:
         self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
     ) -> UInt16[Array, "t h w"]:
         """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
-        setting beyond the calibrated range draws one `ExtrapolationWarning`."""
+        setting beyond the calibrated range draws one `ExtrapolationWarning`, and what `ranges.check_taken`
+        refuses raises ValueError."""
+        ranges.check_taken(clean, settings)
         warn_outside(self, settings)
+        setting = (settings.iso, settings.exposure_s, settings.temperature_c)
         # The frozen patterns are drawn by a program of their own: fused with the frames they would be
-        # drawn anew
-        # for each of them.
-        drawn = _draw_maps(self, settings[:3], np.shape(clean)[-2:])
-        return _sample_codes(_with_drawn(self, drawn), key, clean, settings[:3], settings.frames)
+        # drawn anew for each of them.
+        drawn = _draw_maps(self, setting, np.shape(clean))
+        return _sample_codes(_with_drawn(self, drawn), key, clean, setting, settings.frames)
 
     def expected(self, clean: Float[Array, "h w"], settings: Settings = DEFAULT) -> Float[Array, "h w"]:
         """Expected value in DN before rounding and clipping: black level, signal and the closed-form mean
-        shift of every mechanism (the few without one leave it alone)."""
+        shift of every mechanism (the few without one leave it alone). Raises as `sample`."""
+        ranges.check_taken(clean, settings)
         warn_outside(self, settings)
         clean = jnp.asarray(clean, jnp.float32)[None]
         context = context_of(self, clean, settings)
@@ -221,6 +227,17 @@ class SensorModel:
             return pack(noise, self.cfa), pack(jax.vmap(sigma)(mosaic, *levels), self.cfa)
 
         return draw
+
+
+def _array(values) -> Any:
+    """Numbers as float32: of NumPy, or of JAX while they are traced."""
+    traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(values))
+    return jnp.asarray(values, jnp.float32) if traced else np.asarray(values, np.float32)
+
+
+def _spread(values: Any, shape: tuple[int, ...]) -> Any:
+    xp = jnp if isinstance(values, jax.core.Tracer) else np
+    return xp.broadcast_to(values, shape) + np.float32(0)
 
 
 def _cropped(model: SensorModel, key: Key[Array, ""], size: tuple[int, int]) -> SensorModel:

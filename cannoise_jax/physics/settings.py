@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +21,18 @@ Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
 
 
-class Settings(NamedTuple):
-    """How a recording is taken. Temperature None: that at which the model's parameters hold."""
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Settings:
+    """How a recording is taken. Temperature None: that at which the model's parameters hold.
+
+    An argument of jit and vmap like any other: numbers are traced, frames is part of its structure.
+    """
 
     iso: float = 100.0
     exposure_s: float = 0.01
     temperature_c: float | None = None
-    frames: int = 1
+    frames: int = field(default=1, metadata={"static": True})
 
 
 DEFAULT = Settings()

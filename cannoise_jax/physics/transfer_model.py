@@ -24,6 +24,7 @@ from cannoise_jax.physics.estimators.lines import columns_apart, row_groups
 from cannoise_jax.physics.estimators.pick import darkest, darks_by_exposure, row_offsets
 from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law_correlation
 from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.ranges import clipped
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.physics.transfer import PhotonTransfer
 from cannoise_jax.physics.transfer_baseline import Baseline
@@ -134,10 +135,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
         if finding.verdict != "in the model" or isinstance(finding.estimates, NotMeasurable):
             continue
         record = registry.mechanism(finding.mechanism)
-        bounds = {p.name: (p.low, p.high) for p in record.parameters}
-        values: dict[str, Any] = {
-            name: float(np.clip(e.value, *bounds[name])) for name, e in finding.estimates.items()
-        }
+        values: dict[str, Any] = clipped(record, {n: e.value for n, e in finding.estimates.items()})
         law = dataclasses.replace(
             record.scaling,
             reference_iso=float(np.asarray(model.iso)[0]),

@@ -73,7 +73,7 @@ def with_it(id: str) -> SensorModel:
 
 def taken(model: SensorModel, clean: np.ndarray, seed: int = 0, frames: int = 6) -> np.ndarray:
     key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(repr(model.mechanisms[:1]).encode()) % 1000)
-    return np.asarray(model.sample(key, clean, SETTINGS._replace(frames=frames)), np.float32)
+    return np.asarray(model.sample(key, clean, dataclasses.replace(SETTINGS, frames=frames)), np.float32)
 
 
 @pytest.mark.parametrize("id", SCORED)

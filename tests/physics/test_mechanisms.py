@@ -152,7 +152,7 @@ def test_samples_like_a_naive_draw(id):
         slow = naive.simulate(rng, record.acts_on, id, p, m, c, frames)
         fast = frames_of(model, key_of(id))
     else:  # what is fixed within a recording: many recordings of few frames, as one axis
-        few = SETTINGS._replace(frames=frames)
+        few = dataclasses.replace(SETTINGS, frames=frames)
         slow = np.concatenate(
             [naive.simulate(rng, record.acts_on, id, p, m, c, frames)[[1, 2, 5]] for _ in range(150)]
         )
@@ -352,7 +352,7 @@ SMOOTH = {
 @EACH
 def test_every_mechanism_is_traced_with_nothing_known_but_sizes(id):
     """Under jit and vmap keys, scenes, parameters, maps and settings are all unknown numbers."""
-    few = SETTINGS._replace(frames=2)
+    few = dataclasses.replace(SETTINGS, frames=2)
 
     def sample(key, clean, model, exposure_s):
         return model.sample(key, clean, few._replace(exposure_s=exposure_s))
@@ -365,7 +365,7 @@ def test_every_mechanism_is_traced_with_nothing_known_but_sizes(id):
 
 @pytest.mark.parametrize("id", ["prnu", "in_camera_denoising"])
 def test_jit_and_vmap_give_the_eager_frames(id):
-    model, few = camera(id), SETTINGS._replace(frames=2)
+    model, few = camera(id), dataclasses.replace(SETTINGS, frames=2)
     keys = jax.random.split(key_of(id), 3)
     batched = jax.jit(jax.vmap(lambda k: model.sample(k, jnp.asarray(scene()), few)))(keys)
     assert batched.shape == (3, 2, *SIZE) and batched.dtype == jnp.uint16
