@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.recordings import plausible
 from cannoise_jax.recordings.recording import (
     CFA_PATTERNS,
     KINDS,
@@ -62,8 +63,9 @@ def make_recording(
 
     known: fields of `Recording` that the file states (None: not stated). overrides: fields that the caller
     states (None: keep the file's), see `OVERRIDES`. The camera is named after the folder unless stated.
-    Values above the white level are saturation: counted, and logged as one warning. scan: False leaves out
-    what takes reading every pixel, for views that check what they read.
+    Values above the white level are saturation: counted, and logged as one warning; so are a `clean` and a
+    `code_step` that do not fit the frames (see `plausible`). scan: False leaves out what takes reading
+    pixels, for views that check what they read.
     Raises BadInput for everything that cannot be used, TypeError for an override that does not exist.
     """
     check_overrides(overrides)
@@ -103,6 +105,8 @@ def make_recording(
     )
     if scan:
         warn_saturation(path, count_above(recording.frames, white), recording.frames.shape, white)
+        plausible.check_units_of_clean(recording)
+        plausible.warn_of_code_step(recording)
     return recording
 
 

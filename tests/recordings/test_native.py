@@ -122,6 +122,8 @@ BAD = {
     "are empty": {"frames": FRAMES[:, :0]},
     "clean has shape \\(8, 11\\)": {"clean": np.zeros((8, 11), np.float32)},
     "clean holds 1 NaN": {"clean": np.where(np.arange(96).reshape(8, 12) == 5, np.nan, 0.5)},
+    "clean has median 5.*so it is not normalised: write .DN - black. / .white - black.": {"clean": FRAMES[0]},
+    "clean has median 18": {"clean": np.full(FRAMES.shape, 18.0, np.float32)},
     "clean is bool": {"clean": np.zeros((8, 12), bool)},
     "unknown kind 'sky'": {"kind": "sky"},
     "unknown reference 'guess'": {"reference": "guess"},
@@ -160,6 +162,27 @@ def test_values_above_white_are_counted_and_warned_of(path, caplog):
     assert recording.frames[1, 2, 3] == 1024
     (record,) = caplog.records
     assert "2 values" in record.getMessage() and str(path) in record.getMessage()
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ({"black_level": 0.0}, "check black_level, white_level"),
+        ({"white_level": 16383.0, "code_step": None}, "check black_level, white_level"),
+        ({"code_step": 5.0}, "code_step 5 is stated, but 7.* %"),
+    ],
+)
+def test_what_does_not_fit_the_frames_is_warned_of(path, caplog, wrong, message):
+    signal = np.linspace(0.02, 0.1, 96).reshape(8, 12)
+    codes = RNG.normal(100 + 900 * signal, 3, (3, 8, 12)) // 4 * 4 + 1
+    right = {"black_level": 100.0, "white_level": 1000.0, "code_step": 4.0}
+    codes[:, :2, :4] = 1000  # clipped pixels lie off the lattice
+    with caplog.at_level(logging.WARNING):
+        read_recording(write(path, codes.astype(np.uint16), signal.astype(np.float32), **right))
+        assert not caplog.records
+        read_recording(write(path, codes.astype(np.uint16), signal.astype(np.float32), **(right | wrong)))
+    (record,) = caplog.records
+    assert message.split(".*")[0] in record.getMessage() and record.getMessage().startswith(f"{path}: ")
 
 
 def test_a_full_disk_leaves_nothing_behind(path):

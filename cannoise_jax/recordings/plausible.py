@@ -1,0 +1,55 @@
+"""Whether what a file says about its pixels agrees with them, judged on its first frame."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from cannoise_jax.recordings.recording import BadInput, Recording, normalise
+
+_log = logging.getLogger(__name__)
+
+
+def check_units_of_clean(recording: Recording) -> None:
+    """Compares the median of `clean` with that of the first frame, both normalised.
+
+    Raises BadInput where it is above 1.5 and twice the frame's: no sensor shows such a scene, so it is in DN
+    or another unit. Otherwise logs one warning where they differ by half and by more than 0.05, which levels,
+    an exposure or a scene that do not belong to the frames would do.
+    """
+    if recording.clean is None:
+        return
+    clean = recording.clean if recording.clean.ndim == 2 else np.asarray(recording.clean[0])
+    said = float(np.median(clean))
+    seen = float(np.median(normalise(recording.frames[0], recording)))
+    if said > max(1.5, 2 * seen):
+        raise BadInput(
+            f"{recording.path}: clean has median {said:g}, the frames {seen:.3g} (0 black, 1 white), "
+            "so it is not normalised: write (DN - black) / (white - black)"
+        )
+    if abs(said - seen) > max(0.05, 0.5 * min(abs(said), abs(seen))):
+        _log.warning(
+            "%s: clean has median %.3g, the frames %.3g (0 black, 1 white): check black_level, white_level "
+            "and that clean shows the same scene and exposure", recording.path, said, seen,
+        )  # fmt: skip
+
+
+def warn_of_code_step(recording: Recording) -> None:
+    """Logs one warning where the codes do not lie on one lattice of the stated `code_step`.
+
+    Clipped values do not count, and one in twenty may be off it: repaired pixels are. Steps of 1 and of
+    fractions fit any codes.
+    """
+    step = recording.code_step or 1.0
+    if step <= 1 or step != round(step):
+        return
+    frame = np.asarray(recording.frames[0])
+    inside = frame[(frame > 0) & (frame < recording.white_level)]
+    residues = np.bincount(inside % int(step), minlength=1)
+    off = 1 - residues.max() / max(inside.size, 1)
+    if inside.size and off > 0.05:
+        _log.warning(
+            "%s: code_step %g is stated, but %.3g %% of the values lie between codes of that spacing: leave "
+            "it out to have it detected", recording.path, step, 100 * off,
+        )  # fmt: skip
