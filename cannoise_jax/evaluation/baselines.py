@@ -19,7 +19,7 @@ from cannoise_jax.physics.poisson_gaussian import nlf_sigma, sample_normal
 
 Sampler = Callable[..., Any]
 
-_SATURATED = 0.9
+SATURATED = 0.9
 _BINS = 48
 
 
@@ -50,7 +50,7 @@ def calibrate_nlf(
     Raises ValueError if fewer than 1000 values are left.
     """
     clean, noise = np.ravel(clean).astype(np.float64), np.ravel(noise).astype(np.float64)
-    use = clean < _SATURATED
+    use = clean < SATURATED
     clean, noise = clean[use], noise[use]
     if clean.size < 1000:
         raise ValueError(f"only {clean.size} unsaturated values: a noise level fit needs at least 1000")

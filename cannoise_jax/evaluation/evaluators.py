@@ -8,6 +8,7 @@ so that an image's light and dark parts weigh alike; each number comes for the r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -79,19 +80,24 @@ def row_spectrum(noise: Float[np.ndarray, "n h w 4"]) -> float:
     count, height, width, _ = centred.shape
     rows = centred.reshape(count, height, width, 2, 2).mean(axis=(2, 4)).reshape(count, 2 * height)
     power = np.abs(np.fft.rfft(rows, axis=1)[:, 1 : height // 4 + 1]) ** 2 / rows.shape[1]
-    return float(power.mean() * 2 * width / np.square(centred).mean())
+    return _ratio(power.mean() * 2 * width, np.square(centred).mean())
 
 
 def lag_correlation(noise: Float[np.ndarray, "n h w 4"], axis: int) -> float:
     """Correlation of neighbours of one packed channel, along the rows (axis 2) or across them (axis 1)."""
     centred = np.moveaxis(noise - noise.mean(axis=(1, 2), keepdims=True), axis, 1)
-    return float((centred[:, 1:] * centred[:, :-1]).mean() / np.square(centred).mean())
+    return _ratio((centred[:, 1:] * centred[:, :-1]).mean(), np.square(centred).mean())
 
 
 def excess_kurtosis(noise: Float[np.ndarray, "..."]) -> float:
     """Fourth standardised moment minus three."""
     square = np.square(noise - noise.mean())
-    return float(np.square(square).mean() / square.mean() ** 2 - 3)
+    return _ratio(np.square(square).mean(), square.mean() ** 2) - 3
+
+
+def _ratio(part: float, whole: float) -> float:
+    """Their quotient; nan for noise that is zero everywhere, which has no structure."""
+    return float(part / whole) if whole > 0 else math.nan
 
 
 def structure(samples: Samples) -> dict[str, float]:

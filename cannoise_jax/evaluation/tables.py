@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -54,17 +55,22 @@ def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extr
     """Write `results.json` atomically: schema, cameras, pooled, settings, seconds, and any `extra` keys.
 
     What the model does with one reference, where it was given several, has a key of its own, `one_reference`.
-    Raises ValueError for numbers that are not finite, which JSON cannot hold; then nothing is written.
+    A structure that noise does not have, being zero, is null. Raises ValueError for a KL that is not finite,
+    which JSON cannot hold; then nothing is written.
     """
     rows = {**results["cameras"], "pooled": results["pooled"]}
-    kept = {name: {m: row[m] for m in row if m != _ONE} for name, row in rows.items()}
-    one = {name: row[_ONE] for name, row in rows.items() if _ONE in row}
+    kept = {name: {m: _numbers(row[m]) for m in row if m != _ONE} for name, row in rows.items()}
+    one = {name: _numbers(row[_ONE]) for name, row in rows.items() if _ONE in row}
+    settings = {
+        name: {iso: {m: _numbers(n) for m, n in row.items()} for iso, row in by_iso.items()}
+        for name, by_iso in results.get("settings", {}).items()
+    }
     record = {
         "schema": SCHEMA,
         "cameras": {name: kept[name] for name in results["cameras"]},
         "pooled": kept["pooled"],
         **({"one_reference": one} if one else {}),
-        "settings": results.get("settings", {}),
+        "settings": settings,
         "seconds": seconds,
         **extra,
     }
@@ -76,6 +82,11 @@ def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extr
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
+
+
+def _numbers(row: Mapping[str, float]) -> dict[str, float | None]:
+    """Numbers as JSON holds them; those of a KL are left as they are."""
+    return {n: v if math.isfinite(v) or n.startswith("kl") else None for n, v in row.items()}
 
 
 def _block(rows: Mapping[str, Row], title: str, cell: Callable[[Mapping[str, float]], str]) -> str:

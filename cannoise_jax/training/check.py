@@ -40,6 +40,10 @@ def check_config(config: ConfigDict) -> None:
             continue
         if not (isinstance(value, int) and value >= 1):
             raise _wrong(name, value, "use a whole number from 1 on")
+    for name in ("data.per_scene", "data.held_out_per_scene"):
+        count = _value(config, name)
+        if count is not None and math.isqrt(count) ** 2 != count:
+            raise _wrong(name, count, "use a square number: patches are cut on a grid")
     if config.patch % _MULTIPLE or config.patch > _LARGEST:
         raise _wrong("patch", config.patch, f"use {_MULTIPLE} or {_LARGEST}")
     if not _SMALLEST <= config.reference <= _LARGEST or config.reference % 8:

@@ -3,7 +3,7 @@
 What a folder gives:
 - scenes with a noise-free image, or with two frames and more, are used as they are; repeated frames are
   compared with the mean of the others;
-- flats likewise;
+- flats likewise; either is left out, with a warning, where it is saturated;
 - darks (or bias frames) of up to a second lend their floor to computed scenes: clean scene + Poisson shot
   noise + a real dark frame. This needs the system gain: photon transfer on flats and darks, or a
   recording's `shot`.
@@ -26,6 +26,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Key
 
+from cannoise_jax.evaluation.baselines import SATURATED
 from cannoise_jax.physics.half_real import half_real_recording
 from cannoise_jax.physics.scenes import SPLITS, draw_scenes, mosaic
 from cannoise_jax.physics.transfer import photon_transfer
@@ -96,6 +97,7 @@ def _camera_patches(
 ) -> Iterator[tuple[int, Columns]]:
     """(split, patches) of one camera."""
     repeated = [r for r in captured.of_kind("scene", "flat") if r.clean is not None or r.count > 1]
+    repeated = [r for r in repeated if not _is_saturated(r)]
     darks = [r for r in captured.of_kind("dark", "bias") if r.count > 2 and (r.exposure_s or 0) <= _LONGEST_S]
     known = all(r.shot is not None and r.read is not None for r in repeated) and not darks
     transfer = None if known else _levels_of(captured)
@@ -122,6 +124,17 @@ def _camera_patches(
     for split, number, recording, frames in found:
         if len(frames):
             yield split, _cut(recording, frames, number, most, transfer)
+
+
+def _is_saturated(recording: Recording) -> bool:
+    """Whether half of a frame and more is too bright for its noise to be measured; said in a warning."""
+    share = float(np.mean(normalise(recording.frames[0], recording) >= SATURATED))
+    if share >= 0.5:
+        _log.warning(
+            "%s: %.0f %% of the values are above %g of the white level: not trained on", recording.path,
+            100 * share, SATURATED,
+        )  # fmt: skip
+    return share >= 0.5
 
 
 def _levels_of(captured: CaptureSet) -> tuple[PerChannel, PerChannel]:
@@ -202,6 +215,11 @@ def _cut(
     levels = stated if None not in stated else transfer
     assert levels is not None
     shot, read = (to_packed_order(np.array(v, np.float32), recording.cfa) for v in levels)
+    if np.any(np.maximum(shot, read) <= 0):
+        raise BadInput(
+            f"{recording.path}: shot and read are both zero, which is no noise: leave them out to have them "
+            "measured"
+        )
     return {
         "clean": np.ascontiguousarray(clean[chosen], np.float32),
         "noisy": np.ascontiguousarray(noisy[chosen], np.float32),

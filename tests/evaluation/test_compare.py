@@ -200,6 +200,13 @@ def test_results_that_are_not_finite_write_nothing(results, tmp_path):
     assert path.read_text() == "old" and len(list(tmp_path.iterdir())) == 1
 
 
+def test_a_structure_that_noise_does_not_have_is_null(results, tmp_path):
+    row = {**results["pooled"], "model": {**results["pooled"]["model"], "excess_kurtosis": math.nan}}
+    write_results(tmp_path / "results.json", {**results, "pooled": row}, seconds=1.0)
+    read = json.loads((tmp_path / "results.json").read_text())["pooled"]["model"]
+    assert read["excess_kurtosis"] is None and read["kl"] == results["pooled"]["model"]["kl"]
+
+
 def test_figure_is_a_picture_with_colour(patches, tmp_path):
     path = tmp_path / "noise.png"
     noise_figure(path, oracle, patches, NAMES, jax.random.key(0), batch=16)

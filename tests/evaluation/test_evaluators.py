@@ -122,3 +122,10 @@ def test_noise_that_is_not_finite_has_no_score(white):
     broken[3, 2, 1, 0] = np.nan
     with pytest.raises(ValueError, match="1 of .* generated noise are not finite"):
         evaluate(samples(white, broken))
+
+
+@pytest.mark.filterwarnings("error")
+def test_noise_that_is_zero_has_no_structure(white):
+    numbers = evaluate(samples(white, np.zeros_like(white)))
+    assert np.isnan([numbers[n] for n in ("row_spectrum", "lag1_vertical", "excess_kurtosis")]).all()
+    assert numbers["std_ratio"] == 0 and np.isfinite(numbers["kl_smoothed"])

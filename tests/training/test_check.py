@@ -53,6 +53,7 @@ def test_a_sensor_model_may_be_the_initial_noise(choice):
         ("reference", 12),
         ("reference", 128),
         ("data.scenes", 0),
+        ("data.per_scene", 8),
     ],
 )
 def test_nonsense_is_refused_by_name(name, value):

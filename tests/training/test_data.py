@@ -203,6 +203,33 @@ def test_one_camera_needs_the_triplet_switched_off(config, tmp_path):
     assert load_data(config, tmp_path).cameras == ("a",)
 
 
+def test_saturated_flats_are_left_out_with_a_warning(config, tmp_path, caplog):
+    folder = write_camera(tmp_path / "a", "RGGB", 2.0)
+    frames = np.full((10, *SIZE), round(BLACK + SPAN), np.uint16)
+    write_recording(
+        folder / "white.h5",
+        Recording(frames, "RGGB", per_channel(BLACK), BLACK + SPAN, camera="a", kind="flat"),
+    )
+    config.data.recordings, config.loss.triplet = (str(folder),), 0.0
+    data = load_data(config, tmp_path)
+    assert max(data.train[i]["clean"].mean() for i in range(len(data.train))) < 0.8
+    assert f"{folder}/white.h5: 100 % of the values are above 0.9" in caplog.text
+
+
+def test_stated_levels_of_no_noise_are_refused(config, tmp_path):
+    frames = np.random.default_rng(0).integers(900, 1100, (10, *SIZE)).astype(np.uint16)
+    (tmp_path / "a").mkdir()
+    levels = {"shot": (0.0,) * 4, "read": (0.0,) * 4}
+    write_recording(
+        tmp_path / "a" / "x.h5",
+        Recording(frames, "RGGB", per_channel(BLACK), BLACK + SPAN, kind="flat", **levels),
+    )
+    config.data.recordings, config.loss.triplet = (str(tmp_path / "a"),), 0.0
+    with pytest.raises(BadInput, match=r"x.h5: shot and read are both zero") as refused:
+        load_data(config, tmp_path)
+    assert "\n" not in str(refused.value)
+
+
 def test_darks_without_flats_cannot_give_shot_noise(config, tmp_path):
     config.data.recordings = (str(write_camera(tmp_path / "a", "RGGB", 2.0, flats=False)),)
     config.loss.triplet = 0.0
