@@ -5,6 +5,7 @@ Trains, resumes where it was stopped, and ends with a table, a picture and resul
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import threading
@@ -55,6 +56,7 @@ def main(argv: list[str] | None = None) -> int:
         print("\n".join(f"  --{name}  {values[name].help}" for name in values if "." not in name))
         return 0
     started = time.monotonic()
+    logging.basicConfig(format="bin/train: %(message)s", level=logging.WARNING)
     try:
         with _interruptible() as check:
             config, workdir = _read_flags(arguments)
