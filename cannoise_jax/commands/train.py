@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from absl import flags
@@ -156,7 +156,8 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
         )  # fmt: skip
 
     try:
-        outcome = train(config, workdir, data, progress)
+        with ExitStack() as bars:  # what is printed next begins on a line of its own
+            outcome = train(config, workdir, data, lambda *at: bars.enter_context(progress(*at)))
     except NonFiniteLoss as error:
         print(f"bin/train: {error}", file=sys.stderr)
         return 1

@@ -2,7 +2,8 @@
 
 A model gets, for every patch, noisy references of *other* patches of the same camera (the paper's image j,
 any setting), never the target itself. The column `model_wrong_reference` gets those of another camera
-instead, at the same noise level function: what it loses there is what the model knows about the camera. One
+instead, at the same noise level function and with the same random numbers: what it loses there is what the
+model knows about the camera. One
 patch at an unknown setting need not tell a camera (one phone at ISO 400 has the noise of another at ISO 100),
 so that a model may be given several; `model_one_reference` then shows what one does.
 """
@@ -79,7 +80,7 @@ def evaluate_model(
     """
     draw_key, pair_key = jax.random.split(key)
     noise = {
-        name: draw_noise(column, patches, jax.random.fold_in(draw_key, MODELS.index(name)), batch)
+        name: draw_noise(column, patches, _column_key(draw_key, name), batch)
         for name, column in model_columns(sampler, patches, pair_key, recalibrated, references).items()
         if name in columns
     }
@@ -97,6 +98,11 @@ def evaluate_model(
     }
     cameras = {name: _pool(rows.values(), noise) for name, rows in settings.items()}
     return {"cameras": cameras, "pooled": _pool(cameras.values(), noise), "settings": settings}
+
+
+def _column_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
+    """The learned model draws the same numbers whatever it is shown, so that only what it is shown differs."""
+    return jax.random.fold_in(key, MODELS.index("model" if name.startswith("model") else name))
 
 
 def model_columns(

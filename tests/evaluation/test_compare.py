@@ -98,6 +98,14 @@ def test_same_key_same_results(patches, results):
     assert again["pooled"]["model"] == results["pooled"]["model"]
 
 
+def test_a_model_that_looks_at_no_reference_is_the_same_with_any(patches):
+    made = compare.evaluate_model(
+        baselines.poisson_gaussian, patches, NAMES, jax.random.key(1), batch=16, references=2
+    )["pooled"]
+    assert made["model"] == made["model_wrong_reference"] == made["model_one_reference"]
+    assert made["model"]["kl"] != made["poisson_gaussian"]["kl"]
+
+
 def test_references_are_of_the_same_camera_and_another_scene(patches):
     right, wrong = compare.choose_references(patches.camera, patches.scene, jax.random.key(0))
     assert right.shape == wrong.shape == (COUNT, 1)
