@@ -101,7 +101,7 @@ def evaluate_model(
 
 
 def _column_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
-    """The learned model draws the same numbers whatever it is shown, so that only what it is shown differs."""
+    """The learned model draws the same numbers whatever it is shown: only what it is shown differs."""
     return jax.random.fold_in(key, MODELS.index("model" if name.startswith("model") else name))
 
 
