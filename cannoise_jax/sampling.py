@@ -100,8 +100,9 @@ def sample_noise(
     clean, noisy_ref: packed R, Gr, Gb, B, normalised; h and w even and at least 16; references of any
     size, at least one. Several are of one camera and setting: their latents are averaged. nlf: (shot, read)
     of the setting wanted, one value or four in packed order, or `[*b, 4]`; without it, that of `noisy_ref`,
-    estimated from its pixels. A noisy image is `clip(clean + noise, 0, 1)`. Pure; use `jax.vmap` for one
-    reference per clean image.
+    estimated from its pixels (its error: `physics.single_image.estimate_nlf`). A reference without noise,
+    constant or all zero, then gives next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
+    Pure; use `jax.vmap` for one reference per clean image.
 
     Raises ValueError for images of other shapes.
     """

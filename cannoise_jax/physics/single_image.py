@@ -43,8 +43,15 @@ def estimate_nlf(
     """Per channel (shot, read) of `var = shot * clean + read` from noisy images alone, normalised units.
 
     noisy: one image or several of the same camera and setting, h and w at least 16. Both are at least zero.
-    An image of one level cannot tell shot from read: there only the variance at that level means anything.
-    Correlated noise (in-camera denoising) and clipped shadows read low, dense texture reads high.
+    An image of one level cannot tell shot from read: there only the variance at that level means anything;
+    where all pixels are alike both are zero. Correlated noise (in-camera denoising) and clipped shadows read
+    low, dense texture reads high.
+
+    Median error of shot, read and sigma at 18 % grey, against fits that know the clean image, virtual cameras
+    at all their ISOs: one patch of 64x64 packed pixels 15 %, 100 %, 6 % (one patch in ten: sigma off by more
+    than 26 %); eight patches of a setting 8 %, 75 %, 3 %: what a scene without deep shadows says of read is
+    next to nothing. Real bias frames and flats, sigma at their own level: 1 to 3 %, 7 to 8 %. Scenes on real
+    darks of low noise (0.35 % at 18 % grey): sigma 15 to 22 % too high, for texture outweighs it.
     """
     images = noisy.reshape(-1, *noisy.shape[-3:])
     level = jnp.maximum(_block_means(local_mean(images)), 0)

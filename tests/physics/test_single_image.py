@@ -6,8 +6,10 @@ import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.evaluation.baselines import calibrate_nlf
 from cannoise_jax.physics.scenes import draw_scenes, mosaic
 from cannoise_jax.physics.single_image import estimate_nlf, high_pass, local_mean
+from cannoise_jax.physics.virtual import virtual_patches
 from cannoise_jax.recordings.packing import pack
 
 estimate = jax.jit(estimate_nlf)
@@ -49,6 +51,26 @@ def test_recovered_on_textured_scenes():
         ratios.append(sigma(image, *estimate(noisy.astype(np.float32))) / sigma(image, shot, read))
     assert abs(np.median(ratios) - 1) < 0.05
     assert np.mean(np.abs(np.array(ratios) - 1) < 0.15) > 0.7
+
+
+def test_virtual_cameras_at_all_isos_against_fits_that_know_the_clean_image():
+    patches = virtual_patches(jax.random.key(5), "test", 15, 1)
+    estimated = np.stack([np.mean(v, -1) for v in jax.jit(jax.vmap(estimate_nlf))(patches.noisy)], -1)
+    errors = []
+    for setting in sorted(set(zip(patches.camera.tolist(), patches.iso.tolist(), strict=True))):
+        here = (patches.camera == setting[0]) & (patches.iso == setting[1])
+        wanted = calibrate_nlf(patches.clean[here], (patches.noisy - patches.clean)[here])
+        found = estimated[here]
+        grey = [sigma(0.18, *nlf) / sigma(0.18, *wanted) - 1 for nlf in found]
+        errors += zip(np.abs(found[:, 0] / wanted[0] - 1), np.abs(grey), strict=True)
+    shot, grey = np.median(errors, axis=0)
+    assert len(errors) == 75 and shot < 0.25 and grey < 0.09, (shot, grey)
+
+
+def test_images_without_noise_have_none():
+    for level in (0.0, 0.3, 1.0):
+        shot, read = estimate(np.full((4, 64, 64, 4), level, np.float32))
+        assert not np.any(shot) and np.max(read) < 1e-9
 
 
 def test_a_flat_gives_its_own_variance_and_nothing_is_negative():
