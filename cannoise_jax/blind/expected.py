@@ -75,7 +75,7 @@ def card_right(mechanism: str, card: dict) -> dict[str, bool]:
     return {
         "axis": bool(words & told.card_axes),
         "time": str(axes.get("time", "")) in told.time.split(),
-        "scaling": str(axes.get("scales", "")) in told.scales,
+        "scaling": bool(set(str(axes.get("scales", "")).split()) & told.scales),
     }
 
 

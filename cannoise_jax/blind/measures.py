@@ -151,8 +151,8 @@ def ablation(nulls: Rows, strong: Rows, known: dict[str, dict]) -> dict[str, Any
     def raw(r: Report) -> bool:
         return (1.0 if r.get("battery_raw_p") is None else r["battery_raw_p"]) < 0.01
 
-    def flat(rows: Rows) -> list[float]:
-        found = [(known.get(e["set"]) or {}).get("unweighted_p") for e, _ in rows]
+    def without(what: str, rows: Rows) -> list[float]:
+        found = [(known.get(e["set"]) or {}).get(what) for e, _ in rows]
         return [p for p in found if p is not None]
 
     judged = [r for _, r in nulls if r.get("battery_raw_p") is not None]
@@ -175,8 +175,13 @@ def ablation(nulls: Rows, strong: Rows, known: dict[str, dict]) -> dict[str, Any
         },
         "unweighted": {
             "rule": "smallest family-wise p of the battery below 0.01, every pixel weighing alike",
-            "false_alarms": count(p < 0.01 for p in flat(nulls)),
-            "detected": count(p < 0.01 for p in flat(strong)),
+            "false_alarms": count(p < 0.01 for p in without("unweighted_p", nulls)),
+            "detected": count(p < 0.01 for p in without("unweighted_p", strong)),
+        },
+        "no_refit": {
+            "rule": "smallest family-wise p of the battery below 0.01, noise as the files state it",
+            "false_alarms": count(p < 0.01 for p in without("unrefitted_p", nulls)),
+            "detected": count(p < 0.01 for p in without("unrefitted_p", strong)),
         },
         "no_multiplicity_control": {
             "rule": "smallest p of the battery below 0.01, uncorrected",

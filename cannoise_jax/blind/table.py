@@ -123,6 +123,8 @@ def lines(result: dict[str, Any], alpha: float = 0.01) -> list[Line]:
         Line("- its false alarms", percent(lesser["two_sample_only"]["false_alarms"]), "", None),
         Line("unweighted battery: false alarms", percent(lesser["unweighted"]["false_alarms"]), "", None),
         Line("- sees, 4 x MDE", percent(lesser["unweighted"]["detected"]), "", None),
+        Line("no refit of the noise: false alarms", percent(lesser["no_refit"]["false_alarms"]), "", None),
+        Line("- sees, 4 x MDE", percent(lesser["no_refit"]["detected"]), "", None),
         Line(
             "no multiplicity control: false alarms",
             percent(lesser["no_multiplicity_control"]["false_alarms"]),

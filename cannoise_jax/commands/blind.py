@@ -32,6 +32,7 @@ from cannoise_jax.commands.blind_analysis import (
     fingerprint,
     located,
     true_gain,
+    unrefitted_p,
     unweighted_p,
 )
 from cannoise_jax.commands.blind_develop import develop
@@ -108,7 +109,7 @@ def _score(arguments: argparse.Namespace) -> None:
 
 def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, Any]]:
     """What takes the truth to compute: of single effects `mde`, the tool's, and `gain`, see
-    `true_gain`; for strong and effect-free sets `unweighted_p`. Kept in `path`, for a second score."""
+    `true_gain`; for strong and effect-free sets `unweighted_p` and `unrefitted_p`. Kept in `path`."""
     code = fingerprint()
     try:
         kept = json.loads(path.read_text())
@@ -123,6 +124,7 @@ def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, A
             facts: dict[str, Any] = {}
             if entry["category"] != "curve":
                 facts["unweighted_p"] = unweighted_p(capture)
+                facts["unrefitted_p"] = unrefitted_p(capture)
             for effect in entry["effects"]:
                 facts["mde"] = mde(effect["mechanism"], capture)
                 facts["gain"] = true_gain(capture, effect["mechanism"], effect["amplitude"])

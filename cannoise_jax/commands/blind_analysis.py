@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,16 @@ import numpy as np
 
 import cannoise_jax
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import prepare, split_frames
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.heldout import predicted, score_frames
 from cannoise_jax.discovery.locate import Located, locate
-from cannoise_jax.discovery.name import BLURS
+from cannoise_jax.discovery.name import BLURS, Named
 from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document
+from cannoise_jax.discovery.stacks import Stack
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
 
@@ -37,7 +42,7 @@ def diagnosed(
 def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
     """Declare, calibrate and locate alone: what the battery rejects, and its smallest family-wise p."""
     ids = declare.registered(without)
-    prepared = prepare(capture, [split_frames(r.count)[0] for r in capture.recordings], False)
+    prepared = prepare_split(capture, split_recordings(capture))
     first = locate(prepared.fields, prepared.probes)
     mechanism = {p.name: p.mechanism if p.mechanism in ids else "unknown" for p in prepared.probes}
     rejected = [(s, mechanism[s.probe]) for s in first.significant(math.log(ALPHA))]
@@ -57,19 +62,45 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
 
 def unweighted_p(capture: CaptureSet) -> float | None:
     """Smallest family-wise p of the battery where every pixel of a recording weighs the same."""
-    prepared = prepare(capture, [split_frames(r.count)[0] for r in capture.recordings], False)
-    flat = []
-    for f in prepared.fields:
-        common = np.sqrt(np.mean(f.sigma[f.usable] ** 2)) if f.usable.any() else 1.0
-        ratio = (f.sigma / common).astype(np.float32)
-        flat.append(
+
+    def common(f: Fields, stacked: Stack) -> np.ndarray:
+        level = np.sqrt(np.mean(f.sigma[f.usable] ** 2)) if f.usable.any() else 1.0
+        return np.full_like(f.sigma, level)
+
+    return _lesser_p(capture, common)
+
+
+def unrefitted_p(capture: CaptureSet) -> float | None:
+    """Smallest family-wise p of the battery where noise is standardised by the shot and read of the files,
+    taken at their word; None where they state none."""
+    if not all(r.shot and r.read for r in capture.recordings):
+        return None
+
+    def stated(f: Fields, stacked: Stack) -> np.ndarray:
+        r = stacked.recording
+        span = r.white_level - np.asarray(r.black_level)
+        channel = channel_index(f.mean.shape)
+        gain, read = (np.asarray(v)[channel] * (span**k)[channel] for v, k in ((r.shot, 1), (r.read, 2)))
+        return np.sqrt(gain * f.signal + read + f.step**2 / 12).astype(np.float32)
+
+    return _lesser_p(capture, stated)
+
+
+def _lesser_p(capture: CaptureSet, law: Callable[[Fields, Stack], np.ndarray]) -> float | None:
+    """Smallest family-wise p of the battery under another standard deviation of the noise, DN."""
+    prepared = prepare_split(capture, split_recordings(capture))
+    changed = []
+    for f, stacked in zip(prepared.fields, prepared.stacks, strict=True):
+        sigma = law(f, stacked)
+        ratio = (f.sigma / sigma).astype(np.float32)
+        changed.append(
             f._replace(
                 contrasts=f.contrasts * ratio,
                 static=None if f.static is None else f.static * ratio,
-                sigma=np.full_like(f.sigma, common),
+                sigma=sigma,
             )
         )
-    return smallest_p(locate(tuple(flat), prepared.probes))["battery_p_value"]
+    return smallest_p(locate(tuple(changed), prepared.probes))["battery_p_value"]
 
 
 def smallest_p(first: Located) -> dict[str, float | None]:
@@ -83,20 +114,33 @@ def smallest_p(first: Located) -> dict[str, float | None]:
 
 
 def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | None:
-    """Held-out gain, nats, of the mechanism at its true population amplitude: maps, offsets, phases and
-    frequencies from the very frames held out, the same composite score. None where no probe looks for it.
+    """Held-out gain, nats, of the mechanism at its true population amplitude. Where it has a likelihood, maps
+    and offsets come from the frames that looked, as those of a finding; else phases and frequencies come from
+    the frames held out. None where no probe looks for it.
 
     A mechanism that blurs the scenes too gets the best gain of the probe of blur beside its own."""
-    held = [split_frames(r.count)[1] for r in capture.recordings]
-    if not any(held):
+    splits = split_recordings(capture)
+    if not any(held for _, held in splits):
         return None
-    prepared = prepare(capture, held, False)
-    scores = [p.score(prepared.fields) for p in prepared.probes if p.mechanism == mechanism]
-    gains = [
-        held_out_gain(s._replace(amplitude=amplitude if s.amplitude >= 0 else -amplitude), s)
-        for s in scores
-        if s is not None
-    ]
+    first, prepared = prepare_split(capture, splits), prepare_split(capture, splits, held_back=True)
+    found = {p.name: p.score(first.fields) for p in first.probes if p.mechanism == mechanism}
+    gains, bare = [], None
+    for probe in (p for p in prepared.probes if p.mechanism == mechanism):
+        score, looked = probe.score(prepared.fields), found.get(probe.name)
+        if score is None:
+            continue
+        strength = amplitude if score.amplitude >= 0 else -amplitude
+        law = None
+        if looked is not None:
+            named = Named(looked._replace(amplitude=strength), probe, mechanism, (), False)
+            law = predicted(Step(named, first.fields, 0.0))
+        if law is None:
+            gains.append(held_out_gain(score._replace(amplitude=strength), score))
+            continue
+        chosen = [held for _, held in splits]
+        bare = bare or score_frames(first, prepared, chosen, [])
+        with_it = score_frames(first, prepared, chosen, [law])
+        gains.append(float(with_it.log_prob.sum() - bare.log_prob.sum()))
     blurs = [
         s.gain
         for p in prepared.probes

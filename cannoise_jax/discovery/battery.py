@@ -8,12 +8,13 @@ import numpy as np
 
 from cannoise_jax.discovery.calibrate import Baseline, fit_baseline, gain_groups, standardise, stated_black
 from cannoise_jax.discovery.fields import Fields, refit
-from cannoise_jax.discovery.stacks import Stack, code_step, detected_step, stack
+from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detected_step, stack
 from cannoise_jax.discovery.statistics import (
     codes,
     covariance,
     curve,
     groups,
+    hot,
     levels,
     light,
     lines,
@@ -44,22 +45,61 @@ class Prepared(NamedTuple):
 
 
 def split_frames(count: int) -> tuple[list[int], list[int]]:
-    """Frames that look for effects, and frames that estimate and prove: every other one; one frame
-    only looks."""
-    return list(range(0, count, 2)), list(range(1, count, 2))
+    """Frames that look for effects, and frames that estimate and prove: three and one of every four. Fewer
+    than three cannot be split."""
+    show = [count - 1] if count == 3 else list(range(3, count, 4))
+    return [t for t in range(count) if t not in show], show
+
+
+def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
+    """Frames of every recording that look for effects, and those that prove. Recordings that cannot be split
+    look and prove in turn, those of each kind by themselves. Of long ones `MOST_FRAMES` in all are used,
+    spread evenly."""
+    out, short = [], dict.fromkeys({r.kind for r in capture.recordings}, 0)
+    for r in capture.recordings:
+        used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
+        look, show = ([int(used[n]) for n in part] for part in split_frames(used.size))
+        if not show:
+            look, show = (look, show) if short[r.kind] % 2 == 0 else (show, look)
+            short[r.kind] += 1
+        out.append((look, show))
+    return out
+
+
+def prepare_split(
+    capture: CaptureSet,
+    splits: list[tuple[list[int], list[int]]],
+    judge_stated: bool = False,
+    drawn: CaptureSet | None = None,
+    *,
+    held_back: bool = False,
+) -> Prepared:
+    """The frames that look for effects or, `held_back`, those that prove, seen against the others' mean."""
+    looking = [a for a, _ in splits]
+    if not held_back:
+        return prepare(capture, looking, judge_stated, drawn)
+    return prepare(capture, [b for _, b in splits], judge_stated, drawn, looking)
 
 
 def prepare(
-    capture: CaptureSet, chosen: list[list[int]], judge_stated: bool, drawn: CaptureSet | None = None
+    capture: CaptureSet,
+    chosen: list[list[int]],
+    judge_stated: bool,
+    drawn: CaptureSet | None = None,
+    before: list[list[int]] | None = None,
 ) -> Prepared:
     """Reads the chosen frames of every recording once, fits the baseline and builds fields and probes.
 
     chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
-    read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given.
+    read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given. before:
+    frames per recording whose mean the chosen ones are seen against as well.
     """
     step = code_step(capture)
+    known = before or [[] for _ in chosen]
     stacks = tuple(
-        stack(r, n, c, step) for n, (r, c) in enumerate(zip(capture.recordings, chosen, strict=True)) if c
+        stack(r, n, c, step, b)
+        for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
+        if c
     )
     isos = gain_groups(capture)
     groups = [[s for s in stacks if s.recording.iso == iso] for iso in isos]
@@ -101,6 +141,7 @@ def build_probes(
         *covariance.probes(),
         *shape.probes(),
         *pixels.probes(),
+        *hot.probes(),
         *means.probes(),
         *light.probes(described, span),
         *reference.probes(span),

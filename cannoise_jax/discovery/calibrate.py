@@ -18,6 +18,7 @@ from cannoise_jax.discovery.fields import Fields, channel_index
 from cannoise_jax.discovery.stacks import (
     Stack,
     affine,
+    at_level,
     noisy_reference,
     plane_blur,
     reference,
@@ -77,7 +78,7 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
     model: tuple[np.ndarray, np.ndarray] | None = None
     for _ in range(2):
-        levels = [p for s in stacks if s.frames > 1 for p in _levels(s, black, model)]
+        levels = [p for s in stacks if len(s.contrasts) for p in _levels(s, black, model)]
         levels = _mark_full(levels, *_low_line(levels), stacks[0].step)
         lines = [_line([p for p in levels if p.channel == c and not p.full], stacks, c) for c in range(4)]
         gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
@@ -128,7 +129,7 @@ def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarr
     (hot, telegraph) are left out one by one."""
     channel = channel_index(stacked.mean.shape)
     signal = _expected(stacked, black)
-    n = max(stacked.frames - 1, 1)
+    n = max(len(stacked.contrasts), 1)
     out = []
     for c in range(4):
         chosen = (channel == c) & stacked.usable
@@ -170,7 +171,12 @@ def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
         spread = np.sqrt(np.maximum(clean, 1e-3))
         fitted = affine(stacked, clean, spread, channel_index(clean.shape), low)
         return fitted - mosaic_map(tuple(black), recording.size)
-    return plane_blur(stacked.mean) - mosaic_map(tuple(black), recording.size)
+    mean = (
+        stacked.mean
+        if stacked.earlier is None
+        else at_level(stacked.earlier, stacked.mean, black, stacked.usable)
+    )
+    return plane_blur(mean) - mosaic_map(tuple(black), recording.size)
 
 
 def _line(levels: list[Level], stacks: list[Stack], c: int) -> tuple[float, float, float, float]:
@@ -242,7 +248,7 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     usable = stacked.usable & (signal < 0.9 * full_level(baseline))
     # Near the rail the noise decides which pixels clip: the rest would be a biased sample.
     usable &= mean + 5 * sigma < recording.white_level
-    if stacked.frames == 1:
+    if not len(stacked.contrasts):
         static = None  # one frame cannot tell what stays from what is redrawn
     scaled = np.float32(np.sqrt(stacked.frames)) * usable / sigma
     contrasts = stacked.contrasts * (usable / sigma)
@@ -265,6 +271,7 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
         clean,
         baseline.gain,
         baseline.black,
+        stacked.before,
     )
 
 
@@ -272,8 +279,8 @@ def _own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mea
     """Darks are standardised by their own variance, in which rounding below a step and dark current are
     included: the temporal one, of a single frame that over the pixels."""
     out = modelled.copy()
-    n = max(stacked.frames - 1, 1)
-    values = stacked.variance if stacked.frames > 1 else (stacked.mean - mean) ** 2
+    n = max(len(stacked.contrasts), 1)
+    values = stacked.variance if len(stacked.contrasts) else (stacked.mean - mean) ** 2
     for c in range(4):
         v = values[channel == c]
         limit = stats.chi2.isf(1e-6, n) / n * max(np.median(v) * n / stats.chi2.median(n), 1e-9)

@@ -14,14 +14,19 @@ from jaxtyping import Array, Key
 from scipy import stats
 
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import Prepared, prepare, split_frames, stated_parameters
+from cannoise_jax.discovery.battery import (
+    Prepared,
+    prepare,
+    prepare_split,
+    split_recordings,
+    stated_parameters,
+)
 from cannoise_jax.discovery.fields import refit
 from cannoise_jax.discovery.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
-from cannoise_jax.discovery.stacks import MOST_FRAMES
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
@@ -36,8 +41,8 @@ class Diagnosis:
     """What a run found. `report.document` turns it into the report, `model` is the extended simulator.
 
     splits: frames of every recording that looked for effects, and that proved them. steps of `fitted` and
-    `proofs` go together; proven: also the likelihood of the second half; quality: draws of the simulator
-    before and after against the second half, None where not measured.
+    `proofs` go together; proven: also the likelihood of the frames held back; quality: draws of the simulator
+    before and after against those, None where not measured.
     """
 
     capture: CaptureSet
@@ -103,7 +108,7 @@ def diagnose(
         drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
         capture = as_simulated(capture, drawn)
     splits = split_recordings(capture)
-    seen = prepare(capture, [a for a, _ in splits], judged, drawn)
+    seen = prepare_split(capture, splits, judged, drawn)
     own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
     first = _without(seen, own)
     tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
@@ -113,10 +118,15 @@ def diagnose(
     second = unseen = None
     proven = unproven(fitted.steps)
     if any(chosen):
-        tell("prove: on the other half of the frames")
-        unseen = prepare(capture, chosen, judged, drawn)
+        tell("prove: on the frames held back")
+        unseen = prepare_split(capture, splits, judged, drawn, held_back=True)
         second = _without(unseen, own)
-        proven = prove(fitted, first, second, chosen)
+
+        def every() -> Prepared:
+            used = [sorted(a + b) for a, b in splits]
+            return _without(prepare(capture, used, judged, drawn), own)
+
+        proven = prove(fitted, first, second, chosen, every)
     if handed is None:
         stated = stated_parameters(capture, first.baselines) if judged else None
         sides = simulators(capture, first, fitted.steps, stated)
@@ -128,7 +138,8 @@ def diagnose(
         tell("prove: draws of the simulator before and after")
         row = first.probes and fitted.first.scores.get("row_additive_temporal")
         # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
-        sigma = 2 * row.mde / 2**0.25 if row else None
+        share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
+        sigma = 2 * row.mde * share**0.25 if row else None
         composite = proven.after is None or not sides.likelihood
         quality = compare_models(jax.random.fold_in(key, 2), seen, unseen, sides, sigma, composite)
         if quality is not None and not sides.likelihood:
@@ -142,20 +153,6 @@ def diagnose(
     )
 
 
-def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
-    """Frames of every recording that look for effects, and those that prove: every other frame; of scenes of
-    one frame, every other scene. Of long recordings `MOST_FRAMES` in all are used, spread evenly."""
-    out, single = [], 0
-    for r in capture.recordings:
-        used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
-        look, show = ([int(used[n]) for n in half] for half in split_frames(used.size))
-        if r.count == 1:
-            look, show = (look, show) if single % 2 == 0 else (show, look)
-            single += 1
-        out.append((look, show))
-    return out
-
-
 def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
     """The recordings that the simulator could draw."""
     names = {(r.path, r.kind, r.exposure_s, r.iso) for r in drawn.recordings}
@@ -163,9 +160,14 @@ def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
     return CaptureSet(capture.camera, kept, capture.path)
 
 
+def contrasts(prepared: Prepared) -> int:
+    """Number of contrasts between frames."""
+    return sum(len(f.contrasts) for f in prepared.fields)
+
+
 def _own_effects(drawn: CaptureSet, ids: frozenset[str], log_alpha: float) -> tuple[Step, ...]:
     """What the simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
-    prepared = prepare(drawn, [split_frames(r.count)[0] for r in drawn.recordings], False)
+    prepared = prepare_split(drawn, split_recordings(drawn))
     return stepwise(prepared.fields, prepared.probes, ids, log_alpha).steps
 
 

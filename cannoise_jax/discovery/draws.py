@@ -34,16 +34,17 @@ def drawing(model: SensorModel, key: Key[Array, ""]) -> Drawing:
         parts = []
         for start in range(0, settings.frames, CHUNK):
             k = jax.random.fold_in(jax.random.fold_in(key, number), start)
-            few = dataclasses.replace(settings, frames=CHUNK)
-            parts.append(np.asarray(model.sample(k, jnp.asarray(clean), few)))
+            parts.append(
+                np.asarray(model.sample(k, jnp.asarray(clean), dataclasses.replace(settings, frames=CHUNK)))
+            )
         return np.concatenate(parts)[: settings.frames]
 
     return draw
 
 
-def draw_like(draw: Drawing, prepared: Prepared, limit: int = 1 << 30) -> Frames:
-    """As many frames (at most `limit`) as every recording of the split has, of its expected signal and at
-    its settings."""
+def draw_like(draw: Drawing, prepared: Prepared) -> Frames:
+    """As many frames as every recording of the split has, of its expected signal and at its settings; where
+    they are seen against frames before, as many of those first."""
     black = {b.iso: b.black for b in prepared.baselines}
     out = {}
     for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
@@ -53,7 +54,7 @@ def draw_like(draw: Drawing, prepared: Prepared, limit: int = 1 << 30) -> Frames
             r.iso if r.iso is not None else 100.0,
             r.exposure_s if r.exposure_s is not None else 0.01,
             r.temperature_c,
-            min(field.frames, limit),
+            field.before + field.frames,
         )
         clean = field.signal if field.lit else np.zeros(r.size, np.float32)
         frames = draw(field.number, (clean / span).astype(np.float32), settings)
@@ -72,14 +73,14 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
             continue
         r = stacked.recording
         frames = drawn[field.number]
-        taken = stack(
-            dataclasses.replace(r, frames=frames), field.number, list(range(len(frames))), prepared.step
-        )
+        all_frames, a = list(range(len(frames))), field.before
+        own = dataclasses.replace(r, frames=frames)
+        taken = stack(own, field.number, all_frames[a:], prepared.step, all_frames[:a])
         weight = (field.usable / field.sigma).astype(np.float32)
         static, mean = None, field.mean
         if field.static is not None:
             mean = standardise(taken, baselines[r.iso], field.group).mean
-            static = ((taken.mean - mean) * weight * np.sqrt(len(frames))).astype(np.float32)
+            static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
         out.append(field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static))
     return tuple(out)
 

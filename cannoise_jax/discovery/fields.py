@@ -3,6 +3,9 @@
 A recording of T frames becomes T - 1 orthonormal contrasts between frames (Helmert), in which everything that
 stays put cancels, and one static field, the mean over frames minus the fitted mean. Under Poisson-Gaussian
 noise all of them are independent and, divided by the fitted standard deviation, standard normal.
+
+Frames that were held back have one contrast more: their mean against that of the frames that were looked at,
+independent of every contrast among those. So one frame held back shows what is new in it.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ class Fields(NamedTuple):
     shot: share of shot noise in sigma^2; usable: pixels that are never at a rail.
     contrasts: standardised differences between frames; static: standardised mean residual over the frames
     (None when its mean cannot be modelled); step: code step, DN; number: place of the recording in its
-    set; group: index of the gain setting.
+    set; group: index of the gain setting. before: frames whose mean the last contrast is taken from, 0: none.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Fields(NamedTuple):
     clean: Float[np.ndarray, "h w"] | None
     gain: Float[np.ndarray, "4"]
     black: Float[np.ndarray, "4"]
+    before: int = 0
 
     @property
     def lit(self) -> bool:
@@ -84,26 +88,45 @@ def helmert(frames: int) -> Float[np.ndarray, "n t"]:
     return matrix
 
 
-def frame_fields(field: Fields, static: bool = True) -> Float[np.ndarray, "t h w"]:
+def contrast_matrix(frames: int, before: int = 0) -> Float[np.ndarray, "n t"]:
+    """Orthonormal contrasts of frames `[before + frames]`: those among the last `frames`, then, where there
+    are frames before, their mean against that of those."""
+    inner = np.pad(helmert(frames), ((0, 0), (before, 0)))
+    if not before:
+        return inner
+    outer = np.repeat([-1 / before, 1 / frames], [before, frames])
+    return np.concatenate([inner, outer[None] / np.linalg.norm(outer)])
+
+
+def each_frame(field: Fields, static: bool = True) -> Iterator[Float[np.ndarray, "h w"]]:
     """Standardised residual of every frame: contrasts and, if asked and known, the static part, put together.
 
-    Without the static part the frames are rescaled to unit variance.
+    Without the static part the frames are taken from the mean of those before, or from their own, and
+    rescaled to unit variance.
     """
-    out = np.einsum("nt,nij->tij", helmert(field.frames).astype(np.float32), field.contrasts)
-    if static and field.static is not None:
-        return out + field.static / np.float32(np.sqrt(field.frames))
-    return out * np.float32(np.sqrt(field.frames / max(field.frames - 1.0, 1.0)))
-
-
-def each_frame(field: Fields) -> Iterator[Float[np.ndarray, "h w"]]:
-    """The standardised residuals of `frame_fields` one frame at a time."""
     matrix = helmert(field.frames).astype(np.float32)
+    shared: np.ndarray = np.zeros(field.mean.shape, np.float32)
+    scale = 1.0
+    if static and field.static is not None:
+        shared = field.static / np.float32(np.sqrt(field.frames))
+    elif field.before:
+        shared = field.contrasts[-1] * np.float32(np.sqrt(1 / field.frames + 1 / field.before))
+        scale = 1 / np.sqrt(1 + 1 / field.before)
+    else:
+        scale = np.sqrt(field.frames / max(field.frames - 1.0, 1.0))
     for t in range(field.frames):
-        frame = np.einsum("n,nij->ij", matrix[:, t], field.contrasts)
-        if field.static is not None:
-            yield frame + field.static / np.float32(np.sqrt(field.frames))
-        else:
-            yield frame * np.float32(np.sqrt(field.frames / max(field.frames - 1.0, 1.0)))
+        inner = np.einsum("n,nij->ij", matrix[:, t], field.contrasts[: field.frames - 1])
+        yield (inner + shared) * np.float32(scale)
+
+
+def frame_fields(field: Fields, static: bool = True) -> Float[np.ndarray, "t h w"]:
+    """All residuals of `each_frame` at once."""
+    return np.stack(list(each_frame(field, static)))
+
+
+def stratum(field: Fields) -> int:
+    """Number of the recording; for recordings of one frame a negative one for each kind."""
+    return field.number if field.frames > 1 else -1 - ("scene", "flat", "dark", "bias").index(field.kind)
 
 
 def map_contrasts(field: Fields, function) -> Fields:

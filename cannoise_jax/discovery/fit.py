@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from cannoise_jax.discovery.fields import Fields, refit
-from cannoise_jax.discovery.locate import Located, locate
+from cannoise_jax.discovery.locate import Located, locate, weight
 from cannoise_jax.discovery.name import Named, name
 from cannoise_jax.discovery.statistics.score import Probe, sidak
 
@@ -67,7 +67,7 @@ def stepwise(
     return Fitted(_in_final_model(steps, first.tests), fields, located, first)
 
 
-def _in_final_model(steps: list[Step], tests: int) -> tuple[Step, ...]:
+def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A probe that
     the others leave nothing to look at keeps the p-value of its step."""
     out = []
@@ -76,5 +76,6 @@ def _in_final_model(steps: list[Step], tests: int) -> tuple[Step, ...]:
         for later in steps[k + 1 :]:
             fields = refit(later.named.probe.absorb(fields, later.named.score), fields)
         score = step.named.probe.score(fields) if k + 1 < len(steps) else step.named.score
-        out.append(step if score is None else step._replace(log_p=sidak(score.log_p, tests)))
+        share = weight(step.named.probe)
+        out.append(step if score is None else step._replace(log_p=sidak(score.log_p, tests / share)))
     return tuple(out)

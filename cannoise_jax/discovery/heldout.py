@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fields import Fields, channel_index, stratum
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.frozen import hot_map
-from cannoise_jax.discovery.stacks import Stack
+from cannoise_jax.discovery.stacks import Stack, at_level
 from cannoise_jax.discovery.statistics.lines import static_sums
 from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.physics.likelihood import CodeGrid
@@ -84,11 +84,26 @@ def predicted(step: Step) -> Predicted | None:
 
 
 class Scored(NamedTuple):
-    """Log-likelihood of every frame, nats; the recording it belongs to, and the pixels that were scored."""
+    """Log-likelihood of every frame, nats; the recording it belongs to (recordings of one frame: those of
+    their kind together), and the pixels that were scored. parts: of every frame cut into four, scored apart.
+    """
 
     log_prob: Float[np.ndarray, "t"]
     recording: np.ndarray
     pixels: np.ndarray
+    parts: Float[np.ndarray, "t 4"] | None = None
+
+
+def pieces(law: Predicted, size: tuple[int, int]) -> list[tuple[slice, slice]] | None:
+    """The frame cut into four parts between which the chance in what a finding gains is independent: bands of
+    rows, or of columns for offsets of columns; None for offsets of whole frames."""
+    if law.frame:
+        return None
+    along = 1 if law.column else 0
+    edges = [size[along] // 2 * k // 4 * 2 for k in range(5)]
+    cuts = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    every = slice(None)
+    return [(every, c) if along else (c, every) for c in cuts]
 
 
 def score_frames(
@@ -97,25 +112,32 @@ def score_frames(
     chosen: list[list[int]],
     found: list[Predicted],
     masks: dict[int, np.ndarray] | None = None,
+    parts_for: Predicted | None = None,
 ) -> Scored:
-    """Scores the frames of the second half, `chosen` per recording. A mean that is not modelled (a
-    reference averaged from the recording's own frames, or none) is rebuilt from the first half, its noise
-    added to the pixel's. masks: pixels to score, by recording."""
+    """Scores the frames held back, `chosen` per recording. A mean that is not modelled (a reference averaged
+    from the recording's own frames, or none) is rebuilt from the frames that looked, its noise added to the
+    pixel's. masks: pixels to score, by recording. parts_for: score parts as `pieces` cuts them as well."""
     before = {f.number: (s, f) for s, f in zip(first.stacks, first.fields, strict=True)}
-    values, recordings, pixels = [], [], []
+    values, recordings, pixels, parts = [], [], [], []
     for stacked, field in zip(second.stacks, second.fields, strict=True):
         mean, extra, usable = _mean(stacked, field, before.get(field.number))
         usable = usable & masks[field.number] if masks and field.number in masks else usable
         if mean is None or not usable.any():
             continue
         frames = chosen[field.number][: field.frames]
-        scored = _score(stacked, field, mean, extra, usable, found, frames)
+        whole = (slice(None), slice(None))
+        scored = _score(stacked, field, mean, extra, usable, found, frames, whole)
         values.append(scored)
-        recordings.append(np.full(scored.size, field.number))
+        recordings.append(np.full(scored.size, stratum(field)))
         pixels.append(np.full(scored.size, int(usable.sum())))
+        cut = pieces(parts_for, usable.shape) if parts_for else None
+        if cut:
+            scores = [_score(stacked, field, mean, extra, usable, found, frames, c) for c in cut]
+            parts.append(np.stack(scores, 1))
     if not values:
         return Scored(np.zeros(0), np.zeros(0, int), np.zeros(0, int))
-    return Scored(*(np.concatenate(part) for part in (values, recordings, pixels)))
+    cut_apart = np.concatenate(parts) if parts else None
+    return Scored(np.concatenate(values), np.concatenate(recordings), np.concatenate(pixels), cut_apart)
 
 
 def _mean(
@@ -127,18 +149,9 @@ def _mean(
         return field.mean, 0.0, field.usable
     if other is None:
         return None, 0.0, field.usable
-    # Frames brighter or darker as a whole are the lamp's: the other half's mean is scaled to this half's.
-    mean, usable = other[0].mean.astype(np.float64), field.usable & other[1].usable
-    if usable.any():
-        channel = channel_index(mean.shape)
-        for c in range(4):
-            chosen = (channel == c) & usable
-            if chosen.any():
-                black = field.black[c]
-                level = max(float(np.mean(mean[chosen] - black)), 1e-6)
-                factor = float(np.mean(stacked.mean[chosen] - black)) / level
-                mean[channel == c] = black + factor * (mean[channel == c] - black)
-    return mean.astype(np.float32), 1 / other[0].frames, usable
+    usable = field.usable & other[1].usable
+    mean = at_level(other[0].mean, stacked.mean, field.black, usable)
+    return mean, 1 / other[0].frames, usable
 
 
 def _score(
@@ -149,26 +162,28 @@ def _score(
     usable: Bool[np.ndarray, "h w"],
     found: list[Predicted],
     frames: list[int],
+    part: tuple[slice, slice],
 ) -> Float[np.ndarray, "t"]:
-    """Log-likelihood of the frames of one recording, nats per frame."""
-    (h, w), step = field.mean.shape, field.step
+    """Log-likelihood of a part of the frames of one recording, nats per frame."""
+    step = field.step
     spread = np.maximum(field.sigma.astype(np.float64) ** 2 - step**2 / 12, (0.05 * step) ** 2)
-    own, shift = spread * (1 + extra), np.zeros((h, w))
-    row, column, frame = np.zeros(h), 0.0, 0.0
+    own, shift = spread * (1 + extra), np.zeros(field.mean.shape)
+    height, width = field.mean[part].shape
+    row, column, frame = np.zeros(height), 0.0, 0.0
     for p in found:
         if p.pattern is not None and not extra:  # a mean of the recording's own frames holds the pattern
             unit = _unit(p.scaling, field)
             if unit is not None:
-                shift += np.broadcast_to(p.pattern * unit, (h, w))
+                shift += np.broadcast_to(p.pattern * unit, shift.shape)
                 own = own + p.doubt * unit**2
-        row = row + p.row**2 * _autocovariance(h, p.exponent)
+        row = row + p.row**2 * _autocovariance(height, p.exponent)
         column, frame = column + p.column**2, frame + p.frame**2
     shared = row[0] + column  # the fitted read noise holds these; drift of whole frames was kept out of it
     own = np.maximum(own - shared, _LEAST * own)
-    factor = stationary_factor(jnp.asarray(row, jnp.float32)) if row[0] > 0 else jnp.zeros((h, 1))
+    factor = stationary_factor(jnp.asarray(row, jnp.float32)) if row[0] > 0 else jnp.zeros((height, 1))
     terms = SharedTerms(
         factor,
-        np.float32(np.sqrt(column)) * jnp.eye(w) if column > 0 else jnp.zeros((w, 1)),
+        np.float32(np.sqrt(column)) * jnp.eye(width) if column > 0 else jnp.zeros((width, 1)),
         jnp.asarray(np.sqrt(frame), jnp.float32),
     )
     centre = (mean + _centred(shift, field, usable)).astype(np.float32)
@@ -177,11 +192,11 @@ def _score(
     out = []
     for t in frames:
         codes = np.asarray(stacked.recording.frames[t : t + 1]).astype(np.float32)
-        codes = np.where(usable, codes, centre)
-        out.append(float(crossed_gaussian(codes, centre, variance, terms, grid)[0]))
+        codes = np.where(usable, codes, centre)[(slice(None), *part)]
+        out.append(float(crossed_gaussian(codes, centre[part], variance[part], terms, grid)[0]))
     # What the pixels that are not scored added.
     masked = np.log(step) - 0.5 * np.log(2 * np.pi * (_MASKED + step**2 / 12))
-    return np.array(out) - masked * float((~usable).sum())
+    return np.array(out) - masked * float((~usable[part]).sum())
 
 
 def _unit(scaling: str, field: Fields) -> np.ndarray | float | None:

@@ -7,13 +7,17 @@ from typing import NamedTuple
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.statistics.score import Probe, Score, sidak
 
+RARE = 0.3
+"""Weight of a test whose p is 1 unless something is far off, against 1 of the others: it takes that much less
+of the common error rate, and rejects with so little when it does."""
+
 
 class Located(NamedTuple):
     """Scores of one pass, their family-wise log p, and how many tests share the error rate."""
 
     scores: dict[str, Score]
     log_p: dict[str, float]
-    tests: int
+    tests: float
 
     def significant(self, log_alpha: float) -> list[Score]:
         """Scores that the family-wise test rejects, strongest evidence first."""
@@ -25,11 +29,11 @@ class Located(NamedTuple):
 def locate(
     fields: tuple[Fields, ...],
     probes: tuple[Probe, ...],
-    tests: int | None = None,
+    tests: float | None = None,
     known: dict[str, Score] | None = None,
 ) -> Located:
-    """Runs the battery. Every probe's p-value is calibrated for the search inside it; over the `tests` probes
-    the smallest is judged by Sidak's bound, which holds for independent and for positively dependent scores.
+    """Runs the battery. Every probe's p-value is calibrated for the search inside it; the smallest is judged
+    by Sidak's bound with weights (Genovese, Roeder & Wasserman 2006) over `tests`, the sum of the weights.
     known: scores that need not be computed again.
     """
     scores = {}
@@ -37,5 +41,11 @@ def locate(
         score = known[probe.name] if known and probe.name in known else probe.score(fields)
         if score is not None:
             scores[probe.name] = score
-    number = tests or len(scores)
-    return Located(scores, {n: sidak(s.log_p, number) for n, s in scores.items()}, number)
+    number = tests or sum(weight(p) for p in probes if p.name in scores)
+    share = {p.name: weight(p) for p in probes}
+    return Located(scores, {n: sidak(s.log_p, number / share[n]) for n, s in scores.items()}, number)
+
+
+def weight(probe: Probe) -> float:
+    """Share of the common error rate that a probe takes, against 1 of most."""
+    return RARE if probe.rare else 1.0

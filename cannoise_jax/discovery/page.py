@@ -8,6 +8,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from cannoise_jax.discovery.card import lines as card_lines
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
 from cannoise_jax.vocabulary import VOCABULARY
@@ -103,6 +104,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         pictures.append(where_picture(steps[n].before, after, axis, redrawn))
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(
+        card_lines=card_lines,
         camera=diagnosis.capture.camera,
         r=report,
         verdict=verdict(report),

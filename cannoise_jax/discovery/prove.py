@@ -11,6 +11,7 @@ learned in one half and predicted in the other: the claim is about this camera a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -68,9 +69,16 @@ def unproven(steps: tuple[Step, ...]) -> Proofs:
     return Proofs(tuple(Proof(None, None, np.nan, np.nan, 0) for _ in steps), None, None)
 
 
-def prove(fitted: Fitted, first: Prepared, second: Prepared, chosen: list[list[int]]) -> Proofs:
-    """Every accepted mechanism on the other half of the frames, `chosen` per recording, all others in the
-    model; for statistics, of many findings, those accepted before it, which have the larger effects.
+def prove(
+    fitted: Fitted,
+    first: Prepared,
+    second: Prepared,
+    chosen: list[list[int]],
+    every: Callable[[], Prepared] | None = None,
+) -> Proofs:
+    """Every accepted mechanism on the frames held back, `chosen` per recording, all others in the model; for
+    statistics, of many findings, those accepted before it, which have the larger effects. every: all frames
+    together; with them the strength of a frozen pattern is told by `strength_beyond`.
 
     Pixels that a finding is about one by one (hot, telegraph) are scored for hot pixels only: their noise is
     not that of the others, and would drown what rows or frames share.
@@ -84,24 +92,24 @@ def prove(fitted: Fitted, first: Prepared, second: Prepared, chosen: list[list[i
     pixels = int(base.pixels.sum())
     ordinary = {f.number: f.usable for f in fitted.fields}
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
-    most = score_frames(first, second, chosen, known, ordinary) if masked and known else full
     out = []
-    earlier = second.fields
+    together = every() if every and any(_pattern(step.named.probe) for step in steps) else None
     for n, step in enumerate(steps):
-        fields = earlier if len(steps) > MOST_JOINT else second.fields
-        for m, other in enumerate(steps):
-            if m != n and len(steps) <= MOST_JOINT:
-                fields = refit(other.named.probe.absorb(fields, other.named.score))
-        if len(steps) > MOST_JOINT:
-            earlier = refit(step.named.probe.absorb(earlier, step.named.score))
+        fields = beside(steps, n, second.fields)
         probe = probes.get(step.named.probe.name)
         score = probe.score(fields) if probe is not None else None
+        if together is not None and score is not None and _pattern(step.named.probe):
+            looked, both = (step.named.probe.score(beside(steps, n, p.fields)) for p in (first, together))
+            if looked is not None and both is not None:
+                score = strength_beyond(looked, both, score)
         law = laws[n]
         if law is not None and pixels:
             rest = [p for p in laws if p is not None and p is not law]
             single = step.named.probe.name.startswith("hot_") or not masked
-            reference = full if single else most
-            without = score_frames(first, second, chosen, rest, None if single else ordinary)
+            reference, without = (
+                score_frames(first, second, chosen, some, None if single else ordinary, law)
+                for some in (known, rest)
+            )
             gain, low, high = frame_interval(reference, without)
             scored = int(reference.pixels.sum())
             out.append(Proof(score, gain, low, high, scored, "likelihood", gain - _NUISANCES / 2))
@@ -119,11 +127,61 @@ def prove(fitted: Fitted, first: Prepared, second: Prepared, chosen: list[list[i
     )
 
 
+def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+    """The fields with every finding but the n-th taken out; of many, those accepted before it."""
+    others = steps[:n] if len(steps) > MOST_JOINT else (*steps[:n], *steps[n + 1 :])
+    for other in others:
+        fields = refit(other.named.probe.absorb(fields, other.named.score))
+    return fields
+
+
+def _pattern(probe: Probe) -> bool:
+    """Whether a probe looks for a random pattern that stays."""
+    return probe.axes.get("time") == "frozen" and probe.axes.get("law") in ("white", "log-normal variance")
+
+
+def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
+    """Strength of a frozen pattern from what the frames held back add to those that selected it.
+
+    Log-likelihood of the frames held back given the others, log p(all) - log p(looked), as a function of the
+    pattern's variance, each close to quadratic about its own estimate: their difference is again. The frames
+    held back by themselves tell the strength too, and better where the others know the pattern already; of
+    both, the one with the smaller error. The standard error of an estimate v is s + q v, s: without a
+    pattern, q: from the draw of the pattern itself; both follow from each estimate's own errors.
+    """
+
+    def law(score: Score) -> tuple[float, float, float]:
+        value, least = score.amplitude**2, score.shift**2
+        error = 2 * max(score.amplitude, score.shift) * score.error
+        return value, least, max(error - least, 0.0) / max(value, least)
+
+    (v_all, s_all, q_all), (v_look, s_look, q_look), (_, s_held, q_held) = map(law, (both, looked, held))
+    inverse_all, inverse_look = (s_all + q_all * v_all) ** -2, (s_look + q_look * v_all) ** -2
+    left = inverse_all - inverse_look
+    if not left > (s_held + q_held * v_all) ** -2:
+        return held
+    value = max((v_all * inverse_all - v_look * inverse_look) / left, 0.0)
+    amplitude, error = float(np.sqrt(value)), float(left**-0.5)
+    error /= 2 * max(amplitude, both.shift)
+    name, (_, unit, _) = next(iter(held.parameters.items()))
+    parameters = {**held.parameters, name: (amplitude, unit, error)}
+    return held._replace(amplitude=amplitude, error=error, parameters=parameters)
+
+
 def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, float]:
-    """Total gain in nats and its 90 % interval from the scatter of the frames within each recording; where
-    every recording has one frame, from that of the recordings."""
+    """Total gain in nats and its 90 % interval: from the scatter of the parts of the frames within each
+    recording where they were scored apart, else from that of the frames."""
     gains = with_it.log_prob - without.log_prob
     total = float(gains.sum())
+    if with_it.parts is not None and without.parts is not None:
+        values = with_it.parts - without.parts
+        each = [values[with_it.recording == r].ravel() for r in np.unique(with_it.recording)]
+        # What a part cannot tell of an offset that it shares with another is missing in the sum of the parts.
+        scale = np.clip(total / values.sum(), 1.0, 2.0) if values.sum() > 0 else 1.0
+        parts = np.array([g.size * np.var(g, ddof=1) for g in each]) * scale**2
+        freedom = parts.sum() ** 2 / max(np.sum(parts**2 / [g.size - 1 for g in each]), 1e-300)
+        half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(parts.sum()))
+        return total, total - half, total + half
     groups = [gains[with_it.recording == r] for r in np.unique(with_it.recording)]
     several = [g for g in groups if g.size > 1]
     if several:
@@ -169,20 +227,20 @@ def jackknife_interval(
 
 
 def frame_blocks(fields: tuple[Fields, ...], most: int) -> list[list[tuple[int, int]]]:
-    """Frames as (field, frame), in at most `most` blocks. The two frames of a recording of two stay
-    together: one alone says nothing."""
+    """Frames as (field, frame), in at most `most` blocks. The two frames of a recording of two that is seen
+    against no others stay together: one alone says nothing."""
     units: list[list[tuple[int, int]]] = []
     for n, f in enumerate(fields):
-        if f.frames == 2:
+        if f.frames == 2 and not f.before:
             units.append([(n, 0), (n, 1)])
-        elif f.frames > 2:
+        elif f.frames > 2 or f.before:
             units += [[(n, t)] for t in range(f.frames)]
     count = min(most, len(units))
     return [[frame for unit in units[k::count] for frame in unit] for k in range(count)]
 
 
 def leave_out(fields: tuple[Fields, ...], block: list[tuple[int, int]]) -> tuple[Fields, ...]:
-    """The fields without some of their frames; recordings of which one frame would be left drop out."""
+    """The fields without some of their frames; recordings of which nothing could be told then drop out."""
     out = []
     for n, f in enumerate(fields):
         gone = [t for m, t in block if m == n]
@@ -190,14 +248,19 @@ def leave_out(fields: tuple[Fields, ...], block: list[tuple[int, int]]) -> tuple
             out.append(f)
             continue
         kept = [t for t in range(f.frames) if t not in gone]
-        if len(kept) < 2:
+        if len(kept) < (1 if f.before else 2):
             continue
-        frames = np.einsum("nt,nij->tij", helmert(f.frames).astype(np.float32), f.contrasts)[kept]
+        inner = np.einsum("nt,nij->tij", helmert(f.frames).astype(np.float32), f.contrasts[: f.frames - 1])
         static = None
         if f.static is not None:
-            frames += f.static / np.float32(np.sqrt(f.frames))
-            static = frames.sum(0) / np.float32(np.sqrt(len(kept)))
-        contrasts = np.einsum("nt,tij->nij", helmert(len(kept)).astype(np.float32), frames)
+            static = (inner[kept] + f.static / np.float32(np.sqrt(f.frames))).sum(0) / np.float32(
+                np.sqrt(len(kept))
+            )
+        contrasts = np.einsum("nt,tij->nij", helmert(len(kept)).astype(np.float32), inner[kept])
+        if f.before:
+            moved = inner[kept].mean(0) + f.contrasts[-1] * np.float32(np.sqrt(1 / f.frames + 1 / f.before))
+            outer = moved / np.float32(np.sqrt(1 / len(kept) + 1 / f.before))
+            contrasts = np.concatenate([contrasts, outer[None]])
         out.append(f._replace(frames=len(kept), contrasts=contrasts, static=static))
     return tuple(out)
 

@@ -86,11 +86,11 @@ def compare_models(
     learns on the first.
 
     control_sigma: row noise that is added to draws of the baseline for the control, DN. composite: whether to
-    score the frames by it too. None where no recording has two frames in both halves.
+    score the frames by it too. None where no recording shows new noise in both splits.
     """
     plain, extended, control = sides.plain, sides.extended, sides.control
     shown = [
-        {f.number for f in p.fields if f.frames > 1 and f.usable.mean() > _LEAST_USABLE}
+        {f.number for f in p.fields if len(f.contrasts) and f.usable.mean() > _LEAST_USABLE}
         for p in (first, second)
     ]
     names = shown[0] & shown[1]

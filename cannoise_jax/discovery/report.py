@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery.card import card
 from cannoise_jax.discovery.declare import kinds
 from cannoise_jax.discovery.diagnose import Diagnosis, detectable
 from cannoise_jax.discovery.fit import Step
@@ -217,7 +218,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         "heldout_gain_nats_per_pixel": per_pixel,
     }
     if mechanism == "unknown":
-        out["card"] = card(step)
+        out["card"] = card(step, diagnosis.first.probes, frozenset(diagnosis.ids))
     out["sentence"] = sentence(out, step, proof)
     return out
 
@@ -231,22 +232,6 @@ def _where(score: Score) -> dict[str, Any]:
     if where.get("axis") not in _AXES:
         where["axis"] = "pixel"
     return {**dict.fromkeys(_PLACES[where["axis"]]), **where}
-
-
-def card(step: Step) -> dict[str, Any]:
-    """Where an unnamed structure lives in the grammar, and the named mechanisms that came nearest."""
-    near = [m for m, _ in step.named.candidates if m != "unknown"][:1]
-    best = step.named.score
-    return {
-        "axes": dict(step.named.probe.axes),
-        "probe": step.named.probe.name,
-        "static_or_temporal": step.named.probe.axes.get("time"),
-        "gain_nats": best.gain,
-        "nearest": near[0] if near else None,
-        "why_rejected": f"it explains the data worse by more than {best.gain / 2:.1f} nats"
-        if near
-        else "no named mechanism of this run passes its own test on these recordings",
-    }
 
 
 def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:

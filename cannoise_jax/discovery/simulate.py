@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.discovery.battery import split_frames
+from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import read_sensor
@@ -121,15 +121,17 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
     step = code_step(capture)
     codes = codes_of(draw, capture, key, step, dark)
     out = []
-    for n, recording in enumerate(capture.recordings):
-        clean = expected_signal(recording, n, step)
+    for n, (recording, (look, _)) in enumerate(
+        zip(capture.recordings, split_recordings(capture), strict=True)
+    ):
+        clean = expected_signal(recording, n, step, look)
         if clean is None:
             continue
         settings = Settings(
             recording.iso if recording.iso is not None else 100.0,
             recording.exposure_s if recording.exposure_s is not None else 0.01,
             recording.temperature_c,
-            min(recording.count, 2 * MOST_FRAMES),
+            min(recording.count, MOST_FRAMES),
         )
         frames = codes(n, clean, settings)
         if frames is None:
@@ -142,7 +144,7 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
     return CaptureSet(capture.camera, tuple(out), capture.path)
 
 
-def expected_signal(recording: Recording, number: int, step: float) -> np.ndarray | None:
+def expected_signal(recording: Recording, number: int, step: float, look: list[int]) -> np.ndarray | None:
     """Normalised noise-free signal: 0 for darks, the reference, or the smooth surface of a flat."""
     if recording.kind in ("dark", "bias"):
         return np.zeros(recording.size, np.float32)
@@ -152,5 +154,5 @@ def expected_signal(recording: Recording, number: int, step: float) -> np.ndarra
     if recording.kind != "flat":
         return None
     black = recording.black_map()
-    mean = smooth_mean(stack(recording, number, split_frames(recording.count)[0], step))
+    mean = smooth_mean(stack(recording, number, look or [0], step))
     return np.maximum((mean - black) / (recording.white_level - black), 0).astype(np.float32)

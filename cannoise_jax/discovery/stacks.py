@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.fields import channel_index, helmert, least_squares
+from cannoise_jax.discovery.fields import channel_index, contrast_matrix, least_squares
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 MOST_FRAMES = 16
@@ -18,7 +18,8 @@ _DEGREE = 4
 
 
 class Stack(NamedTuple):
-    """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails."""
+    """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails. earlier:
+    mean of the `before` frames of the other split, against which the last contrast is taken; None: none."""
 
     recording: Recording
     number: int
@@ -30,27 +31,35 @@ class Stack(NamedTuple):
     step: float
     low: float
     high: float
+    before: int = 0
+    earlier: Float[np.ndarray, "h w"] | None = None
 
 
-def stack(recording: Recording, index: int, chosen: list[int], step: float) -> Stack:
-    """Reads the chosen frames one by one (at most MOST_FRAMES) and forms their contrasts."""
-    chosen = chosen[:MOST_FRAMES]
-    matrix = helmert(len(chosen)).astype(np.float32)
+def stack(
+    recording: Recording, index: int, chosen: list[int], step: float, before: list[int] | None = None
+) -> Stack:
+    """Reads the chosen frames one by one (at most MOST_FRAMES) and forms their contrasts; before: frames of
+    the other split, which lend their mean alone."""
+    chosen, before = chosen[:MOST_FRAMES], (before or [])[:MOST_FRAMES]
+    matrix = contrast_matrix(len(chosen), len(before)).astype(np.float32)
     size = recording.size
-    total = np.zeros(size, np.float64)
-    contrasts = np.zeros((len(chosen) - 1, *size), np.float32)
+    total, earlier = np.zeros(size, np.float64), np.zeros(size, np.float64)
+    contrasts = np.zeros((len(matrix), *size), np.float32)
     high, low = np.zeros(size, np.uint16), np.full(size, 65535, np.uint16)
     anchor = None
-    for n, t in enumerate(chosen):
+    for n, t in enumerate((*before, *chosen)):
         frame = np.asarray(recording.frames[t : t + 1])[0]
         high, low = np.maximum(high, frame), np.minimum(low, frame)
         anchor = frame.astype(np.float32) if anchor is None else anchor
         moved = frame.astype(np.float32) - anchor
-        total += frame
-        for k in range(max(n - 1, 0), len(chosen) - 1):
+        total += frame if n >= len(before) else 0
+        earlier += frame if n < len(before) else 0
+        for k in np.flatnonzero(matrix[:, n]):
             contrasts[k] += matrix[k, n] * moved
     mean = (total / len(chosen)).astype(np.float32)
-    variance = _steady_variance(contrasts, mean)
+    # The mean of all frames is independent of every contrast.
+    overall = ((total + earlier) / (len(chosen) + len(before))).astype(np.float32)
+    variance = _steady_variance(contrasts, overall)
     white = min(recording.white_level, 65535.0)
     usable = (high < white - 0.5) & (low > 0)
     if recording.kind in ("dark", "bias") and usable.mean() < 0.9:
@@ -66,6 +75,8 @@ def stack(recording: Recording, index: int, chosen: list[int], step: float) -> S
         step,
         float(low.min()),
         float(high.max()),
+        len(before),
+        (earlier / len(before)).astype(np.float32) if before else None,
     )
 
 
@@ -183,4 +194,17 @@ def affine(
             rest = values - np.einsum("nk,k->n", basis, beta)
             kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
         out[channel == c] = beta[0] + beta[1] * clean[channel == c]
+    return out
+
+
+def at_level(mean: np.ndarray, like: np.ndarray, black: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The mean of other frames, DN, scaled per channel to the level of `like` over the chosen pixels: frames
+    brighter or darker as a whole are the lamp's."""
+    out, channel = mean.astype(np.float32), channel_index(mean.shape)
+    for c in range(4):
+        mine = (channel == c) & chosen
+        if mine.any():
+            level = max(float(np.mean(mean[mine] - black[c])), 1e-6)
+            factor = float(np.mean(like[mine] - black[c])) / level
+            out[channel == c] = black[c] + factor * (mean[channel == c] - black[c])
     return out

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from scipy import stats
 
 from cannoise_jax.discovery.draws import spread_codes
-from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.fields import Fields, stratum
 
 SIDE = 32
 CONTROL_AREA = 0.6
@@ -40,13 +40,14 @@ class Patches(NamedTuple):
 
 
 class Scored(NamedTuple):
-    """What the network says of unseen patches of the recordings and of the draws, with their frames."""
+    """What the network says of unseen patches of the recordings and of the draws, with their frames; strata:
+    of every frame, within which frames are drawn again."""
 
     real: np.ndarray
     fake: np.ndarray
     real_frame: np.ndarray
     fake_frame: np.ndarray
-    recording: np.ndarray
+    strata: np.ndarray
 
 
 class Area(NamedTuple):
@@ -169,7 +170,8 @@ def judge(real: Pair, fake: Pair, seed: int) -> Scored | None:
                 scores[there] = (scores[there] - mine.mean()) / max(float(mine.std()), 1e-9)
         parts.append((told, plain, c.frame, d.frame))
     told, plain, frame, other = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Scored(told, plain, frame, other, judged)
+    strata = np.concatenate([np.full(f.frames, stratum(f)) for f in real[1] if len(f.contrasts)])
+    return Scored(told, plain, frame, other, strata)
 
 
 def recording_of(fields: tuple[Fields, ...]) -> np.ndarray:
@@ -205,17 +207,18 @@ def decided(scored: Scored, size: int, seed: int) -> float:
 
 
 def resampled(scored: list[Scored], size: int, seed: int) -> np.ndarray:
-    """Areas of several networks `[n, R]` under the same resampling of frames, within each recording."""
+    """Areas of several networks `[n, R]` under the same resampling of frames, within each recording or,
+    of recordings of one frame, each kind."""
     rng = np.random.default_rng(seed)
     groups = [
         (grouped(s.real, s.real_frame, size, rng), grouped(s.fake, s.fake_frame, size, rng)) for s in scored
     ]
-    recording = scored[0].recording
-    by_recording = [np.flatnonzero(recording == r) for r in np.unique(recording)]
+    strata = scored[0].strata
+    alike = [np.flatnonzero(strata == s) for s in np.unique(strata)]
     out = np.zeros((len(scored), _RESAMPLED))
     for k in range(_RESAMPLED):
-        real_weight = np.bincount(_redrawn(rng, by_recording), minlength=recording.size)
-        fake_weight = np.bincount(_redrawn(rng, by_recording), minlength=recording.size)
+        real_weight = np.bincount(_redrawn(rng, alike), minlength=strata.size)
+        fake_weight = np.bincount(_redrawn(rng, alike), minlength=strata.size)
         for n, (real, fake) in enumerate(groups):
             out[n, k] = _weighted_area(real[0], real_weight[real[1]], fake[0], fake_weight[fake[1]])
     return out

@@ -22,7 +22,7 @@ def result():
         truth[name] = entry(name, "strong" if multiple == 4 else "curve", (mechanism, multiple))
         found = {**finding(mechanism), "where": {"axis": "row"}, "heldout_gain_nats": 45.0}
         claims[name] = {"findings": [found] if multiple > 1 else [], "seconds": 10.0 + n}
-        known[name] = {"mde": 1.1 / multiple, "gain": 50.0, "unweighted_p": 0.2}
+        known[name] = {"mde": 1.1 / multiple, "gain": 50.0, "unweighted_p": 0.2, "unrefitted_p": 0.3}
     truth["n"], claims["n"] = entry("n", "null"), {"findings": [], "battery_p_value": 0.4}
     return score(truth, claims, known)
 

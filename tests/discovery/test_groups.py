@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.fields import Fields, helmert
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.fields import Fields, helmert, refit
 from cannoise_jax.discovery.statistics import groups
+from tests.discovery.capture import capture_set, row_offsets
 
 SIZE = (64, 96)
 
@@ -62,3 +64,34 @@ def test_an_offset_that_stays_is_not_taken_for_one_that_is_redrawn(name):
     assert score.log_p < np.log(1e-6)
     after = groups.group_absorb(fields, score, name=name, time="frozen")
     assert log_p(after, name, "frozen") > np.log(1e-3)
+
+
+def tile_offsets(sigma):
+    """An offset of every 16 x 16 pixels, new in every frame."""
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            h, w = dn.shape
+            cells = sigma * rng.standard_normal((-(-h // 16), -(-w // 16)))
+            return dn + np.kron(cells, np.ones((16, 16)))[:h, :w]
+
+        return change
+
+    return alter
+
+
+@pytest.mark.parametrize("name", ["row_additive_temporal", "row_slope", "tile_16_redrawn"])
+def test_what_is_left_of_strong_offsets_is_white(name):
+    """The modelled noise holds strong offsets too: once out, no line or tile stands above its pixels."""
+    alter = tile_offsets(2.0) if name.startswith("tile") else row_offsets(2.0)
+    capture = capture_set(57, alter, kinds="df")
+    prepared = prepare_split(capture, split_recordings(capture))
+    probes = {p.name: p for p in prepared.probes}
+    fields = prepared.fields
+    score = probes[name].score(fields)
+    if name == "row_slope":  # flat, as white offsets are, but of the strength that the probe of lines finds
+        strength = probes["row_additive_temporal"].score(fields).payload
+        score = score._replace(payload=(strength, 0.0))
+    left = refit(probes[name].absorb(fields, score))
+    again = probes["tile_16_redrawn" if name.startswith("tile") else "row_additive_temporal"].score(left)
+    assert again.log_p > np.log(0.01)

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import registered
-from cannoise_jax.discovery.diagnose import diagnose, split_recordings
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.discovery.grammar_points import neighbour_kernel
 from cannoise_jax.discovery.model import baseline_model, extended_model
@@ -27,7 +27,7 @@ from tests.discovery.capture import (
 
 
 def looked_at(capture):
-    return prepare(capture, [look for look, _ in split_recordings(capture)], False)
+    return prepare_split(capture, split_recordings(capture))
 
 
 def found(capture, without=()):

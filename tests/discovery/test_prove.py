@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare
-from cannoise_jax.discovery.diagnose import diagnose, split_recordings
+from cannoise_jax.discovery.battery import prepare, prepare_split, split_recordings
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fields import frame_fields
 from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
 from cannoise_jax.discovery.prove import frame_blocks, frame_interval, leave_out
@@ -19,7 +19,7 @@ from tests.discovery.capture import capture_set, column_pattern, frame_offsets, 
 def halves(capture):
     splits = split_recordings(capture)
     chosen = [b for _, b in splits]
-    return prepare(capture, [a for a, _ in splits], False), prepare(capture, chosen, False), chosen
+    return prepare_split(capture, splits), prepare_split(capture, splits, held_back=True), chosen
 
 
 def gain(capture, *found):
@@ -35,7 +35,7 @@ def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood():
     value, low, high = gain(capture, Predicted(row=sigma))
     exact = 0.0
     for r in capture.recordings:
-        x = np.asarray(r.frames, float)[1::2] - 200.0
+        x = np.asarray(r.frames, float)[3::4] - 200.0
         w, total = x.shape[2], np.sqrt(read**2 + sigma**2 + 1 / 12)
         within = total**2 - sigma**2
         # Exact law of rows with a shared offset, against independent pixels of the same variance.
@@ -72,7 +72,7 @@ def test_likelihood_counts_codes_not_densities():
     scored = score_frames(first, second, chosen, [])
     nll = -scored.log_prob.sum() / scored.pixels.sum()
     codes = np.concatenate(
-        [np.asarray(r.frames)[1::2].ravel() for r in capture_set(34, kinds="d", step=16.0).recordings]
+        [np.asarray(r.frames)[3::4].ravel() for r in capture_set(34, kinds="d", step=16.0).recordings]
     )
     share = np.unique(codes, return_counts=True)[1] / codes.size
     entropy = -np.sum(share * np.log(share))
@@ -96,8 +96,8 @@ def test_a_reference_of_the_own_frames_is_rebuilt_from_the_other_half():
         first, second, chosen = halves(CaptureSet("c", recordings))
         scored = score_frames(first, second, chosen, [])
         values.append(-scored.log_prob.sum() / scored.pixels.sum())
-    # Two frames in the mean: half of the noise is added to the difference, 0.5 log 1.5 nats.
-    assert values[1] - values[0] == pytest.approx(0.5 * np.log(1.5), abs=0.03)
+    # Three frames in the mean: a third of the noise is added to the difference, 0.5 log 4/3 nats.
+    assert values[1] - values[0] == pytest.approx(0.5 * np.log(4 / 3), abs=0.03)
 
 
 def test_interval_is_calibrated_on_frames_of_equal_law():

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import diagnose as command
-from cannoise_jax.discovery.diagnose import diagnose, split_recordings
+from cannoise_jax.discovery.battery import split_recordings
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.page import advice, page
 from cannoise_jax.discovery.report import document
 from cannoise_jax.physics.sensor_json import read_sensor
@@ -192,7 +193,7 @@ def test_what_may_not_be_named_is_listed_nowhere():
 def test_single_frames_are_split_by_scene():
     capture = capture_set(24, kinds="s", frames=1)
     assert split_recordings(capture) == [([0], []), ([], [0])]
-    assert split_recordings(capture_set(24, kinds="d", frames=5))[0] == ([0, 2, 4], [1, 3])
+    assert split_recordings(capture_set(24, kinds="d", frames=5))[0] == ([0, 1, 2, 4], [3])
 
 
 class Counted:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare
-from cannoise_jax.discovery.diagnose import split_recordings
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.draws import spread_codes
 from cannoise_jax.discovery.twosample import area, cut, decided, grouped, judge, resampled, two_sample
 from tests.discovery.capture import capture_set, row_offsets
@@ -15,7 +14,7 @@ from tests.discovery.capture import capture_set, row_offsets
 def pair(seed, alter=None):
     capture = capture_set(seed, alter, kinds="df")
     splits = split_recordings(capture)
-    return tuple(prepare(capture, [s[half] for s in splits], False).fields for half in (0, 1))
+    return tuple(prepare_split(capture, splits, held_back=held).fields for held in (False, True))
 
 
 @pytest.fixture(scope="module")

@@ -159,6 +159,7 @@ def probes(codes: Codes, black: float) -> tuple[Probe, ...]:
             partial(step_score, probe="coarse", codes=codes),
             unchanged,
             ("coarse", "comb"),
+            rare=True,
         ),
         Probe(
             "pile_up",
@@ -167,5 +168,6 @@ def probes(codes: Codes, black: float) -> tuple[Probe, ...]:
             partial(clip_score, probe="pile_up", codes=codes, black=black),
             unchanged,
             ("pile_up", *shapes),
+            rare=True,
         ),
     )

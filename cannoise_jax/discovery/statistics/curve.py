@@ -175,6 +175,7 @@ def probes(
                 "description_scale",
                 "scene_static",
             ),
+            rare=True,
         ),
     ]
     if stated is not None:

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from cannoise_jax.discovery.fields import Fields, channel_index
-from cannoise_jax.discovery.statistics.lines import by_own_noise, component_score, response
+from cannoise_jax.discovery.statistics.lines import by_own_noise, component_score, own_share, response
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 LAYOUTS = (
@@ -102,7 +102,9 @@ def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: s
     """Whitens what was drawn anew; takes the whitening part of a pattern that stays out of all fields."""
     groups = layout(name, fields[0].mean.shape)
     if time == "redrawn":
-        return tuple(_whitened(f, groups, score.payload) for f in fields)
+        # The offsets of sites and parities are kept out of the modelled noise.
+        within = name.startswith(("tile", "diagonal", "antidiagonal"))
+        return tuple(_whitened(f, groups, score.payload, within) for f in fields)
     ((u, i, _),) = _shared_sums(fields, groups)
     spread = (u[0] * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
     return tuple(
@@ -113,12 +115,14 @@ def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: s
     )
 
 
-def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
-    """Offsets of groups move the mean of the frame as well: that part is whitened with the rest."""
+def _whitened(field: Fields, groups: np.ndarray, variance: float, within: bool) -> Fields:
+    """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. within:
+    whether the modelled noise holds them too."""
     flat, number = groups.ravel(), int(groups.max()) + 1
     r = field.weight.astype(np.float32)
     information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
-    shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
+    share = own_share(r, variance) if within else 1.0
+    shrink = (1 - np.sqrt(share / (share + variance * information))) / np.maximum(information, 1e-30)
 
     def function(x: np.ndarray) -> np.ndarray:
         scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]

@@ -144,6 +144,7 @@ def probes(described: Described, jitter: float) -> tuple[Probe, ...]:
             partial(channel_score, probe="black_level", described=described, common=True, jitter=jitter),
             unchanged,
             ("black_level", "reference_scale", "description_scale"),
+            rare=True,
         ),
         Probe(
             "black_channels",

@@ -56,6 +56,14 @@ def by_own_noise(score: np.ndarray, information: np.ndarray, total: np.ndarray, 
     return score * np.sqrt(information / own * more), more
 
 
+def own_share(response: np.ndarray, variance: float) -> float:
+    """Share of the modelled variance that is a pixel's own: shared offsets of `variance` are in it too."""
+    used = response[response > 0]
+    return (
+        float(np.clip(1 - variance * np.mean(used.astype(np.float64) ** 2), 0.05, 1.0)) if used.size else 1.0
+    )
+
+
 def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: bool = True) -> LineSums:
     """Per line of `values` [n, h, w], after the mean of each field is taken out; own: see `by_own_noise`."""
     r = response(field, scaling).astype(np.float32)
@@ -124,13 +132,15 @@ def temporal_absorb(
 
 
 def _whiten_lines(field: Fields, values: np.ndarray, axis: str, scaling: str, variance: float) -> Fields:
-    """Temporal offsets fall on the static field too, with 1/T of their variance per frame."""
+    """Temporal offsets fall on the static field too, with 1/T of their variance per frame. What is left to a
+    line is what its pixels' own noise gives it."""
 
     def function(x: np.ndarray) -> np.ndarray:
         r = response(field, scaling).astype(np.float32)
         subs = ("nij,ij->ni", "ni,ij->nij") if axis == "row" else ("nij,ij->nj", "nj,ij->nij")
         information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
-        shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
+        share = own_share(r, variance)
+        shrink = (1 - np.sqrt(share / (share + variance * information))) / np.maximum(information, 1e-30)
         score = np.einsum(subs[0], x, r) * shrink
         return x - np.einsum(subs[1], score.astype(np.float32), r)
 

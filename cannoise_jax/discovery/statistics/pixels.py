@@ -1,24 +1,21 @@
-"""Pixels that differ from the others: noisy, telegraph and hot ones."""
+"""Pixels whose noise differs from that of the others: noisier ones, and telegraph ones."""
 
 from __future__ import annotations
 
 from functools import partial
 
 import numpy as np
-from scipy import special, stats
+from scipy import stats
 
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.patterns import pixel_sums
+from cannoise_jax.discovery.statistics.hot import sparse_log_p, without_pixels
 from cannoise_jax.discovery.statistics.score import Probe, Score, skewed_log_p, unchanged
-from cannoise_jax.discovery.statistics.shape import DARK, NOISY, darks, known_kurtosis, parabola_peak
+from cannoise_jax.discovery.statistics.shape import NOISY, darks, known_kurtosis, parabola_peak
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 
 
 _JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
-
-
-_SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
 
 
 def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
@@ -39,7 +36,12 @@ def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | Non
 
 def _rounded_dispersion(fields: tuple[Fields, ...]) -> float:
     """What the kurtosis of rounding adds to the variance of a pixel's sum of squares over all darks."""
-    return float(sum(np.mean(known_kurtosis(f)) * (f.frames - 1.0) ** 2 / f.frames for f in darks(fields)))
+    return float(
+        sum(
+            np.mean(known_kurtosis(f)) * len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0)
+            for f in darks(fields)
+        )
+    )
 
 
 def _dispersion_log_p(squares: np.ndarray, n: int, known: float) -> tuple[float, float]:
@@ -119,18 +121,6 @@ def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
 
 
-def sparse_log_p(counts: np.ndarray, log_ratios: list[np.ndarray]) -> float:
-    """log p that a few values follow another law: log_ratios holds, for several sizes of the effect, the log
-    of its density over the null's at the values. The likelihood ratio averaged over sizes and shares has mean
-    one under the null, so its inverse is a p-value (Markov)."""
-    logs = [
-        float(np.sum(counts * np.log1p(share * np.expm1(np.minimum(ratio, 600.0)))))
-        for ratio in log_ratios
-        for share in _SHARES
-    ]
-    return min(0.0, float(np.log(len(logs)) - special.logsumexp(logs)))
-
-
 def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     """A small share of pixels with extra fluctuation of exponentially spread size."""
     found = _sums_of_squares(fields)
@@ -180,92 +170,12 @@ def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     )
 
 
-def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score | None:
-    """A few pixels far above the others in the darks, at the same places in every frame."""
-    sums = pixel_sums(fields, scaling, DARK)
-    if sums is None:
-        return None
-    seen = sums.information > 0
-    u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
-    spread = max(1.4826 * float(np.median(np.abs(u - np.median(u)))), 1.0)
-    number = int(np.sum(u > 4.6 * spread))
-    ratios = []
-    root = float(np.sqrt(np.median(sums.information[seen])))
-    best, at, share = 0.0, 1.0, 0.0
-    counts, edges = np.histogram(np.clip(u / spread, -20, 400), np.linspace(-20, 400, 8401))
-    used = counts > 0
-    counts, centre = counts[used], ((edges[1:] + edges[:-1]) / 2)[used]
-    root /= spread
-    for mean in np.exp(np.linspace(np.log(1.5), np.log(200), 14)):
-        # Density of normal + exponential over the normal density.
-        log_ratio = (
-            0.5 / mean**2
-            - centre / mean
-            - np.log(mean)
-            + stats.norm.logcdf(centre - 1 / mean)
-            - stats.norm.logpdf(centre)
-        )
-        log_ratio = np.clip(log_ratio, -50, 600)
-        ratios.append(log_ratio)
-        f = 1e-3
-        for _ in range(40):
-            responsibility = f * np.exp(log_ratio) / (1 - f + f * np.exp(log_ratio))
-            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-7, 0.2))
-        gain = float(np.sum(counts * np.log1p(f * np.expm1(log_ratio))))
-        if gain > best:
-            best, at, share = gain, float(mean), f
-    seconds = (
-        float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in DARK]))
-        if scaling == "thermal"
-        else 1.0
-    )
-    amplitude = at / root * np.sqrt(2 * share) * seconds
-    events = max(share * u.size, 1.0)
-    high = [int(k) for k in np.argsort(-u)[:8]]
-    width = fields[0].mean.shape[1]
-    return Score(
-        probe,
-        max(sparse_log_p(counts, ratios), -700.0),
-        best,
-        float(np.log(u.size)) + 2,
-        float(amplitude),
-        float(amplitude / np.sqrt(events)),
-        float(seconds / root / np.sqrt(np.sqrt(u.size / 2))),
-        2,
-        {"fraction": (share, "1", float(np.sqrt(share / u.size)))},
-        {"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
-        scaling,
-    )
-
-
-def mask_hot(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Takes the pixels whose level stands out in the darks out of every field."""
-    out = np.zeros(fields[0].mean.shape, bool)
-    for scaling in ("additive", "thermal"):
-        sums = pixel_sums(fields, scaling, DARK)
-        if sums is not None:
-            out |= np.abs(sums.score / np.sqrt(np.maximum(sums.information, 1e-30))) > 4.0
-    return _without(fields, out)
-
-
 def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Takes the pixels whose variance stands out in the darks out of every field."""
     found = _square_map(fields)
     if found is None:
         return fields
-    return _without(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
-
-
-def _without(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields, ...]:
-    keep = ~out
-    return tuple(
-        f._replace(
-            usable=f.usable & keep,
-            contrasts=f.contrasts * keep,
-            static=None if f.static is None else f.static * keep,
-        )
-        for f in fields
-    )
+    return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
 
 
 def probes() -> tuple[Probe, ...]:
@@ -287,21 +197,6 @@ def probes() -> tuple[Probe, ...]:
             partial(telegraph_score, probe="telegraph"),
             mask_noisy,
             NOISY,
-        ),
-        Probe(
-            "hot_additive",
-            "hot_pixels",
-            {**pixel, "time": "frozen", "law": "sparse"},
-            partial(hot_score, probe="hot_additive", scaling="additive"),
-            mask_hot,
-            ("hot_thermal",),
-        ),
-        Probe(
-            "hot_thermal",
-            "hot_pixels",
-            {**pixel, "time": "frozen", "scales": "exposure", "law": "sparse"},
-            partial(hot_score, probe="hot_thermal", scaling="thermal"),
-            mask_hot,
-            ("hot_additive",),
+            rare=True,
         ),
     )

@@ -148,7 +148,7 @@ class Probe(NamedTuple):
     it varies
     over, how it behaves in time, how it scales, its law. score(fields) -> Score or None where it cannot be
     tested; absorb(fields, score) -> fields with the effect taken out; covers: probes that cannot be trusted
-    once this one is in the model.
+    once this one is in the model. rare: whether p is 1 unless something is far off.
     """
 
     name: str
@@ -157,6 +157,7 @@ class Probe(NamedTuple):
     score: Callable[..., Score | None]
     absorb: Callable[..., Any]
     covers: tuple[str, ...] = ()
+    rare: bool = False
 
 
 def unchanged(fields: Any, score: Score) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import fft, optimize
 
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.lines import line_sums
+from cannoise_jax.discovery.statistics.lines import line_sums, own_share
 from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
@@ -114,6 +114,7 @@ def slope_absorb(fields: tuple[Fields, ...], score: Score, *, scan: str) -> tupl
 
 def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields:
     w = field.weight.astype(np.float32)
+    share = own_share(w, v)
     safe = np.where(w > 0, w, 1.0).astype(np.float32)
 
     def function(x: np.ndarray) -> np.ndarray:
@@ -128,7 +129,7 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
         frequency = np.maximum(np.arange(size // 2 + 1), 1) / size
         shape = frequency**-exponent
         shape = shape / (2 * shape[1:].sum()) * (2 * (len(shape) - 1))
-        keep = 1 / np.sqrt(1 + v * information * shape)
+        keep = np.sqrt(share / (share + v * information * shape))
         keep[0] = 1.0
         spectrum = fft.rfft(series, axis=1)
         removed = fft.irfft(spectrum * (1 - keep), size, axis=1)

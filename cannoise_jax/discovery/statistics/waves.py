@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft, optimize, special
 
-from cannoise_jax.discovery.fields import Fields, map_contrasts
+from cannoise_jax.discovery.fields import Fields, frame_fields, map_contrasts
 from cannoise_jax.discovery.statistics.lines import line_sums, response
 from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
@@ -33,8 +33,11 @@ def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
 
 def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
     """Fields in which what is new in every frame shows: the contrasts, and of two frames their mean as well,
-    which holds half of what two frames know."""
-    if field.frames == 2 and field.static is not None:
+    which holds half of what two frames know. Frames held back are taken one by one: each holds one wave of
+    full strength, a contrast the difference of several."""
+    if field.before and field.static is not None:
+        return frame_fields(field)
+    if field.frames == 2 and field.static is not None and not field.before:
         return np.concatenate([field.contrasts, field.static[None]])
     return field.contrasts
 

@@ -1,0 +1,109 @@
+"""Frames that look and frames held back: independent contrasts, and strengths that selection cannot touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import prepare_split, split_frames, split_recordings
+from cannoise_jax.discovery.fields import contrast_matrix, frame_fields
+from cannoise_jax.discovery.locate import RARE, locate
+from cannoise_jax.discovery.prove import leave_out, strength_beyond
+from cannoise_jax.discovery.statistics.score import Probe, Score, sidak, unchanged
+from tests.discovery.capture import capture_set
+
+
+@pytest.mark.parametrize("frames, before", [(1, 3), (2, 6), (4, 12), (3, 1)])
+def test_contrasts_of_held_back_frames_are_orthonormal_to_those_that_looked(frames, before):
+    looked = np.pad(contrast_matrix(before), ((0, 0), (0, frames)))
+    matrix = np.concatenate([looked, contrast_matrix(frames, before)])
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(before + frames - 1), atol=1e-12)
+    np.testing.assert_allclose(matrix.sum(1), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 16, 100])
+def test_every_frame_looks_or_proves_and_never_both(count):
+    look, show = split_frames(count)
+    assert sorted(look + show) == list(range(count)) and not set(look) & set(show)
+    assert count < 3 or len(look) > len(show) > 0
+
+
+def test_recordings_of_two_frames_look_and_prove_in_turn():
+    splits = split_recordings(capture_set(50, kinds="df", frames=2))
+    assert {tuple(map(tuple, s)) for s in splits} <= {((0, 1), ()), ((), (0, 1))}
+    assert splits[0] == ([0, 1], [])
+
+
+def test_one_frame_held_back_shows_its_noise_and_what_stays():
+    capture = capture_set(51, kinds="df", frames=4)
+    splits = split_recordings(capture)
+    held = prepare_split(capture, splits, held_back=True)
+    for f in held.fields:
+        assert f.frames == 1 and f.before == 3 and len(f.contrasts) == 1 and f.static is not None
+        new, still = f.contrasts[0][f.usable], f.static[f.usable]
+        assert np.mean(new**2) == pytest.approx(1, abs=0.05)
+        assert np.mean(still**2) == pytest.approx(1, abs=0.05)
+        apart = frame_fields(f, static=False)[0][f.usable]
+        np.testing.assert_allclose(apart, new, atol=1e-5)
+
+
+def test_leaving_out_held_back_frames_equals_never_having_had_them():
+    capture = capture_set(52, kinds="d", frames=8)
+    held = prepare_split(capture, [([0, 1, 2, 4, 5, 6], [3, 7])] * len(capture.recordings), held_back=True)
+    alone = prepare_split(capture, [([0, 1, 2, 4, 5, 6], [7])] * len(capture.recordings), held_back=True)
+    left = leave_out(held.fields, [(n, 0) for n in range(len(held.fields))])
+    for a, b in zip(left, alone.fields, strict=True):
+        assert a.frames == b.frames == 1
+        # Each was standardised by its own fit.
+        np.testing.assert_allclose(a.contrasts * a.sigma, b.contrasts * b.sigma, atol=2e-3 * b.sigma.mean())
+
+
+def variance_score(total: float, frames: int, number: int) -> Score:
+    """Estimate of a pattern's variance from the sum of squared means over `frames` of noise 1."""
+    value = max(total / number - 1 / frames, 0.0)
+    least = np.sqrt(2 / number) / frames
+    error = np.sqrt(2 / number) * (1 / frames + value)
+    amplitude, shift = np.sqrt(value), np.sqrt(least)
+    spread = error / (2 * max(amplitude, shift))
+    return Score(
+        "p", 0.0, 0.0, 0.0, amplitude, spread, shift, 2, {"amplitude": (amplitude, "DN", spread)}, {}
+    )
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 1.0, 5.0])
+def test_strength_of_a_pattern_is_unbiased_and_covered_though_it_was_selected(ratio):
+    """Sets whose looking frames show much count only; the held-back frames know nothing of that."""
+    rng, number, truth = np.random.default_rng(53), 400, np.sqrt(ratio)
+    covered, error, alone = [], [], []
+    for _ in range(1500):
+        pattern = truth * rng.standard_normal(number)
+        looked = pattern + rng.standard_normal(number) / np.sqrt(3)
+        held = pattern + rng.standard_normal(number)
+        every = (3 * looked + held) / 4
+        a, b, c = (
+            variance_score(float(np.sum(x**2)), n, number) for x, n in ((looked, 3), (held, 1), (every, 4))
+        )
+        if a.amplitude**2 < 3.5 * a.shift**2:
+            continue
+        score = strength_beyond(a, c, b)
+        error.append(score.amplitude**2 - ratio)
+        alone.append(b.amplitude**2 - ratio)
+        covered.append(abs(score.amplitude - truth) < 1.645 * score.error)
+    assert len(covered) > 100 and 0.85 < np.mean(covered) < 0.96
+    assert abs(np.mean(error)) < 0.25 * np.std(error) + 3 * np.std(error) / np.sqrt(len(error))
+    assert np.std(error) <= 1.05 * np.std(alone)
+
+
+def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
+    def probe(name, log_p, rare=False):
+        score = Score(name, log_p, 1.0, 0.0, 1.0, 1.0, 1.0, 1, {}, {})
+        return Probe(name, None, {}, lambda fields: score, unchanged, (), rare)
+
+    found = locate((), (probe("a", -9.0), probe("b", -9.0), probe("c", -9.0, rare=True)))
+    assert found.log_p["a"] == pytest.approx(sidak(-9.0, found.tests))
+    assert found.log_p["c"] == pytest.approx(sidak(-9.0, found.tests / RARE))
+    rng = np.random.default_rng(54)
+    p = rng.uniform(size=(20000, 3))
+    p[:, 2] = 1.0
+    rejected = np.mean([min(sidak(np.log(v), found.tests) for v in row[:2]) < np.log(0.05) for row in p])
+    assert rejected < 0.055
