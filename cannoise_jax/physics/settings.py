@@ -169,20 +169,25 @@ def warn_outside(model: Any, settings: Settings) -> None:
         return
     low, high = float(model.iso[0]), float(model.iso[-1])
     said = []
-    if not low <= iso <= high:
+    if not low <= np.float32(iso) <= high:
         said.append(
             f"ISO {iso:g} is outside the calibrated {low:g} to {high:g}: "
             "the gain is taken as proportional to ISO, the read noise in e- as constant"
         )
     for fitted in model.mechanisms:
-        if isinstance(fitted.scaling.exposure, jax.core.Tracer):
+        law = fitted.scaling
+        if isinstance(law.exposure, jax.core.Tracer):
             return
-        said += _beyond(fitted.mechanism, fitted.scaling, temperature)
+        said += _beyond(fitted.mechanism, law, temperature)
         shortest, longest = fitted.scaling.exposure_low_s, fitted.scaling.exposure_high_s
-        if fitted.scaling.exposure and longest > 0 and not shortest <= exposure <= longest:
+        if (
+            fitted.scaling.exposure
+            and longest > 0
+            and not np.float32(shortest) <= np.float32(exposure) <= np.float32(longest)
+        ):
             said.append(
                 f"{exposure:g} s is outside the calibrated {shortest:g} to {longest:g} s of "
-                f"{fitted.mechanism}: it is taken to grow as exposure^{fitted.scaling.exposure:g}"
+                f"{fitted.mechanism}: it is taken to grow as exposure^{law.exposure:g}"
             )
     if said:
         warnings.warn(f"{model.camera}: {'; '.join(said)}", ExtrapolationWarning, stacklevel=3)

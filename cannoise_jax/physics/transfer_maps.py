@@ -19,9 +19,8 @@ from jaxtyping import Float
 from scipy import special, stats
 
 from cannoise_jax.physics.chain import mechanism_key
-from cannoise_jax.physics.estimate import NotMeasurable
 from cannoise_jax.physics.estimators import charge, noise
-from cannoise_jax.physics.estimators.maps import offset_pattern, pixel_read_noise_map, response_pattern
+from cannoise_jax.physics.estimators.maps import offset_pattern, response_pattern
 from cannoise_jax.physics.estimators.pick import (
     brightest_flat,
     column_offsets,
@@ -61,23 +60,10 @@ def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Bas
 
         measure = _MEASURED.get(fitted.mechanism)
         seen = Seen(statistics, baseline, draw, {f.mechanism: f for f in kept})
-        if fitted.mechanism == "pixel_read_noise_map":
-            fitted = _beside_telegraph_pixels(fitted, seen)
         maps = measure(fitted.parameters, seen) if measure else {}
         stored = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
         kept.append(dataclasses.replace(fitted, maps=stored))
     return dataclasses.replace(model, mechanisms=tuple(kept))
-
-
-def _beside_telegraph_pixels(fitted: Fitted, seen: Seen) -> Fitted:
-    """The spread of read noise over the pixels that are no telegraph pixels."""
-    telegraph = seen.known.get("rts")
-    if telegraph is None or not telegraph.maps:
-        return fitted
-    found = pixel_read_noise_map(seen.statistics, without=np.asarray(telegraph.maps["sites"])[0] > 0)
-    if isinstance(found, NotMeasurable):
-        return fitted
-    return dataclasses.replace(fitted, parameters={"spread": max(found["spread"].value, 1e-3)})
 
 
 def without_repetition(model: SensorModel, statistics: Statistics) -> SensorModel:

@@ -4,9 +4,10 @@ A mechanism enters the model when its 90 % interval leaves out zero, its strengt
 errors, and it is large enough to matter: an additive one 2 % of the noise of a pixel (0.04 % of its variance)
 at the setting that shows it best, others as `_LEAST` lists. Where several explain the same data only one
 enters: pink or white row noise by whether rows far apart are alike, and the place of white rows by whether
-several are read together and even and odd columns apart; a spread of read noise over the pixels, or telegraph
-pixels, before heavy tails, for repeat frames show them directly. What belongs to the light, or is in the
-baseline already, is reported but does not enter.
+several are read together and even and odd columns apart; heavy tails, a spread of read noise over the pixels
+and telegraph pixels by which of them, or which together, explain the values of the pixels best
+(`estimators.loudness`). What belongs to the light, or is in the baseline already, is reported but does not
+enter.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from cannoise_jax.physics import registry
 from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.estimators import ESTIMATORS
 from cannoise_jax.physics.estimators.lines import columns_apart, row_groups
+from cannoise_jax.physics.estimators.loudness import LOUD, explanation
+from cannoise_jax.physics.estimators.maps import pixel_read_noise_map
+from cannoise_jax.physics.estimators.noise import telegraph_sites
 from cannoise_jax.physics.estimators.pick import darkest, darks_by_exposure, row_offsets
 from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law_correlation
 from cannoise_jax.physics.grammar import Point
@@ -62,8 +66,6 @@ variance or a correlation of the noise by half a per cent."""
 # The second enters only where the first does not.
 _RIVALS = (
     ("row_pink_noise", "row_noise"),
-    ("pixel_read_noise_map", "heavy_tails"),
-    ("rts", "heavy_tails"),
     ("hot_pixels", "amp_glow"),
 )
 
@@ -89,9 +91,39 @@ def find_mechanisms(statistics: Sequence[FrameStatistics], baseline: Baseline) -
         if found[first].verdict == "in the model" and found[second].verdict == "in the model":
             found[second] = found[second]._replace(verdict="explained by", because=first)
     dark = darkest(statistics)
-    if dark is not None and found["row_noise"].verdict == "in the model":
-        found["row_noise"] = placed(found["row_noise"], dark)
+    if dark is not None:
+        found |= _causes({id: found[id] for id in LOUD}, dark, statistics)
+        if found["row_noise"].verdict == "in the model":
+            found["row_noise"] = placed(found["row_noise"], dark)
     return tuple(found.values())
+
+
+def _causes(
+    found: Mapping[str, Finding], dark: FrameStatistics, statistics: Sequence[FrameStatistics]
+) -> dict[str, Finding]:
+    """The findings that make single values loud, those left out that others explain; where several stay, with
+    the estimates of all together."""
+    rivals = {
+        id: f for id, f in found.items()
+        if f.verdict == "in the model" and not isinstance(f.estimates, NotMeasurable)
+    }  # fmt: skip
+    if len(rivals) < 2:
+        return {}
+    cause = explanation(dark, {id: f.estimates for id, f in rivals.items()})  # type: ignore[misc]
+    together = " and ".join(cause.mechanisms)
+    out = {}
+    for id, finding in rivals.items():
+        if id not in cause.mechanisms:
+            out[id] = finding._replace(verdict="explained by", because=together)
+        elif len(cause.mechanisms) > 1:
+            estimates: Estimates = cause.estimates[id]
+            if id == "pixel_read_noise_map":  # measured whatever the tails, but not over telegraph pixels
+                estimates = finding.estimates
+                if "rts" in cause.mechanisms:
+                    jumps = {name: e.value for name, e in cause.estimates["rts"].items()}
+                    estimates = pixel_read_noise_map(statistics, without=telegraph_sites(dark, **jumps) > 0)
+            out[id] = finding._replace(estimates=estimates, because=f"({together} together)")
+    return out
 
 
 def placed(finding: Finding, dark: FrameStatistics) -> Finding:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import special
 
 from cannoise_jax.physics.estimate import (
     Estimate,
@@ -25,7 +24,7 @@ from cannoise_jax.physics.estimators.pick import (
     pooled_variance,
     steady_pixels,
 )
-from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site, steady_frames
 from cannoise_jax.physics.transfer_spatial import SHADING_DEGREE, correlation_loss, shading
 
 _HOT = 6.0
@@ -110,8 +109,9 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
 def pixel_read_noise_map(
     statistics: Sequence[FrameStatistics], baseline=None, without: Bool[np.ndarray, "H W"] | None = None
 ) -> Estimates:
-    """spread (std over mean) of the pixels' read noise, from the spread of their log variances over frames,
-    less what few frames make of it: var(ln v) = 4 w^2 + psi'(dof / 2) for log-normal read noise.
+    """spread (std over mean) of the pixels' read noise, from what the log variances of two halves of the
+    frames have in common: cov(ln v1, ln v2) = 4 w^2 for log-normal read noise, whatever the shape of the
+    noise, for the halves share nothing but the pixel.
 
     without: pixels to leave out, as those that are known for telegraph pixels.
     """
@@ -119,21 +119,43 @@ def pixel_read_noise_map(
     if dark is None or dark.recording.count < 4:
         return REPEATED_DARKS
     rounding = dark.code_step**2 / 12
-    logs, shares = [], []
+    halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
+    products, shares = [], []
     for c in range(4):
         keep = ~site(dark.clipped if without is None else dark.clipped | without, c)
-        variance = np.maximum(pixel_variance(dark, c)[keep], max(rounding, 1e-6) / 4)
-        logs.append(np.log(variance) - np.log(variance).mean())
-        shares.append(max(1 - rounding / float(variance.mean()), 0.1))
-    values = np.concatenate(logs)
-    chance = float(special.polygamma(1, dark.dof / 2))
-    square = variance_difference(float(values.var()), heavy_dof(values), chance, 1e9)
+        logs = [site(v, c)[keep] - site(v, c)[keep].mean() for v in halves]
+        # Every way to halve the frames measures the same; their mean is a little surer than one alone.
+        products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))
+        shares.append(max(1 - rounding / float(pixel_variance(dark, c)[keep].mean()), 0.1))
+    values = np.concatenate(products)
+    square = normal_estimate(float(values.mean()), float(values.std() / np.sqrt(values.size)))
     width = root(square.scaled(0.25))
     # Rounding, and the row mean taken out, add the same to every variance and so narrow the spread of logs.
     row = 1 / (dark.recording.size[1] // 2)
     width = width.scaled((1 - row) / (1 - 2 * row) / float(np.mean(shares)))
     value, low, high = (float(np.sqrt(np.expm1(w**2))) for w in (width.value, *width.ci90))
     return {"spread": Estimate(value, width.stderr * (1 + value**2), (low, high))}
+
+
+def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
+    """Temporal variance of every pixel in one half of the frames and in the other, for the three ways to make
+    halves of four groups of frames that take turns, one after the other."""
+    counts, sums, squares = np.zeros(4), [], []
+    for at, frame in enumerate(steady_frames(dark)):
+        values = frame - dark.mean  # shifted, so that sums of squares do not cancel
+        if at < 4:
+            sums.append(values)
+            squares.append(values**2)
+        else:
+            sums[at % 4] += values
+            squares[at % 4] += values**2
+        counts[at % 4] += 1
+    out = []
+    for pair in ((0, 1), (2, 3), (0, 2), (1, 3), (0, 3), (1, 2)):
+        count = sum(counts[k] for k in pair)
+        mean = sum(sums[k] for k in pair) / count
+        out.append((sum(squares[k] for k in pair) / count - mean**2) * count / (count - 1))
+    return out
 
 
 def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:

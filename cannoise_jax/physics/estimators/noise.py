@@ -81,7 +81,7 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 8:
         return NotMeasurable("record at least 8 frames with the cap on, better 100")
-    series, sigma = _standardised(dark)
+    series, sigma = standardised(dark)
     spread = series.std(0)
     loud = spread > 2.0
     if loud.sum() < 10:
@@ -114,8 +114,8 @@ def telegraph_sites(
     dark: FrameStatistics, jump_dn: float, fraction: float, rate: float
 ) -> Float[np.ndarray, "H W"]:
     """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0."""
-    series, sigma = _standardised(dark)
-    odds = _telegraph_odds(series, jump_dn / sigma, rate) + np.log(fraction) - np.log1p(-fraction)
+    series, sigma = standardised(dark)
+    odds = telegraph_odds(series, jump_dn / sigma, rate) + np.log(fraction) - np.log1p(-fraction)
     sites = np.zeros(dark.mean.shape)
     for c, part in enumerate(np.split(odds > 0, 4)):
         site(sites, c)[...] = part.reshape(site(sites, c).shape)
@@ -168,7 +168,7 @@ def _tail_shape(edges: Float[np.ndarray, "n-1"], counts: Float[np.ndarray, "n"])
     return normal_estimate(float(at[2]), float(np.sqrt(np.linalg.inv(information)[2, 2])))
 
 
-def _standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float]:
+def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float]:
     """Pixels over frames less their channel's level, in units of the quiet pixels' noise, and that noise."""
     squares = [robust_mean_square(pixel_variance(dark, c), dark.dof)[0] for c in range(4)]
     keep = steady_pixels(dark)
@@ -193,11 +193,11 @@ def _median_share(dof: float) -> float:
 def _telegraph_loglik(series: Float[np.ndarray, "T n"], jump: float, fraction: float, rate: float) -> float:
     """Log-likelihood of pixels that are telegraph signals of +-jump/2 with chance `fraction`, else quiet, all
     with unit noise, up to a constant (each frame's exp(-x^2/2))."""
-    odds = _telegraph_odds(series, jump, rate)
+    odds = telegraph_odds(series, jump, rate)
     return float(np.sum(np.logaddexp(np.log1p(-fraction), np.log(fraction) + odds)))
 
 
-def _telegraph_odds(series: Float[np.ndarray, "T n"], jump: float, rate: float) -> Float[np.ndarray, "n"]:
+def telegraph_odds(series: Float[np.ndarray, "T n"], jump: float, rate: float) -> Float[np.ndarray, "n"]:
     """Log-likelihood of each pixel as a telegraph signal less that as a quiet one; forward recursion."""
     half = jump / 2
     up, down = np.full(series.shape[1], 0.5), np.full(series.shape[1], 0.5)

@@ -1,0 +1,83 @@
+"""Loud values are put down to what makes them: heavy tails, noisy pixels, telegraph pixels, or several."""
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.estimate import NotMeasurable
+from cannoise_jax.physics.estimators.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
+from cannoise_jax.physics.estimators.loudness import LOUD
+from cannoise_jax.physics.estimators.maps import pixel_read_noise_map
+from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.transfer_frames import frame_statistics
+from cannoise_jax.physics.transfer_model import find_mechanisms
+from cannoise_jax.recordings.recording import Recording, per_channel
+
+TRUTH = {
+    "heavy_tails": {"tukey_lambda": -0.1},
+    "pixel_read_noise_map": {"spread": 0.2},
+    "rts": {"jump_dn": 40.0, "fraction": 0.03, "rate": 0.2},
+}
+
+
+def statistics(ids, seed=3, frames=8, size=(64, 96), offsets=0.0, student=0.0):
+    """A dark with some of the mechanisms, as bin/calibrate sees it."""
+    model = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "RGGB")
+    for id in ids:
+        model = model.with_mechanism(id, **TRUTH[id])
+    model = model.with_mechanism("dsnu", sigma_dn=offsets) if offsets else model
+    camera = model.with_unit(jax.random.key(seed + 100))
+    codes = camera.sample(jax.random.key(seed), np.zeros(size, np.float32), Settings(frames=frames))
+    if student:
+        rng = np.random.default_rng(seed)
+        codes = np.round(BLACK + 6 * rng.standard_t(student, (frames, *size))).clip(0, WHITE)
+    taken = Recording(
+        np.asarray(codes, np.uint16), "RGGB", per_channel(BLACK), WHITE, kind="dark", exposure_s=1.0,
+        code_step=1.0,
+    )  # fmt: skip
+    return [frame_statistics(taken)]
+
+
+def causes(stats):
+    found = {f.mechanism: f for f in find_mechanisms(stats, assumed_baseline())}
+    return {id: found[id].estimates for id in LOUD if found[id].verdict == "in the model"}
+
+
+@pytest.mark.parametrize(
+    "ids",
+    [
+        ("heavy_tails",),
+        ("pixel_read_noise_map",),
+        ("rts",),
+        ("heavy_tails", "pixel_read_noise_map"),
+        pytest.param(("pixel_read_noise_map", "rts"), marks=pytest.mark.slow),
+        pytest.param(("heavy_tails", "rts"), marks=pytest.mark.slow),
+        pytest.param(LOUD, marks=pytest.mark.slow),
+    ],
+    ids="+".join,
+)
+def test_what_made_the_values_loud_is_found_and_nothing_else(ids):
+    found = causes(statistics(ids))
+    assert tuple(found) == ids
+    for id in ids:
+        for name, true in TRUTH[id].items():
+            estimate = found[id][name]
+            assert abs(estimate.value - true) < 4 * estimate.stderr, (id, name, estimate)
+
+
+def test_fixed_offsets_are_no_levels_of_a_telegraph_signal():
+    assert tuple(causes(statistics(("heavy_tails",), offsets=5.0, size=(48, 64)))) == ("heavy_tails",)
+
+
+def test_another_law_of_heavy_tails_is_no_map_either():
+    found = causes(statistics((), student=5.0))
+    assert tuple(found) == ("heavy_tails",) and found["heavy_tails"]["tukey_lambda"].ci90[1] < 0
+
+
+def test_tails_alike_in_all_pixels_are_no_spread_of_their_noise():
+    # Of twelve 90 % intervals that hold the truth, seven or fewer do so once in 150 times.
+    for ids, true in ((("heavy_tails",), 0.0), (("heavy_tails", "pixel_read_noise_map"), 0.2)):
+        found = [pixel_read_noise_map(statistics(ids, seed)) for seed in range(12)]
+        assert not any(isinstance(f, NotMeasurable) for f in found)
+        held = sum(f["spread"].ci90[0] <= true <= f["spread"].ci90[1] for f in found)
+        assert held >= 8, [f["spread"] for f in found]
