@@ -125,7 +125,7 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
     first, prepared = prepare_split(capture, splits), prepare_split(capture, splits, held_back=True)
     found = {p.name: p.score(first.fields) for p in first.probes if p.mechanism == mechanism}
     gains, bare = [], None
-    for probe in (p for p in prepared.probes if p.mechanism == mechanism):
+    for probe in (p for p in prepared.probes if p.mechanism == mechanism and p.name not in BLURS):
         score, looked = probe.score(prepared.fields), found.get(probe.name)
         if score is None:
             continue

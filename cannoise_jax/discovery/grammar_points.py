@@ -6,7 +6,10 @@ import numpy as np
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics import registry
+from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.ranges import clipped
+from cannoise_jax.physics.sensor import SensorModel
 
 _OFFSETS = Point("readout", "signal", "pixel", "frozen")
 _GAINS = Point("photons", "mean", "pixel", "frozen", "multiply")
@@ -100,3 +103,13 @@ def grammar_maps(
         field = np.broadcast_to(field, prepared.fields[0].mean.shape)
     rms = float(np.sqrt(np.mean(np.asarray(field) ** 2))) or 1.0
     return rms, {"field": np.asarray(field / rms)[None]}
+
+
+def with_found(model: SensorModel, id: str, *, point: Point | None = None, scaling=None, maps=None, **found):
+    """The model with one more mechanism, its measured strengths moved into the ranges that it can have; the
+    model as it was where one of them is no number."""
+    record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
+    values: dict = clipped(record, found)
+    if not np.isfinite(list(values.values())).all():
+        return model
+    return model.with_mechanism(id, point=point, scaling=scaling, maps=maps, **values)

@@ -17,13 +17,10 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import channel_index
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.frozen import frozen_map, noise_factors
-from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps, point_of
+from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps, point_of, with_found
 from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.physics import registry
 from cannoise_jax.physics.chain import closed_form
-from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.ranges import clipped
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.settings import context_of, resolve
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
@@ -125,28 +122,28 @@ def _add(model: SensorModel, step: Step, prepared: Prepared, rng: np.random.Gene
     if mechanism in _SIGNED and _SIGNED[mechanism] in score.parameters:
         value = score.parameters[str(_SIGNED[mechanism])][0]
     if mechanism == "heavy_tails":
-        return _with(model, "heavy_tails", tukey_lambda=_lambda_of(value))
+        return with_found(model, "heavy_tails", tukey_lambda=_lambda_of(value))
     if mechanism == "pixel_read_noise_map":
         factor = noise_factors(fields, value, rng)
-        return _with(model, mechanism, spread=value, maps={"factor": _map(factor)})
+        return with_found(model, mechanism, spread=value, maps={"factor": _map(factor)})
     if mechanism == "rts":
         jump, share = score.parameters["jump"][0], score.parameters["fraction"][0]
         sites = {"sites": _map(field / (jump / 2))} if field is not None else {}
-        return _with(model, "rts", jump_dn=jump, fraction=share, rate=0.5, maps=sites)
+        return with_found(model, "rts", jump_dn=jump, fraction=share, rate=0.5, maps=sites)
     if mechanism == "hot_pixels":
         heat = np.zeros(fields[0].mean.shape) if field is None else field
         return _hot(model, heat / gain / seconds, probe, score, seconds)
     if mechanism == "saturation":
-        return _with(model, "saturation", full_well_e=value * prepared.span / gain)
+        return with_found(model, "saturation", full_well_e=value * prepared.span / gain)
     if mechanism == "amp_glow" and field is not None:
         peak = float(field.max())
         strength = value * peak / gain / seconds
-        return _with(model, "amp_glow", e_per_s=strength, maps={"glow": _map(field / peak)})
+        return with_found(model, "amp_glow", e_per_s=strength, maps={"glow": _map(field / peak)})
     if mechanism == "channel_offset" and field is not None:
         black = per_channel(np.asarray(model.black_level) - np.asarray(score.payload))
         model = dataclasses.replace(model, black_level=np.asarray(black, np.float32))
         rms = float(np.sqrt(np.mean(field**2)))
-        return _with(model, mechanism, sigma_dn=rms, maps={"field": _map(field / rms)})
+        return with_found(model, mechanism, sigma_dn=rms, maps={"field": _map(field / rms)})
     parameter = STRENGTHS.get(mechanism)
     if parameter is None:
         return model
@@ -154,13 +151,13 @@ def _add(model: SensorModel, step: Step, prepared: Prepared, rng: np.random.Gene
     if probe == "wave_frozen":
         point = POINTS[probe]
         maps = {} if field is None else {"field": _map(field)}
-        return _with(model, mechanism, point=point, maps=maps, **known)
+        return with_found(model, mechanism, point=point, maps=maps, **known)
     scaling = _thermal(prepared) if probe.endswith("_thermal_static") else None
     maps = {}
     if field is not None:
         unit = 1.0 if mechanism in ("amplifier_mismatch", "green_imbalance") else max(value, 1e-12)
         maps = {"field": _map(field / unit)}
-    return _with(model, mechanism, scaling=scaling, maps=maps, **known)
+    return with_found(model, mechanism, scaling=scaling, maps=maps, **known)
 
 
 def _add_unknown(
@@ -184,7 +181,7 @@ def _add_unknown(
         known[parameter] = share * float(np.mean(prepared.baselines[0].read_dn))
         known["tukey_lambda"] = _lambda_of(score.amplitude / share**4)
     thermal = probe.endswith("thermal_static") or probe in ("hot_thermal", "glow", "dark_level")
-    return _with(
+    return with_found(
         model,
         f"unknown_{probe}",
         point=point,
@@ -192,16 +189,6 @@ def _add_unknown(
         maps={name: jnp.asarray(m, jnp.float32) for name, m in maps.items()},
         **known,
     )
-
-
-def _with(model: SensorModel, id: str, *, point: Point | None = None, scaling=None, maps=None, **found):
-    """The model with one more mechanism, its measured strengths moved into the ranges that it can have; the
-    model as it was where one of them is no number."""
-    record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
-    values: dict = clipped(record, found)
-    if not np.isfinite(list(values.values())).all():
-        return model
-    return model.with_mechanism(id, point=point, scaling=scaling, maps=maps, **values)
 
 
 def _map(values: np.ndarray):
@@ -251,7 +238,7 @@ def _hot(model: SensorModel, heat: np.ndarray, probe: str, score: Score, seconds
     mean = float(heat.sum() / max((heat > 0).sum(), 1)) or 1e-6
     scaling = None if probe == "hot_thermal" else Scaling(reference_exposure_s=seconds)
     strength = mean if scaling is None else mean * seconds
-    return _with(
+    return with_found(
         model,
         "hot_pixels",
         e_per_s=strength,

@@ -21,6 +21,7 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import Fields, helmert, refit
 from cannoise_jax.discovery.fit import Fitted, Step
 from cannoise_jax.discovery.heldout import Scored, predicted, score_frames
+from cannoise_jax.discovery.statistics.hot import without_pixels
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 MOST_JOINT = 4
@@ -28,6 +29,8 @@ MOST_JOINT = 4
 _BLOCKS = 6
 _LARGE = 5_000_000
 """Values from which a jackknife takes fewer blocks: statistics of large sets take seconds each."""
+_WITHIN_ROWS = ("pixel", "signal", "channel", "amplifier", "block", "edge")
+"""What varies within a row: chance in it is independent from one band of rows to the next."""
 _NUISANCES = 12
 """Black level, gain and read noise of four channels, fitted on the frames that are scored: half a nat each.
 """
@@ -137,7 +140,7 @@ def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple
 
 def _pattern(probe: Probe) -> bool:
     """Whether a probe looks for a random pattern that stays."""
-    return probe.axes.get("time") == "frozen" and probe.axes.get("law") in ("white", "log-normal variance")
+    return probe.axes.get("time") == "frozen" and probe.axes.get("law") == "white"
 
 
 def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
@@ -212,18 +215,31 @@ def held_out_gain(found: Score, again: Score) -> float:
 def jackknife_interval(
     probe: Probe, fields: tuple[Fields, ...], found: Score, gain: float
 ) -> tuple[float, float]:
-    """90 % interval of a held-out gain by leaving out blocks of frames; nan for fewer than two blocks."""
+    """90 % interval of a held-out gain by leaving out bands of rows, or blocks of frames where a row or frame
+    shares what is new in it; nan for fewer than two blocks."""
     size = sum(f.contrasts.size for f in fields)
-    blocks = frame_blocks(fields, _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1)
-    if len(blocks) < 2:
+    most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
+    frame_wide = probe.axes.get("varies_over") == "channel" and probe.axes.get("time") == "redrawn"
+    if probe.axes.get("varies_over") in _WITHIN_ROWS and not frame_wide:
+        parts = [without_pixels(fields, band) for band in bands(fields[0].mean.shape, most)]
+    else:
+        parts = [leave_out(fields, block) for block in frame_blocks(fields, most)]
+    if len(parts) < 2:
         return float("nan"), float("nan")
-    again = [probe.score(leave_out(fields, block)) for block in blocks]
+    again = [probe.score(part) for part in parts]
     gains = np.array([held_out_gain(found, s) for s in again if s is not None])
     if gains.size < 2:
         return float("nan"), float("nan")
     g = gains.size
     half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
     return gain - half, gain + half
+
+
+def bands(size: tuple[int, int], most: int) -> list[np.ndarray]:
+    """The frame in at most `most` bands of whole mosaic cells, one marked in each array."""
+    edges = np.linspace(0, size[0] // 2, most + 1).round().astype(int) * 2
+    rows = np.arange(size[0])[:, None]
+    return [np.broadcast_to((rows >= a) & (rows < b), size) for a, b in zip(edges, edges[1:], strict=False)]
 
 
 def frame_blocks(fields: tuple[Fields, ...], most: int) -> list[list[tuple[int, int]]]:
