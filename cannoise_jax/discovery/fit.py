@@ -1,4 +1,4 @@
-"""Fit: forward, one mechanism at a time, the baseline refitted after each."""
+"""Fit: forward, one mechanism at a time, the baseline refitted after each; back where one is not needed."""
 
 from __future__ import annotations
 
@@ -49,22 +49,56 @@ def stepwise(
     log_alpha: float,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Fitted:
-    """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is
-    rejected."""
+    """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is rejected.
+    What the final model does not need any more is given up again, the least needed first."""
+    first = last = locate(fields, probes)
+    start = fields
     steps: list[Step] = []
-    active = list(probes)
-    first = located = locate(fields, tuple(active))
+    given_up: set[str] = set()
+    while True:
+        steps, fields, last = _forward(
+            steps, fields, last, first.tests, probes, given_up, allowed, log_alpha, tell
+        )
+        final = _in_final_model(steps, first.tests)
+        weak = [n for n, step in enumerate(final) if step.log_p > log_alpha]
+        if not weak:
+            return Fitted(final, fields, last, first)
+        gone = steps.pop(max(weak, key=lambda n: final[n].log_p))
+        tell(f"given up: {gone.named.mechanism} ({gone.named.probe.name})")
+        given_up.add(gone.named.probe.name)
+        steps, fields = _again(steps, start)
+        last = locate(fields, _active(probes, steps, given_up), first.tests)
+
+
+def _forward(steps, fields, located, tests, probes, given_up, allowed, log_alpha, tell):
+    """Steps added until nothing is rejected, what is left of the fields, and the last pass of the battery."""
+    steps = list(steps)
     while len(steps) < MOST_STEPS:
-        named = name(located, tuple(active), allowed, log_alpha)
+        named = name(located, _active(probes, steps, given_up), allowed, log_alpha)
         if named is None:
             break
         tell(f"step {len(steps) + 1}: {named.mechanism} ({named.probe.name})")
         steps.append(Step(named, fields, located.log_p[named.probe.name]))
         previous, fields = fields, refit(named.probe.absorb(fields, named.score), fields)
-        gone = {named.probe.name, *named.probe.covers}
-        active = [p for p in active if p.name not in gone]
-        located = locate(fields, tuple(active), first.tests, _known(located, previous, fields, active))
-    return Fitted(_in_final_model(steps, first.tests), fields, located, first)
+        active = _active(probes, steps, given_up)
+        located = locate(fields, active, tests, _known(located, previous, fields, list(active)))
+    return steps, fields, located
+
+
+def _active(probes: tuple[Probe, ...], steps: list[Step], given_up: set[str]) -> tuple[Probe, ...]:
+    """Probes that can be trusted beside the steps."""
+    aside = given_up | {n for s in steps for n in (s.named.probe.name, *s.named.probe.covers)}
+    return tuple(p for p in probes if p.name not in aside)
+
+
+def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:
+    """The steps fitted anew from the start, each beside those before it, and what is left of the fields."""
+    out = []
+    for step in steps:
+        score = step.named.probe.score(fields) or step.named.score
+        out.append(step._replace(named=step.named._replace(score=score), before=fields))
+        fields = refit(step.named.probe.absorb(fields, score), fields)
+    return out, fields
 
 
 def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:

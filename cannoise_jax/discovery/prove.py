@@ -1,12 +1,13 @@
 """Prove: what every finding gains on frames that took no part in finding it.
 
-Strengths and frozen patterns found in one half of the frames are judged on the other half. Where the
-finding has a likelihood (`heldout.predicted`), the gain is that of the codes, all findings in the model
-against all but this one; its interval comes from the scatter of the frames' gains within each recording.
+Strengths and frozen patterns of the frames that looked are judged on those held back. Where the finding has
+a likelihood (`heldout.predicted`), the gain is that of the codes, all findings in the model against all but
+this one; its interval comes from the scatter of the gains of parts of the frames within each recording.
 Where it has none, the gain is that of the finding's own statistic, which is close to quadratic in its
-amplitude (to the statistic's power): its maximum on the second half less half the squared, standardised
-distance between the two fits; its interval is a jackknife over blocks of frames. Frozen patterns are
-learned in one half and predicted in the other: the claim is about this camera and new frames.
+amplitude (to the statistic's power): its maximum on the frames held back less half the squared,
+standardised distance between the two fits; its interval is a jackknife over bands of rows or blocks of
+frames. Frozen patterns are learned on some frames and predicted on others: the claim is about this camera
+and new frames.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ _NUISANCES = 12
 
 
 class Proof(NamedTuple):
-    """One mechanism on the second half.
+    """One mechanism on the frames held back.
 
-    score: its fit there. gain: of the first half's fit, nats, with a 90 % interval (nan where the frames
-    are too few for one). basis: 'likelihood', 'statistic' or 'composite'; log_e: natural log of the e-value,
-    None without a likelihood.
+    score: its fit there. gain: of the fit of those that looked, nats, with a 90 % interval (nan where the
+    frames are too few for one). basis: 'likelihood', 'statistic' or 'composite'; log_e: natural log of the
+    e-value, None without a likelihood.
     """
 
     score: Score | None
@@ -59,8 +60,8 @@ class Proof(NamedTuple):
 
 
 class Proofs(NamedTuple):
-    """All findings, and the mean negative log-likelihood of the second half, nats per pixel: of the baseline
-    and with every finding (None where one of them has no likelihood), with the frames' scores."""
+    """All findings, and the mean negative log-likelihood of the frames held back, nats per pixel: of the
+    baseline and with every finding (None where one of them has no likelihood), with the frames' scores."""
 
     each: tuple[Proof, ...]
     before: float | None
@@ -201,7 +202,7 @@ def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, floa
 
 
 def held_out_gain(found: Score, again: Score) -> float:
-    """Log-likelihood gain on the second half at the parameters of the first, nats."""
+    """Log-likelihood gain on the frames held back at the parameters of the others, nats."""
     power = found.power
     a, b = found.amplitude**power, again.amplitude**power
     error = max(power * max(again.amplitude, again.shift) ** (power - 1) * again.error, 1e-30)

@@ -65,7 +65,7 @@ class Side(NamedTuple):
 
 class Quality(NamedTuple):
     """Before and after, on frames that took no part in finding anything; real: curves of the recordings;
-    half: the recordings of that half which the simulator could draw."""
+    half: the recordings held back which the simulator could draw."""
 
     before: Side
     after: Side
@@ -82,8 +82,8 @@ def compare_models(
     control_sigma: float | None,
     composite: bool,
 ) -> Quality | None:
-    """A simulator before and after against the second half of the frames; the network of the two-sample test
-    learns on the first.
+    """A simulator before and after against the frames held back; the network of the two-sample test
+    learns on the others.
 
     control_sigma: row noise that is added to draws of the baseline for the control, DN. composite: whether to
     score the frames by it too. None where no recording shows new noise in both splits.
@@ -156,7 +156,7 @@ def _pit(real: np.ndarray, fake: np.ndarray) -> np.ndarray:
 
 
 def composite_scores(key: Key[Array, ""], half: Prepared, draw: Drawings) -> Float[np.ndarray, "t"]:
-    """Composite score of every frame of a half, nats per pixel, learned from draws of the simulator: batches
+    """Composite score of every frame held back, nats per pixel, learned from draws of the simulator: batches
     of as many frames as each recording has, for the mean of a batch is taken out of it."""
     batches: list[tuple[Fields, ...]] = []
     while short := {f.number for f in half.fields if len(batches) * f.frames * f.mean.size < _LEARNED}:

@@ -2,7 +2,7 @@
 
 The network sees patches of 32 x 32 residuals, standardised by the baseline for both simulators: a fixed
 bank of cosine filters over the patch and along its lines, squared, averaged and logarithmed, and one linear
-layer that is trained in closed form (ridge). It is trained on one half of the frames and one half of the
+layer that is trained in closed form (ridge). It is trained on the frames that looked and one half of the
 image and measured on the other halves of both, for both halves of the image; nothing of it differs before
 and after. An area of 0.5 under the curve: it cannot tell.
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.fields import Fields, helmert, refit
 from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.discovery.statistics import groups, lines, patterns
 from cannoise_jax.discovery.statistics.score import sidak
+from tests.discovery.capture import capture_set, row_offsets
 
 SIZE = (64, 96)
 PROBES = (*groups.probes(), *lines.probes(), *patterns.probes())
@@ -57,3 +59,17 @@ def test_nothing_is_found_where_there_is_nothing():
         for _ in range(40)
     ]
     assert sum(map(bool, found)) <= 3  # 0.4 expected: more than 3 has probability 1e-4
+
+
+def test_what_the_final_model_does_not_need_is_given_up_again():
+    """Row noise of two frames shows in their mean first; beside it in the model nothing is left to stay."""
+    capture = capture_set(70, row_offsets(1.5), kinds="df", frames=2)
+    prepared = prepare_split(capture, split_recordings(capture))
+    probes = tuple(p for p in prepared.probes if p.name.startswith("row_"))
+    said = []
+    found = stepwise(
+        prepared.fields, probes, frozenset({"row_fpn", "row_noise"}), float(np.log(0.01)), said.append
+    )
+    assert [s.named.mechanism for s in found.steps] == ["row_noise"]
+    assert any(text.startswith("given up: row_fpn") for text in said)
+    assert all(s.log_p < np.log(0.01) for s in found.steps)
