@@ -167,7 +167,8 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     check()
     model = write_model(config, outcome.state, data, workdir)
     check()
-    results = compare(model, data, config.seed, config.references)
+    sampler = sampler_of(model, config)
+    results = compare(sampler, config, data)
     check()
     print(f"\nHeld-out test scenes, checkpoint of step {outcome.step} (best on validation scenes)\n")
     print(results_table(results))
@@ -176,7 +177,7 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
         write_results(workdir / "results.json", results, round(seconds, 1))
         noise_figure(
             workdir / "noise.png",
-            sampler_of(model),
+            sampler,
             data.test,
             data.cameras,
             jax.random.key(config.seed),

@@ -24,6 +24,7 @@ from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.check import check_config
 from cannoise_jax.training.checkpoint import Checkpoints
+from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.metrics import MetricWriter, noise_panel
 from cannoise_jax.training.state import State, abstract_state, init_state, latent_of, make_networks
@@ -109,7 +110,7 @@ def make_sampler(config: ConfigDict) -> Callable[[State], Callable[..., Any]]:
 def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
     networks, draw = make_networks(config), initial_noise(config.initial_noise)
 
-    @partial(jax.jit, compiler_options=dict(config.compiler) or None)
+    @partial(jax.jit, compiler_options=compiler_options(config))
     def sample(average, spectral, key, clean, reference, shot, read):
         noise_key, row_key = jax.random.split(key)
         n_init, sigma = draw(noise_key, clean, shot, read)

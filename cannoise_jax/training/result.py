@@ -12,6 +12,7 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.compare import evaluate_model
 from cannoise_jax.sampling import MODEL_FILE, Model, make_model, sample_noise, save_model
+from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import TrainingData
 from cannoise_jax.training.state import State, make_networks
 
@@ -40,28 +41,28 @@ def write_model(config: ConfigDict, state: State, data: TrainingData, workdir: P
     return model
 
 
-def sampler_of(model: Model) -> Callable[..., Any]:
+def sampler_of(model: Model, config: ConfigDict) -> Callable[..., Any]:
     """`sample_noise` itself on batches with references of their own, as `evaluation` takes it:
-    (key, clean, reference, shot, read) -> noise."""
-    return partial(_sample, model)
+    (key, clean, reference, shot, read) -> noise; compiled as `config.compiler` says."""
+
+    @partial(jax.jit, compiler_options=compiler_options(config))
+    def sample(model, key, clean, reference, shot, read):
+        def one(key, clean, reference, shot, read):
+            return sample_noise(model, key, clean, reference, nlf=(shot, read))
+
+        return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, shot, read)
+
+    return partial(sample, model)
 
 
-@jax.jit
-def _sample(model, key, clean, reference, shot, read):
-    def one(key, clean, reference, shot, read):
-        return sample_noise(model, key, clean, reference, nlf=(shot, read))
-
-    return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, shot, read)
-
-
-def compare(model: Model, data: TrainingData, seed: int, references: int = 1) -> dict[str, Any]:
-    """Every noise model on the test scenes, which nothing before this has looked at."""
+def compare(sampler: Callable[..., Any], config: ConfigDict, data: TrainingData) -> dict[str, Any]:
+    """Every noise model on the test scenes, unseen until now. sampler: `sampler_of` gives it."""
     return evaluate_model(
-        sampler_of(model),
+        sampler,
         data.test,
         data.cameras,
-        jax.random.key(seed),
+        jax.random.key(config.seed),
         recalibrated=data.recalibrated,
         batch=16,
-        references=references,
+        references=config.references,
     )

@@ -17,6 +17,7 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.networks import Discriminator, Encoder, Generator
 from cannoise_jax.networks.encoder import standardised
+from cannoise_jax.training.compiler import compiler_options
 
 Variables = Mapping[str, Any]
 
@@ -98,7 +99,7 @@ def init_state(config: ConfigDict, cameras: int, noisy: Float[Array, "n h w 4"] 
     noisy: training images of all cameras, on whose statistics E's are standardised.
     """
     # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
-    quick = {"xla_backend_optimization_level": 0}
+    quick = {"xla_backend_optimization_level": 0, **(compiler_options(config) or {})}
     state = jax.jit(lambda: _first_state(config, cameras), compiler_options=quick)()
     if noisy is None or "params" not in state.encoder:
         return state

@@ -18,6 +18,7 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
 from cannoise_jax.training import losses
+from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.state import (
     Networks,
     State,
@@ -143,7 +144,7 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
             average=jax.tree.map(lambda old, new: new + decay * (old - new), state.average, trained),
         ), aux
 
-    @partial(jax.jit, donate_argnums=0, compiler_options=dict(config.compiler) or None)
+    @partial(jax.jit, donate_argnums=0, compiler_options=compiler_options(config))
     def train_step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
         keys = jax.random.split(jax.random.fold_in(state.key, state.step), config.critic_updates + 1)
         metrics: dict[str, Array] = {}

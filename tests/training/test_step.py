@@ -9,7 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ml_collections import ConfigDict
 
+from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.state import abstract_state, init_state
 from cannoise_jax.training.step import make_train_step
 
@@ -112,3 +114,12 @@ def test_unknown_names_are_refused(config, field):
     with pytest.raises(ValueError, match=f"{field}.*nothing"):
         abstract_state(changed, 2)
         make_train_step(changed, 2)
+
+
+def test_an_option_that_this_xla_does_not_know_is_left_out(config, caplog):
+    changed = config.copy_and_resolve_references()
+    changed.compiler = ConfigDict({"xla_backend_optimization_level": 0, "xla_no_such_option": True})
+    assert compiler_options(changed) == {"xla_backend_optimization_level": 0}
+    assert "xla_no_such_option" in caplog.text
+    changed.compiler = ConfigDict()
+    assert compiler_options(changed) is None
