@@ -27,7 +27,11 @@ from cannoise_jax.physics.settings import baseline_at
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2))
 _LEVELS = 6
+_FAR = 6.0
+_TAILS = (3.0, 5.0, 12.0, 40.0)
 _STEP = 0.15
+_LEAST_SLOPE = 1e-2
+"""Of all statistics together, in their standard deviations per unit of the line: below, nothing is known."""
 _STARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 
@@ -40,19 +44,18 @@ def summary_statistics(
 ) -> Float[Array, "s"]:
     """What a set of frames looks like beside a baseline of expected values `mean` and noise `sigma`, DN.
 
-    z = (frames - mean) / sigma; of_level: see `level_weights`. In this order: mean and log-spread of z at
-    six light levels; means of the
-    four
-    mosaic sites and of a 4 x 4 grid of blocks; covariances of z within a frame at six lags and to the next
-    frame;
-    log-variances of row, column and frame means and of the time average; moments and log-rates of the tails
-    of
-    z; shares of codes at the rails and equal to the same-colour neighbour. Fixed patterns count by their
-    strength only, so that another unit of the same camera has the same expectation.
+    z = (frames - mean) / sigma, beyond 6 as its logarithm; of_level: see `level_weights`. In this order: mean
+    and log-spread of z at six light levels; means of the four mosaic sites and of a 4 x 4 grid of blocks;
+    covariances of z within a frame at six lags and to the next frame; log-variances of row, column and frame
+    means, of the time average, and of how frame means change over one and four frames; moments and log-rates
+    of the tails of z; shares of codes at the rails; shares equal to the same-colour neighbour, and per light
+    level to the next frame. Fixed patterns count by their strength only, so that another unit of the same
+    camera has the same expectation.
     """
-    z = jnp.clip((jnp.asarray(frames, jnp.float32) - mean) / sigma, -60.0, 60.0)
+    z = (jnp.asarray(frames, jnp.float32) - mean) / sigma
     h, w = z.shape[1:]
-    core = jnp.clip(z, -6.0, 6.0)
+    # Rare values far out must not outweigh all others, but how far they are has to count.
+    core = jnp.sign(z) * (jnp.minimum(jnp.abs(z), _FAR) + jnp.log1p(jnp.maximum(jnp.abs(z) - _FAR, 0.0)))
     level_mean = jnp.einsum("thw,hwl->l", core, of_level) / z.shape[0]
     level_square = jnp.einsum("thw,hwl->l", core**2, of_level) / z.shape[0]
     sites = jnp.stack([core[:, i // 2 :: 2, i % 2 :: 2].mean() for i in range(4)])
@@ -65,16 +68,20 @@ def summary_statistics(
     )
     average = core.mean(0)
     spreads = [core.mean(2), core.mean(1), core.mean((1, 2)), average, average.mean(0), average.mean(1)]
-    shared = jnp.log(jnp.stack([jnp.var(s) for s in spreads]) + 1e-6)
+    whole = core.mean((1, 2))
+    steps = [jnp.mean((whole[k:] - whole[:-k]) ** 2) if len(z) > k else jnp.ones(()) for k in (1, 4)]
+    shared = jnp.log(jnp.stack([*(jnp.var(s) for s in spreads), *steps]) + 1e-6)
     shape = jnp.stack([jnp.mean(core**3), jnp.log(jnp.mean(core**4)), jnp.mean(jnp.tanh(z) * jnp.abs(core))])
-    tails = [jnp.mean(z > x) for x in (3.0, 5.0, 12.0)] + [jnp.mean(z < -x) for x in (3.0, 5.0, 12.0)]
+    tails = [jnp.mean(side * z > x) for side in (1, -1) for x in _TAILS]
     equal = jnp.stack(
         [jnp.mean(frames[:, :, 2:] == frames[:, :, :-2]), jnp.mean(frames[:, 2:] == frames[:, :-2])]
     )
+    again = (frames[1:] == frames[:-1]).astype(jnp.float32).mean(0) if len(z) > 1 else jnp.zeros((h, w))
+    stays = jnp.log(jnp.einsum("hw,hwl->l", again, of_level) + 1 / z.size)
     clipped = jnp.stack([jnp.mean(frames <= rails[0]), jnp.mean(frames >= rails[1])])
     rates = jnp.log(jnp.concatenate([jnp.stack(tails), clipped]) + 1 / z.size)
     return jnp.concatenate(
-        [level_mean, jnp.log(level_square), sites, blocks, lags, shared, shape, rates, equal]
+        [level_mean, jnp.log(level_square), sites, blocks, lags, shared, shape, rates, equal, stays]
     )
 
 
@@ -89,8 +96,9 @@ class MomentsFit(NamedTuple):
     """Estimates by parameter name with bootstrap errors; the misfit is a chi-square per statistic beyond
     them.
 
-    misfit: near 1 where the simulator explains the statistics. converged: the last step was below a tenth of
-    the error, and no parameter ended at a bound.
+    A parameter that no statistic depends on has an infinite error and its whole range as interval. misfit:
+    near 1 where the simulator explains the statistics. converged: the last step was below a third of the
+    error, and no parameter ended at a bound.
     """
 
     estimates: Mapping[str, Estimate]
@@ -165,25 +173,29 @@ def fit_moments(
         shifts = _STEP * np.eye(len(x))
         return np.stack([(moments(x + s) - moments(x - s)) / (2 * _STEP * scale) for s in shifts], 1)
 
-    left, move = residual(x), np.zeros_like(x)
-    for _ in range(steps):
-        slope = jacobian(x)
-        move = np.clip(np.linalg.lstsq(slope, left, rcond=1e-4)[0], -1.5, 1.5)
-        for shrink in (1.0, 0.5, 0.25, 0.1):
-            tried = residual(x + shrink * move)
-            if tried @ tried < left @ left:
-                x, left = x + shrink * move, tried
+    def descend(x, steps: int):
+        left = residual(x)
+        for _ in range(steps):
+            move = np.clip(np.linalg.lstsq(jacobian(x), left, rcond=1e-4)[0], -1.5, 1.5)
+            for shrink in (1.0, 0.5, 0.25, 0.1):
+                tried = residual(x + shrink * move)
+                if tried @ tried < left @ left:
+                    x, left = x + shrink * move, tried
+                    break
+            else:
                 break
-        else:
-            break
-        if np.max(np.abs(move)) < 1e-3:
-            break
+            if np.max(np.abs(move)) < 1e-3:
+                break
+        return x
+
+    x = descend(x, steps)
+    scale = _scale(spread(x))
+    x = descend(x, 2)  # with the weights that belong to the end, not to the start
     draws = spread(x)
-    scale = _scale(draws)
     left, slope = residual(x), jacobian(x)
     solve = np.linalg.pinv(slope, rcond=1e-4)
     shifted = ((draws - draws.mean(0)) / scale) @ solve.T * np.sqrt(1 + 1 / simulations)
-    error = shifted.std(0, ddof=1)
+    error = np.where(np.linalg.norm(slope, axis=0) > _LEAST_SLOPE, shifted.std(0, ddof=1), np.inf)
     estimates = {p.name: _estimate(x[k], error[k], bootstrap, p) for k, p in enumerate(parameters)}
     at_bound = any(not p.low < e.value < p.high for p, e in zip(parameters, estimates.values(), strict=True))
     settled = bool(np.all(np.abs(solve @ left) < 0.3 * error + 1e-3))
@@ -199,6 +211,8 @@ def _scale(draws: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s"]:
 
 
 def _estimate(x: float, error: float, bootstrap: int, p: Parameter) -> Estimate:
+    if not np.isfinite(error):
+        return Estimate(float(from_line(x, p)), np.inf, (p.low, p.high))
     half = float(stats.t.ppf(0.95, bootstrap - 1)) * error
     low, value, high = (float(from_line(v, p)) for v in (x - half, x, x + half))
     return Estimate(value, float(from_line(x + error, p) - from_line(x - error, p)) / 2, (low, high))
@@ -216,8 +230,12 @@ def fit_mechanism(
     """Parameters of one mechanism on top of a sensor model, from frames of a known clean mosaic.
 
     frames: DN, all of one setting; clean: normalised. The model is the camera without the mechanism; other
-    units
-    of it are drawn for every simulation. options: of `fit_moments`. Raises ValueError for an unknown id.
+    units of it are drawn for every simulation. options: of `fit_moments`. Raises ValueError for an unknown
+    id.
+
+    What one setting cannot tell: the ISO at which a dual gain switches, whose error is infinite; the memory
+    of a temperature drift, unless the frames are many times as many; step and exponent of lossy compression
+    one by one, on light of one level.
     """
     parameters = mechanism(id).parameters
     settings = dataclasses.replace(settings, frames=len(frames))

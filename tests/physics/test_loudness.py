@@ -65,6 +65,7 @@ def test_what_made_the_values_loud_is_found_and_nothing_else(ids):
             assert abs(estimate.value - true) < 4 * estimate.stderr, (id, name, estimate)
 
 
+@pytest.mark.slow
 def test_fixed_offsets_are_no_levels_of_a_telegraph_signal():
     assert tuple(causes(statistics(("heavy_tails",), offsets=5.0, size=(48, 64)))) == ("heavy_tails",)
 

@@ -50,20 +50,64 @@ def test_errors_of_a_known_law_are_the_textbook_ones():
     assert np.sqrt(np.mean(np.square(pulls))) < 1.8  # chi-square of 12: exceeded once in 10^4
 
 
-@pytest.mark.parametrize(
-    "id,parameters", [("excess_noise", {"excess": 0.45}), ("lens_shading", {"sigma": 0.15})]
+LOW = SensorModel.poisson_gaussian(20.0, 0.5, 64.0, 4095.0)  # single electrons are seen
+FULL = SensorModel.poisson_gaussian(0.2, 2.0, 64.0, 4095.0)  # wells of 20000 e-
+_Y, _X = np.mgrid[:64, :64]
+TEXTURE = (0.15 + 0.1 * np.sin(_Y / 5) * np.cos(_X / 7) + 0.05 * np.sin((_X + 2 * _Y) / 11)).astype(
+    np.float32
 )
-def test_mechanisms_without_a_likelihood_are_recovered(id, parameters):
-    truth = CAMERA.with_mechanism(id, **parameters).with_unit(jax.random.key(99))
-    frames = truth.sample(jax.random.key(7), CLEAN, Settings(frames=8))
-    fit = fit_mechanism(
-        id, CAMERA, np.asarray(frames), CLEAN, jax.random.key(3), simulations=8, bootstrap=24, steps=5
-    )
+RAMP = np.linspace(0, 0.3, 64 * 64).reshape(64, 64).astype(np.float32)
+DARK = np.zeros((64, 64), np.float32)
+FLAT = np.full((64, 64), 0.5, np.float32)
+EIGHT = Settings(frames=8)
+OTHERS = {
+    "excess_noise": (CAMERA, CLEAN, EIGHT, {"excess": 0.45}),
+    "lens_shading": (CAMERA, CLEAN, EIGHT, {"sigma": 0.15}),
+    "poisson_skew": (LOW, DARK + 0.01, EIGHT, {"strength": 0.7}),
+    "clock_induced_charge": (LOW, DARK, EIGHT, {"charge_e": 0.05}),
+    "dual_gain": (CAMERA, RAMP, Settings(iso=1600.0, frames=8), {"gain_ratio": 1.5, "read_ratio": 0.6}),
+    "brighter_fatter": (FULL, FLAT, EIGHT, {"a00": 5e-6}),
+    "dead_pixels": (CAMERA, FLAT, EIGHT, {"fraction": 0.005}),
+    "cosmic_rays": (CAMERA, DARK, Settings(exposure_s=1.0, frames=8), {"rate": 2000.0, "charge_e": 300.0}),
+    "image_lag": (CAMERA, TEXTURE, EIGHT, {"fraction": 0.03}),
+    "smear": (CAMERA, TEXTURE, EIGHT, {"fraction": 0.01}),
+    "lossy_compression": (CAMERA, RAMP, EIGHT, {"step_dn": 16.0, "exponent": 0.5}),
+    "defect_correction": (CAMERA, TEXTURE, EIGHT, {"fraction": 0.05}),
+    "hot_pixel_suppression": (CAMERA, RAMP, EIGHT, {"weight": 0.6}),
+    "demosaicing": (CAMERA, RAMP, EIGHT, {"weight": 0.6}),
+}
+"""Camera, scene, settings and a moderate strength for every mechanism without an estimator of its own."""
+_FAST = ("excess_noise", "lens_shading")
+_WIDEST = {"cosmic_rays": 0.6, "dead_pixels": 0.4, "defect_correction": 0.4}
+"""Standard error over value, where a few dozen pixels are all there is to go by."""
+
+
+@pytest.mark.filterwarnings("ignore::cannoise_jax.physics.sensor.ExtrapolationWarning")
+@pytest.mark.parametrize("id", [i if i in _FAST else pytest.param(i, marks=pytest.mark.slow) for i in OTHERS])
+def test_mechanisms_without_an_estimator_are_recovered(id):
+    camera, clean, settings, parameters = OTHERS[id]
+    truth = camera.with_mechanism(id, **parameters).with_unit(jax.random.key(99))
+    frames = np.asarray(truth.sample(jax.random.key(7), clean, settings))
+    options = {"simulations": 8, "bootstrap": 24, "steps": 5}
+    fit = fit_mechanism(id, camera, frames, clean, jax.random.key(3), settings, **options)
     for name, true in parameters.items():
         estimate = fit.estimates[name]
-        assert abs(estimate.value - true) < 4 * estimate.stderr
-        assert estimate.stderr < 0.3 * true
+        assert abs(estimate.value - true) < 4 * estimate.stderr, (name, estimate)
+        assert estimate.stderr < _WIDEST.get(id, 0.3) * true, (name, estimate)
     assert fit.misfit < 3
+
+
+def test_a_parameter_that_nothing_depends_on_is_unknown():
+    parameters = (Parameter("mean", "1", 1.0, -9.0, 9.0), Parameter("idle", "1", 2.0, 0.5, 90.0, "log"))
+
+    def simulate(key, x):
+        drawn = x[0] + jax.random.normal(key, (50,))
+        return jnp.stack([jnp.mean(drawn), jnp.mean(drawn**2)])
+
+    observed = np.asarray(simulate(jax.random.key(5), jnp.array([2.0, 0.0])), float)
+    fit = fit_moments(simulate, observed, parameters, jax.random.key(1), bootstrap=24)
+    assert abs(fit.estimates["mean"].value - 2) < 4 * fit.estimates["mean"].stderr < 2
+    assert fit.estimates["idle"].stderr == np.inf and fit.estimates["idle"].ci90 == (0.5, 90.0)
 
 
 def test_statistics_see_rows_but_not_which_rows():
