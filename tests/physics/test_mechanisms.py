@@ -355,7 +355,7 @@ def test_every_mechanism_is_traced_with_nothing_known_but_sizes(id):
     few = dataclasses.replace(SETTINGS, frames=2)
 
     def sample(key, clean, model, exposure_s):
-        return model.sample(key, clean, few._replace(exposure_s=exposure_s))
+        return model.sample(key, clean, dataclasses.replace(few, exposure_s=exposure_s))
 
     keys = jax.random.split(key_of(id), 3)
     batched = jax.vmap(sample, in_axes=(0, None, None, None))
