@@ -7,7 +7,7 @@ import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.fields import contrast_matrix, frame_fields
-from cannoise_jax.discovery.locate import RARE, locate
+from cannoise_jax.discovery.locate import EFFECTIVE, RARE, locate
 from cannoise_jax.discovery.prove import leave_out, strength_beyond
 from cannoise_jax.discovery.statistics.score import Probe, Score, sidak, unchanged
 from tests.discovery.capture import capture_set
@@ -106,4 +106,4 @@ def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
     p = rng.uniform(size=(20000, 3))
     p[:, 2] = 1.0
     rejected = np.mean([min(sidak(np.log(v), found.tests) for v in row[:2]) < np.log(0.05) for row in p])
-    assert rejected < 0.055
+    assert rejected < 0.055 / EFFECTIVE  # independent ones, which the battery's are not
