@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import struct
 import sys
 import warnings
 from collections.abc import Iterator
@@ -246,7 +247,7 @@ def _array(path: Path, suffix: str) -> np.ndarray:
         from skimage.io import imread
 
         picture = imread(path)
-    except (OSError, ValueError, SyntaxError, EOFError) as error:
+    except (OSError, ValueError, SyntaxError, EOFError, struct.error) as error:
         raise BadInput(f"{path}: cannot be read as a picture: {str(error).splitlines()[0]}") from error
     if picture.dtype == np.uint8:
         encoded = picture.astype(np.float32) / 255

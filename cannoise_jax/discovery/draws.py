@@ -49,7 +49,7 @@ def draw_like(draw: Drawing, prepared: Prepared) -> Frames:
     out = {}
     for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
         r = stacked.recording
-        span = r.white_level - float(np.mean(black[r.iso]))
+        span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
         settings = Settings(
             r.iso if r.iso is not None else 100.0,
             r.exposure_s if r.exposure_s is not None else 0.01,

@@ -76,7 +76,7 @@ def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None
         np.stack(gains),
         np.stack(reads),
         per_channel(baselines[0].black),
-        first.white_level,
+        min(first.white_level, 65535.0),  # a wrong one may lie above every code
         first.cfa,
         iso=tuple(b.iso if b.iso is not None else 100.0 for b in baselines),
         code_step=prepared.step,

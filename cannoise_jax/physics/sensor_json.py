@@ -33,8 +33,13 @@ _MAY_BE_NULL = ("doubling_c", "reference_iso", "reference_temperature_c")
 
 
 def write_sensor(path: str | Path, model: SensorModel) -> None:
-    """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically."""
+    """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically.
+
+    Raises BadInput where `path` is a folder, or the `.npz` is there and not of the model at `path`.
+    """
     path = Path(path)
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder: name a file for the sensor model")
     maps: dict[str, Any] = {
         f"{i}/{name}": np.asarray(values, np.float32)
         for i, fitted in enumerate(model.mechanisms)
@@ -46,10 +51,20 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
         content = io.BytesIO()
         np.savez_compressed(content, **maps)
         npz = path.with_suffix(".npz")
+        if npz.exists() and not _owns(path, npz):
+            raise BadInput(f"{npz}: is there already and holds no maps of {path.name}: choose another name")
         document["maps"] = {"file": npz.name, "sha256": hashlib.sha256(content.getvalue()).hexdigest()}
         files[npz] = content.getvalue()
     files[path] = (json.dumps(document, indent=1) + "\n").encode()
     _replace(files)
+
+
+def _owns(path: Path, npz: Path) -> bool:
+    """Whether the sensor model at `path` names the file as that of its maps."""
+    try:
+        return json.loads(path.read_text())["maps"]["file"] == npz.name
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def _replace(files: dict[Path, bytes]) -> None:

@@ -77,7 +77,7 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     _check_alike([s.recording for s in statistics])
     step = _code_step(statistics)
     flats = [s for s in statistics if s.recording.kind == "flat"]
-    dark = _reference_dark([s for s in statistics if s.recording.kind in DARK_KINDS], flats)
+    dark = reference_dark(statistics)
     lit = flats or [s for s in statistics if s.recording.kind == "scene"]
     names = channel_names(first.cfa)
     black = _black_level(statistics, dark)
@@ -102,7 +102,7 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
 def channel_lines(statistics: Sequence[FrameStatistics]) -> list[Line | NotMeasurable]:
     """The photon transfer line of every channel, mosaic order."""
     flats = [s for s in statistics if s.recording.kind == "flat"]
-    dark = _reference_dark([s for s in statistics if s.recording.kind in DARK_KINDS], flats)
+    dark = reference_dark(statistics)
     lit = flats or [s for s in statistics if s.recording.kind == "scene"]
     black = _black_level(statistics, dark)
     step = _code_step(statistics)
@@ -133,9 +133,10 @@ def _table_order(quantities: list[Quantity]):
     return lambda q: order[q.name, q.unit]
 
 
-def _reference_dark(darks: list[FrameStatistics], flats: list[FrameStatistics]) -> FrameStatistics | None:
+def reference_dark(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
     """The dark that goes with the flats: nearest exposure, then most frames; without flats the shortest."""
-    repeated = [s for s in darks if s.recording.count > 1]
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    repeated = [s for s in statistics if s.recording.kind in DARK_KINDS and s.recording.count > 1]
     aim = next((s.recording.exposure_s for s in flats if s.recording.exposure_s), None)
 
     def distance(s: FrameStatistics) -> tuple[float, int]:
@@ -189,4 +190,5 @@ def _baseline(
             return outcome
     gain = per_channel(np.array([line.slope.value for line in lines if isinstance(line, Line)]))
     read = per_channel(np.array([r.value for r in reads if isinstance(r, Estimate)]))
-    return Baseline(gain, read, black, first.white_level, step)
+    errors = per_channel(np.array([line.slope.stderr for line in lines if isinstance(line, Line)]))
+    return Baseline(gain, read, black, first.white_level, step, errors)

@@ -14,6 +14,7 @@ class Baseline:
     """Poisson-Gaussian noise per channel, mosaic order: var = K (signal above black) + (read noise)^2, DN.
 
     gain: DN/e-. read_noise: DN, rows not included. black_level: DN. code_step: 0 where there is no lattice.
+    gain_stderr: standard error of the gain, DN/e-.
     """
 
     gain: PerChannel
@@ -21,6 +22,7 @@ class Baseline:
     black_level: PerChannel
     white_level: float
     code_step: float
+    gain_stderr: PerChannel = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def read_noise_e(self) -> PerChannel:

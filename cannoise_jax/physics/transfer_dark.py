@@ -60,10 +60,14 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
     return Series(*np.array(rows, np.float64).T)
 
 
-def dark_currents(series: Series) -> tuple[Estimate, Estimate, bool, str]:
-    """Dark current by mean and by variance, e-/s per pixel, whether they agree, and a note that says so."""
-    by_mean = _slope(series.seconds, series.mean, np.ones(len(series.seconds)))
-    by_variance = _slope(series.seconds, series.variance, 1 / series.error)
+def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Estimate, bool, str]:
+    """Dark current by mean and by variance, e-/s per pixel, whether they agree, and a note that says so.
+
+    gain_error: relative standard error of the gain that made electrons of DN; the mean is divided by the
+    gain, the variance by its square.
+    """
+    by_mean = _slope(series.seconds, series.mean, np.ones(len(series.seconds)), gain_error)
+    by_variance = _slope(series.seconds, series.variance, 1 / series.error, 2 * gain_error)
     apart = by_mean.value - by_variance.value
     error = float(np.hypot(by_mean.stderr, by_variance.stderr))
     if abs(apart) < max(3 * error, 0.25 * abs(by_variance.value)):
@@ -74,11 +78,15 @@ def dark_currents(series: Series) -> tuple[Estimate, Estimate, bool, str]:
     return by_mean, by_variance, False, note
 
 
-def _slope(times: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Estimate:
-    """Weighted straight line; the error of its slope comes from the scatter about the line."""
+def _slope(times: np.ndarray, values: np.ndarray, weight: np.ndarray, relative: float) -> Estimate:
+    """Weighted straight line; the error of its slope comes from the scatter about the line, and from the
+    relative error of the unit of the values."""
     design = np.stack([np.ones_like(times), times], -1) * weight[:, None]
     solution, *_ = np.linalg.lstsq(design, values * weight, rcond=None)
     rest = values * weight - design @ solution
     dof = len(times) - 2
     covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
-    return normal_estimate(float(solution[1]), float(np.sqrt(covariance[1, 1])), dof)
+    line = normal_estimate(float(solution[1]), float(np.sqrt(covariance[1, 1])), dof)
+    half = float(np.hypot(line.ci90[1] - line.value, 1.6449 * relative * line.value))
+    error = float(np.hypot(line.stderr, relative * line.value))
+    return Estimate(line.value, error, (line.value - half, line.value + half))

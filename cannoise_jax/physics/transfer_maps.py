@@ -10,6 +10,7 @@ Hot and telegraph pixels are those that are more likely so than not.
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -29,13 +30,17 @@ from cannoise_jax.physics.estimators.pick import (
     steady_pixels,
 )
 from cannoise_jax.physics.poisson_gaussian import sample_normal
-from cannoise_jax.physics.sensor import Fitted, SensorModel
+from cannoise_jax.physics.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.transfer_baseline import Baseline
 from cannoise_jax.physics.transfer_fit import robust_mean_square
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 from cannoise_jax.physics.transfer_spatial import temporal_mean_square
 
 Statistics = Sequence[FrameStatistics]
+_SPREAD_CHARGE = ("dark_current", "amp_glow")
+_DARK_CHARGE = (*_SPREAD_CHARGE, "hot_pixels")
+"""Mechanisms that add dark charge: to all pixels, whose noise it is too; or to few, which the read noise
+leaves out."""
 
 
 class Seen(NamedTuple):
@@ -66,8 +71,38 @@ def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Bas
     return dataclasses.replace(model, mechanisms=tuple(kept))
 
 
+def without_charge(model: SensorModel, exposures: Sequence[float], size: tuple[int, int]) -> SensorModel:
+    """The model with a black level and a read noise that leave out the dark charge of the darks they were
+    measured on, which its mechanisms add. exposures: of that dark at every ISO of the baseline, seconds.
+    """
+    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
+    read2, black = np.asarray(read, np.float64) ** 2, np.asarray(model.black_level, np.float64)
+    for n, seconds in enumerate(exposures):
+        spread = _charge(model, _SPREAD_CHARGE, n, seconds, size)
+        read2[n] = np.maximum(read2[n] - gain[n] * spread, 0.01 * read2[n])
+    black = black - _charge(model, _DARK_CHARGE, 0, exposures[0], size)
+    return dataclasses.replace(
+        model,
+        black_level=black.astype(np.float32),
+        read_noise_e=(np.sqrt(read2) / gain).astype(np.float32),
+    )
+
+
+def _charge(
+    model: SensorModel, some: tuple[str, ...], n: int, seconds: float, size: tuple[int, int]
+) -> Float[np.ndarray, "4"]:
+    """Mean of what some mechanisms add in a dark at the n-th ISO, DN per mosaic site."""
+    bare = dataclasses.replace(model, mechanisms=tuple(f for f in model.mechanisms if f.mechanism in some))
+    at = Settings(float(np.asarray(model.iso)[n]), seconds)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a dark outside the range of its own calibration is no news
+        mean = np.asarray(bare.expected(jnp.zeros(size), at), np.float64)
+    return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - np.asarray(model.black_level)
+
+
 def without_repetition(model: SensorModel, statistics: Statistics) -> SensorModel:
-    """The model with a baseline that leaves out what its mechanisms add or take away.
+    """The model with a baseline that leaves out what its mechanisms add or take away; dark charge:
+    `without_charge`.
 
     Photon transfer measures the baseline on frames that show all mechanisms. Crosstalk and in-camera
     denoising have lowered the slope of the variance, the second also the read noise; telegraph pixels that

@@ -30,10 +30,10 @@ from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.ranges import clipped
 from cannoise_jax.physics.sensor import SensorModel
-from cannoise_jax.physics.transfer import PhotonTransfer
+from cannoise_jax.physics.transfer import PhotonTransfer, reference_dark
 from cannoise_jax.physics.transfer_baseline import Baseline
 from cannoise_jax.physics.transfer_frames import FrameStatistics
-from cannoise_jax.physics.transfer_maps import with_measured_maps, without_repetition
+from cannoise_jax.physics.transfer_maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.vocabulary import VOCABULARY
 
@@ -175,7 +175,10 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
             **(_exposures(first.statistics) if record.scaling.exposure else {}),
         )
         model = model.with_mechanism(finding.mechanism, scaling=law, point=finding.point, **values)
-    return without_repetition(with_measured_maps(model, first.statistics, base), first.statistics)
+    model = without_repetition(with_measured_maps(model, first.statistics, base), first.statistics)
+    darks = [reference_dark(t.statistics) for t, _ in measured]
+    exposures = [d.recording.exposure_s or 0.0 if d is not None else 0.0 for d in darks]
+    return without_charge(model, exposures, first.statistics[0].recording.size)
 
 
 def _temperature(statistics: Sequence[FrameStatistics]) -> float | None:

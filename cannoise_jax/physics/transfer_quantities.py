@@ -213,7 +213,8 @@ def dark_current_quantities(
     series = line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
     if isinstance(series, NotMeasurable):
         return [Quantity(title, "e-/s", name, series) for title in names]
-    by_mean, by_variance, _, note = dark_currents(series)
+    assert isinstance(line, Line)
+    by_mean, by_variance, _, note = dark_currents(series, line.slope.stderr / line.slope.value)
     return [
         Quantity(names[0], "e-/s", name, by_mean, note),
         Quantity(names[1], "e-/s", name, by_variance),

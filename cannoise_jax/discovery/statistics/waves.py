@@ -59,6 +59,11 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
     power[0, 0] = 0
     # Less than a period in the frame is a drift, not interference, and its two phases are not independent.
     power[:_PAD, :_PAD] = power[1 - _PAD :, :_PAD] = 0
+    # Two pixels to a period, along an axis or both: that is what sites of the mosaic share, no interference.
+    middle, last = _PAD * h // 2, power.shape[1] - 1
+    for rows in (slice(0, _PAD + 1), slice(-_PAD, None), slice(middle - _PAD, middle + _PAD + 1)):
+        power[rows, last - _PAD :] = 0
+    power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
     where = np.unravel_index(np.argmax(power), power.shape)
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields

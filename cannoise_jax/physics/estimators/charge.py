@@ -31,7 +31,8 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
             return series
         channels.append(series)
     pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
-    by_mean, by_variance, agree, _ = dark_currents(pooled)
+    relative = float(np.linalg.norm(np.divide(baseline.gain_stderr, baseline.gain)) / 4)
+    by_mean, by_variance, agree, _ = dark_currents(pooled, relative)
     return {"e_per_s": by_mean if agree else by_variance}
 
 
