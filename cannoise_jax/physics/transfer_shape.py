@@ -100,7 +100,8 @@ def _differences(dark: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
 
 
 def _moments(dark: FrameStatistics) -> list[Quantity]:
-    """Kurtosis, and correlations of pixels."""
+    """Kurtosis, and correlations of pixels: what taking out the means of rows and columns does to those of
+    white noise, (1 - 1/n) to a pixel with itself and -1/n to others of its line of n, is put back."""
     sums: dict[str, list[np.ndarray]] = {"excess kurtosis": [], "excess kurtosis, clipped": []}
     names = {lag: f"correlation of pixels {lag}" for lag in _LAGS}
     sums |= {name: [] for name in names.values()}
@@ -117,6 +118,8 @@ def _moments(dark: FrameStatistics) -> list[Quantity]:
         for dy, dx in _LAGS:
             product = bare[: height - dy, : width - dx] * bare[dy:, dx:]
             sums[names[dy, dx]].append(np.array([1.0, power, float(product.mean())]))
+    own, other = -1 / (height - 1), -1 / (width - 1)
+    taken = {names[dy, dx]: -(own if dy else 1.0) * (other if dx else 1.0) for dy, dx in _LAGS}
     out = []
     for name, parts in sums.items():
         count, second, fourth = np.array(parts).T
@@ -128,8 +131,16 @@ def _moments(dark: FrameStatistics) -> list[Quantity]:
         totals = [v.sum() for v in (count, second, fourth)]
         without = value(*(t - v for t, v in zip(totals, (count, second, fourth), strict=True)))
         note = f"differences of frames, within {_CLIP:g} robust sigma" if "clipped" in name else ""
-        out.append(Quantity(name, "1", "all", jackknife_estimate(float(value(*totals)), without), note))
+        found = jackknife_estimate(float(value(*totals)), without).shifted(taken.get(name, 0.0))
+        out.append(Quantity(name, "1", "all", _of_shared_frames(found), note))
     return out
+
+
+def _of_shared_frames(found: Estimate) -> Estimate:
+    """The error of a mean over differences of which each shares a frame with the next: squares of neighbours
+    correlate by 1/4 each way (fourth powers by less), which leaving out one at a time does not see."""
+    low, high = (found.value + 1.5**0.5 * (end - found.value) for end in found.ci90)
+    return Estimate(found.value, 1.5**0.5 * found.stderr, (low, high))
 
 
 def _rows(dark: FrameStatistics) -> list[Quantity]:

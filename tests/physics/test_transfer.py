@@ -276,7 +276,9 @@ BY_HAND = {
 
 def test_real_camera_matches_what_was_measured_by_hand(real_data):
     (result,) = photon_transfer(load_capture_set(real_data / "asi178"))
-    for name, value in BY_HAND.items():
+    # By hand the means of 256 rows were taken out, which lowers the correlation down a column by 1/255.
+    by_hand = {**BY_HAND, "correlation of pixels (1, 0)": BY_HAND["correlation of pixels (1, 0)"] + 1 / 255}
+    for name, value in by_hand.items():
         (found,) = result.outcomes(name)
         rounding = 0.5 * 10.0 ** -len(f"{value:g}".partition(".")[2])
         slack = max(0.02 * abs(value), (found.ci90[1] - found.ci90[0]) / 2) + rounding

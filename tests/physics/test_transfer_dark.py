@@ -69,3 +69,17 @@ def test_interval_of_the_dark_current_holds_the_doubt_about_the_gain(calibrated)
     certain = dataclasses.replace(slope, gain_stderr=(0.0,) * 4)
     (again,) = (f for f in find_mechanisms(transfers[0].statistics, certain) if f.mechanism == "dark_current")
     assert again.estimates["e_per_s"].stderr < found.estimates["e_per_s"].stderr
+
+
+def test_correlations_of_white_noise_are_zero_within_their_intervals():
+    rng, held, values = np.random.default_rng(5), [], []
+    for _ in range(60):
+        frames = np.round(rng.normal(100, 6, (16, 32, 96))).astype(np.uint16)
+        r = Recording(frames=frames, cfa="RGGB", black_level=(90.0,) * 4, white_level=4095.0, kind="dark")
+        (result,) = photon_transfer(CaptureSet("c", (r,)))
+        found = [q.outcome for q in result.quantities if q.name.startswith("correlation of pixels")]
+        held.append([e.ci90[0] <= 0 <= e.ci90[1] for e in found])
+        values.append([e.value for e in found])
+    error = np.std(values, 0) / np.sqrt(len(values))
+    assert np.all(np.abs(np.mean(values, 0)) < 3.5 * error)
+    assert 0.82 < np.mean(held) < 0.97
