@@ -12,12 +12,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.statistics.covariance import LAGS, lag_sums
-from cannoise_jax.discovery.statistics.lines import line_sums
+from cannoise_jax.discovery.statistics.lines import line_power
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 _SCALES = {"relative": "signal", "thermal": "exposure"}
@@ -124,10 +123,8 @@ def line_spectrum(fields: tuple[Fields, ...], axis: str, probe: Probe) -> dict[s
         values = f.static[None] if frozen and f.static is not None else f.contrasts
         if (frozen and f.static is None) or not len(values) or f.mean.shape != fields[0].mean.shape:
             continue
-        sums = line_sums(f, values, axis, "additive")
-        x = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
-        power = power + (np.abs(np.fft.rfft(x, axis=1)) ** 2).sum(0) / x.shape[1]
-        number += len(x)
+        power = power + line_power(f, values, axis)
+        number += len(values)
     if not number:
         return None
     power = power[1:] / number
@@ -164,7 +161,7 @@ def excess_kurtosis(fields: tuple[Fields, ...]) -> dict[str, float] | None:
         return None
     second = sum(float(np.sum(v.astype(np.float64) ** 2)) for v in values) / number
     fourth = sum(float(np.sum(v.astype(np.float64) ** 4)) for v in values) / number
-    return {"value": fourth / second**2 - special.factorial2(3), "error": float(np.sqrt(24 / number))}
+    return {"value": fourth / second**2 - 3.0, "error": float(np.sqrt(24 / number))}
 
 
 def lines(card: dict[str, Any]) -> list[tuple[str, str]]:

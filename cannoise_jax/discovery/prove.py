@@ -177,27 +177,22 @@ def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, floa
     recording where they were scored apart, else from that of the frames."""
     gains = with_it.log_prob - without.log_prob
     total = float(gains.sum())
+    recordings = np.unique(with_it.recording)
     if with_it.parts is not None and without.parts is not None:
         values = with_it.parts - without.parts
-        each = [values[with_it.recording == r].ravel() for r in np.unique(with_it.recording)]
+        groups = [values[with_it.recording == r].ravel() for r in recordings]
         # What a part cannot tell of an offset that it shares with another is missing in the sum of the parts.
-        scale = np.clip(total / values.sum(), 1.0, 2.0) if values.sum() > 0 else 1.0
-        parts = np.array([g.size * np.var(g, ddof=1) for g in each]) * scale**2
-        freedom = parts.sum() ** 2 / max(np.sum(parts**2 / [g.size - 1 for g in each]), 1e-300)
-        half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(parts.sum()))
-        return total, total - half, total + half
-    groups = [gains[with_it.recording == r] for r in np.unique(with_it.recording)]
-    several = [g for g in groups if g.size > 1]
-    if several:
-        parts = np.array([g.size * np.var(g, ddof=1) for g in several])
-        # Recordings of one frame scatter like the others.
-        parts *= gains.size / sum(g.size for g in several)
-        freedom = parts.sum() ** 2 / max(np.sum(parts**2 / [g.size - 1 for g in several]), 1e-300)
+        scale = np.clip(total / values.sum(), 1.0, 2.0) ** 2 if values.sum() > 0 else 1.0
     elif gains.size > 1:
-        parts, freedom = np.array([gains.size * np.var(gains, ddof=1)]), gains.size - 1.0
+        several = [g for r in recordings if (g := gains[with_it.recording == r]).size > 1]
+        groups = several or [gains]
+        # Recordings of one frame scatter like the others.
+        scale = gains.size / sum(g.size for g in groups)
     else:
         return total, float("nan"), float("nan")
-    half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(parts.sum()))
+    variances = np.array([g.size * np.var(g, ddof=1) for g in groups]) * scale
+    freedom = variances.sum() ** 2 / max(np.sum(variances**2 / [g.size - 1 for g in groups]), 1e-300)
+    half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(variances.sum()))
     return total, total - half, total + half
 
 

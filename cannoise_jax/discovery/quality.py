@@ -20,7 +20,7 @@ from cannoise_jax.discovery.heldout import Scored
 from cannoise_jax.discovery.prove import Proof, Proofs, frame_interval
 from cannoise_jax.discovery.sides import Drawings, Sides
 from cannoise_jax.discovery.statistics.covariance import LAGS, lag_sums
-from cannoise_jax.discovery.statistics.lines import line_sums
+from cannoise_jax.discovery.statistics.lines import line_power
 from cannoise_jax.discovery.twosample import SIDE, TwoSample, two_sample
 from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
 from cannoise_jax.physics.likelihood_composite import Profile, composite_score, profile, ruler
@@ -219,10 +219,8 @@ def curves(fields: tuple[Fields, ...]) -> Curves:
         total, number = np.zeros(size // 2 + 1), 0
         for f in fields:
             if len(f.contrasts) and f.mean.shape == fields[0].mean.shape:
-                sums = line_sums(f, f.contrasts, axis, "additive")
-                x = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
-                total += (np.abs(np.fft.rfft(x, axis=1)) ** 2).sum(0) / x.shape[1]
-                number += len(x)
+                total += line_power(f, f.contrasts, axis)
+                number += len(f.contrasts)
         spectra[axis] = total[1:] / max(number, 1)
     score, information = lag_sums(fields, "white")
     points = [point for f in fields for point in _levels(f)]

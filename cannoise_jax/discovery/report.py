@@ -183,8 +183,8 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     """
     mechanism = step.named.mechanism
     # A few pixels may not show again in few frames: their strength is then that of the frames that looked.
-    again = proof.score is not None and proof.score.error > 0
-    score = proof.score if again and proof.score is not None else step.named.score
+    again = proof.score
+    score = again if again is not None and again.error > 0 else step.named.score
     term = VOCABULARY[mechanism]
     outcome = (
         "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"

@@ -83,6 +83,13 @@ def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: b
     return LineSums(score, information * (1 - information / total))
 
 
+def line_power(field: Fields, values: np.ndarray, axis: str) -> np.ndarray:
+    """Power of the line means of `values` [n, h, w] by frequency, summed over n; white noise: 1 each."""
+    sums = line_sums(field, values, axis, "additive")
+    x = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
+    return (np.abs(np.fft.rfft(x, axis=1)) ** 2).sum(0) / x.shape[1]
+
+
 def component_score(probe, power, information, dof, scaling, where, scale_variance=0.0) -> Score:
     """The score of one variance component of offsets (DN) or factors, see `variance_component`."""
     fit = variance_component(power, information, dof, scale_variance)
