@@ -16,10 +16,10 @@ import numpy as np
 
 from cannoise_jax.physics.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer_baseline import Baseline
+from cannoise_jax.physics.transfer_black import black_level, reference_dark
 from cannoise_jax.physics.transfer_fit import Level, Line, fit_line
 from cannoise_jax.physics.transfer_frames import FrameStatistics, frame_statistics, pixel_variance, site
 from cannoise_jax.physics.transfer_quantities import (
-    DARK_KINDS,
     RECORD_DARKS,
     RECORD_FLATS,
     Quantity,
@@ -80,11 +80,12 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     dark = reference_dark(statistics)
     lit = flats or [s for s in statistics if s.recording.kind == "scene"]
     names = channel_names(first.cfa)
-    black = _black_level(statistics, dark)
+    found = black_level(statistics)
+    black = found.level
     lines = channel_lines(statistics)
     quantities: list[Quantity] = []
     for c, name in enumerate(names):
-        quantities += noise_quantities(name, c, lines[c], lit, dark, step)
+        quantities += noise_quantities(name, c, lines[c], lit, dark, step, found)
         quantities += pattern_quantities(name, c, lines[c], flats, dark, black)
         quantities += dark_current_quantities(name, c, lines[c], statistics)
         quantities += saturation_quantities(name, c, lines[c], statistics, black)
@@ -104,13 +105,9 @@ def channel_lines(statistics: Sequence[FrameStatistics]) -> list[Line | NotMeasu
     flats = [s for s in statistics if s.recording.kind == "flat"]
     dark = reference_dark(statistics)
     lit = flats or [s for s in statistics if s.recording.kind == "scene"]
-    black = _black_level(statistics, dark)
+    black = black_level(statistics).level
     step = _code_step(statistics)
     return [_line(lit, dark, black, step, c) for c in range(4)]
-
-
-def _black_level(statistics: Sequence[FrameStatistics], dark: FrameStatistics | None) -> PerChannel:
-    return statistics[0].recording.black_level if dark is None else per_channel(dark.frame_means.mean(0))
 
 
 def _code_step(statistics: Sequence[FrameStatistics]) -> float:
@@ -133,23 +130,6 @@ def _table_order(quantities: list[Quantity]):
     return lambda q: order[q.name, q.unit]
 
 
-def reference_dark(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
-    """The dark that goes with the flats: nearest exposure, then most frames; without flats the shortest."""
-    flats = [s for s in statistics if s.recording.kind == "flat"]
-    repeated = [s for s in statistics if s.recording.kind in DARK_KINDS and s.recording.count > 1]
-    aim = next((s.recording.exposure_s for s in flats if s.recording.exposure_s), None)
-
-    def distance(s: FrameStatistics) -> tuple[float, int]:
-        exposure = s.recording.exposure_s
-        if exposure is None or exposure <= 0:
-            return 0.0 if s.recording.kind == "bias" else 1.0, -s.recording.count
-        # Below a tenth of a second dark charge hardly matters, and the number of frames counts more.
-        away = np.log10(max(exposure, 0.1)) - np.log10(max(aim or 0.1, 0.1))
-        return abs(float(away)), -s.recording.count
-
-    return min(repeated, key=distance, default=None)
-
-
 def _levels(
     lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, c: int
 ) -> list[Level]:
@@ -162,7 +142,9 @@ def _levels(
         signal, variance = site(s.mean, c) - black[c], pixel_variance(s, c)
         levels.append(Level(signal, variance, ~site(s.clipped, c), s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
-        zero = np.zeros(site(dark.mean, c).shape)
+        # Charge that a longer dark holds beyond black has shot noise like any other.
+        charge = max(float(dark.frame_means[:, c].mean()) - black[c], 0.0)
+        zero = np.full(site(dark.mean, c).shape, charge)
         usable = ~site(dark.clipped, c)
         levels.append(Level(zero, pixel_variance(dark, c), usable, dark.recording.count, dark.dof, True))
     return levels

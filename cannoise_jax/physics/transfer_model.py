@@ -30,8 +30,9 @@ from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.ranges import clipped
 from cannoise_jax.physics.sensor import SensorModel
-from cannoise_jax.physics.transfer import PhotonTransfer, reference_dark
+from cannoise_jax.physics.transfer import PhotonTransfer
 from cannoise_jax.physics.transfer_baseline import Baseline
+from cannoise_jax.physics.transfer_black import black_level
 from cannoise_jax.physics.transfer_frames import FrameStatistics
 from cannoise_jax.physics.transfer_maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.recordings.recording import BadInput
@@ -176,8 +177,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
         )
         model = model.with_mechanism(finding.mechanism, scaling=law, point=finding.point, **values)
     model = without_repetition(with_measured_maps(model, first.statistics, base), first.statistics)
-    darks = [reference_dark(t.statistics) for t, _ in measured]
-    exposures = [d.recording.exposure_s or 0.0 if d is not None else 0.0 for d in darks]
+    exposures = [black_level(t.statistics).seconds or 0.0 for t, _ in measured]
     return without_charge(model, exposures, first.statistics[0].recording.size)
 
 

@@ -19,6 +19,7 @@ from cannoise_jax.physics.estimate import (
     scatter_estimate,
     variance_difference,
 )
+from cannoise_jax.physics.transfer_black import DARK_KINDS, Black
 from cannoise_jax.physics.transfer_dark import dark_currents, dark_series
 from cannoise_jax.physics.transfer_fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
@@ -33,7 +34,6 @@ from cannoise_jax.physics.transfer_spatial import (
 from cannoise_jax.recordings.recording import PerChannel
 
 _UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden
-DARK_KINDS = ("dark", "bias")
 
 RECORD_FLATS = "record at least 2 frames of an even, steady light, best at several levels up to saturation"
 RECORD_DARKS = "record at least 2 frames with the cap on, at the exposure time of the flats"
@@ -51,12 +51,16 @@ class Quantity:
 
 
 def noise_quantities(
-    name: str, c: int, line: Line | NotMeasurable, lit: list, dark: FrameStatistics | None, step: float
-) -> list[Quantity]:
+    name: str, c: int, line: Line | NotMeasurable, lit: list, dark: FrameStatistics | None, step: float,
+    black: Black,
+) -> list[Quantity]:  # fmt: skip
     """Black level, gain, and temporal noise in the dark."""
     out: list[Quantity] = []
     if dark is not None:
-        out.append(Quantity("black level", "DN", name, scatter_estimate(dark.frame_means[:, c])))
+        level = scatter_estimate(dark.frame_means[:, c])
+        if black.level[c] != level.value:
+            level = normal_estimate(black.level[c], black.error[c])
+        out.append(Quantity("black level", "DN", name, level, black.note))
     if isinstance(line, NotMeasurable):
         out += [Quantity("system gain", "DN/e-", name, line), Quantity("inverse gain", "e-/DN", name, line)]
     else:

@@ -19,8 +19,9 @@ from cannoise_jax.physics.estimate import (
     root,
     variance_estimate,
 )
+from cannoise_jax.physics.transfer_black import DARK_KINDS
 from cannoise_jax.physics.transfer_frames import FrameStatistics, site
-from cannoise_jax.physics.transfer_quantities import DARK_KINDS, Quantity
+from cannoise_jax.physics.transfer_quantities import Quantity
 from cannoise_jax.physics.transfer_spatial import temporal_mean_square
 from cannoise_jax.recordings.metadata import chunks
 

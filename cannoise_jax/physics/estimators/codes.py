@@ -15,6 +15,7 @@ from cannoise_jax.physics.estimate import (
     scatter_estimate,
 )
 from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, column_offsets, darkest
+from cannoise_jax.physics.transfer_black import black_level, reference_dark
 from cannoise_jax.physics.transfer_frames import FrameStatistics
 from cannoise_jax.recordings.codes import code_histogram
 
@@ -65,15 +66,21 @@ def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
 
 def black_level_errors(statistics: Sequence[FrameStatistics]) -> tuple[Estimate, ...] | NotMeasurable:
     """True minus stated black level of each mosaic site, DN, from the means of darks frame by frame: what all
-    pixels of a frame do together is in the errors."""
-    dark = darkest(statistics)
+    pixels of a frame do together is in the errors. Of the exposure of the flats, see `transfer_black`."""
+    dark, black = reference_dark(statistics), black_level(statistics)
     if dark is None:
         return REPEATED_DARKS
+    if not black.certain:
+        return NotMeasurable(f"black level {black.note}")
     if np.isfinite(dark.low).any():
         return NotMeasurable(
             "darks are cut off at their lower end: record with a black level above the noise"
         )
-    offsets = dark.frame_means - np.asarray(dark.recording.black_level)
+    stated = np.asarray(dark.recording.black_level)
+    if black.note:
+        found = zip(np.subtract(black.level, stated), black.error, strict=True)
+        return tuple(normal_estimate(value, error) for value, error in found)
+    offsets = dark.frame_means - stated
     return tuple(scatter_estimate(offsets[:, c]) for c in range(4))
 
 
@@ -81,11 +88,15 @@ def bookkeeping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     """black_dn: mean over the channels of true minus stated black level, from darks. white_error: only where
     a recording saturates, of the code at which its values pile up; known to half a code step."""
     errors = black_level_errors(statistics)
-    dark = darkest(statistics)
+    dark, black = reference_dark(statistics), black_level(statistics)
     if isinstance(errors, NotMeasurable) or dark is None:
         return errors if isinstance(errors, NotMeasurable) else REPEATED_DARKS
     stated = np.asarray(dark.recording.black_level)
     found = {"black_dn": scatter_estimate((dark.frame_means - stated).mean(1))}
+    if black.note:
+        found["black_dn"] = normal_estimate(
+            float(np.mean([e.value for e in errors])), float(np.mean(black.error))
+        )
     tops = [(float(np.nanmax(s.high)), s) for s in statistics if np.isfinite(s.high).any()]
     if tops:
         code, saturated = max(tops, key=lambda top: top[0])
@@ -103,15 +114,13 @@ def bookkeeping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
 def channel_offset(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma_dn: rms of the four channels' errors of the stated black level. Of a population of cameras four
     values are known, so the interval is that of chi-square with four degrees of freedom."""
-    dark = darkest(statistics)
+    dark, black = reference_dark(statistics), black_level(statistics)
     if dark is None:
         return REPEATED_DARKS
-    offsets = dark.frame_means.mean(0) - np.asarray(dark.recording.black_level)
-    noise = (
-        float(np.mean(dark.total)) / dark.mean.size * 4 / dark.recording.count
-        if dark.total is not None
-        else 0.0
-    )
+    if not black.certain:
+        return NotMeasurable(f"black level {black.note}")
+    offsets = np.subtract(black.level, dark.recording.black_level)
+    noise = float(np.mean(np.square(black.error)))
     square = max(float(np.mean(offsets**2)) - noise, 0.0)
     low, high = 4 / stats.chi2.ppf((0.95, 0.05), 4)
     sigma = float(np.sqrt(square))

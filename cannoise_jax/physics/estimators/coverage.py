@@ -72,7 +72,10 @@ _DARK = (Shot("dark"),)
 _FLAT = (Shot("dark"), Shot("flat", 0.3))
 _SERIES = tuple(Shot("dark", exposure_s=t) for t in (0.01, 3.0, 6.0, 10.0))
 _LONG = (Shot("dark", exposure_s=0.01), Shot("dark", exposure_s=10.0))
-_LADDER = (Shot("dark"), *(Shot("flat", level, exposure_s=level) for level in (0.2, 0.4, 0.6, 0.8)))
+_LADDER = (
+    *(Shot("dark", exposure_s=seconds) for seconds in (0.2, 0.8)),
+    *(Shot("flat", level, exposure_s=level) for level in (0.2, 0.4, 0.6, 0.8)),
+)
 
 CASES: tuple[Case, ...] = (
     Case("gain_error", {"error": 0.1}, _FLAT),

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from cannoise_jax.physics.estimate import (
     Estimates,
@@ -20,9 +19,9 @@ from cannoise_jax.physics.estimators.circle import circle
 from cannoise_jax.physics.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
-    darkest,
 )
 from cannoise_jax.physics.mosaic_ops import shifted
+from cannoise_jax.physics.transfer_black import black_at, mean_error
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 from cannoise_jax.physics.transfer_spatial import temporal_mean_square
 from cannoise_jax.recordings.recording import Recording
@@ -74,28 +73,36 @@ def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
 
 def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """loss: share of the signal missing at the white level, from the means of flats whose relative exposure
-    is known (exposure time of one light, or their references)."""
+    is known (exposure time of one light, or their references).
+
+    Every flat is taken above the black level at its own exposure (`transfer_black`), whose error all share.
+    """
     flats = [s for s in statistics if s.recording.kind == "flat" and _exposure(s.recording) is not None]
     if len({_exposure(s.recording) for s in flats}) < 3:
         return _LEVELS
-    dark = darkest(statistics)
+    darks = [black_at(statistics, s.recording.exposure_s, s.recording.temperature_c) for s in flats]
+    for found in darks:
+        if not found.certain:
+            return NotMeasurable(f"black level {found.note}, or darks of three exposures")
     white = flats[0].recording.white_level
     values, weights = [], []
     for c in range(4):
-        black = _black(flats[0].recording, dark, c)
+        black, doubt = (np.array([v[c] for v in part]) for part in zip(*(d[:2] for d in darks), strict=True))
         light = np.array([_exposure(s.recording) for s in flats], np.float64)
-        signal = np.array([s.frame_means[:, c].mean() - black for s in flats])
-        error = np.array([_mean_error(s, c) for s in flats])
+        signal = np.array([s.frame_means[:, c].mean() for s in flats]) - black
+        error = np.array([mean_error(s, c) for s in flats])
         use = signal < 0.95 * (white - black)
         if use.sum() < 3:
             continue
         # signal = g x - a x^2 with loss = a (W - b) / g^2.
-        light, signal, error = light[use] / light[use].max(), signal[use], error[use]
-        design = np.stack([light, -(light**2)], -1) / error[:, None]
-        covariance = np.linalg.inv(design.T @ design)
-        g, a = covariance @ (design.T @ (signal / error))
-        slope = np.array([-2 * a / g**3, 1 / g**2]) * (white - black)
-        values.append(a / g**2 * (white - black))
+        light, signal = light[use] / light[use].max(), signal[use]
+        design = np.stack([light, -(light**2)], -1)
+        precision = np.linalg.inv(np.diag(error[use] ** 2) + np.outer(doubt[use], doubt[use]))
+        covariance = np.linalg.inv(design.T @ precision @ design)
+        g, a = covariance @ (design.T @ precision @ signal)
+        span = white - float(black[use].mean())
+        slope = np.array([-2 * a / g**3, 1 / g**2]) * span
+        values.append(a / g**2 * span)
         weights.append(1 / float(slope @ covariance @ slope))
     if not values:
         return _LEVELS
@@ -225,23 +232,6 @@ def _exposure(recording: Recording) -> float | None:
     if recording.clean is not None:
         return float(np.mean(recording.clean))
     return recording.exposure_s
-
-
-def _black(recording: Recording, dark: FrameStatistics | None, c: int) -> float:
-    return recording.black_level[c] if dark is None else float(dark.frame_means[:, c].mean())
-
-
-def _mean_error(s: FrameStatistics, c: int) -> float:
-    """Error of a channel's mean over a recording: from the pixels' noise, or from the scatter of the frames
-    where that is significantly larger (chi-square at 99.9 %)."""
-    frames = s.frame_means[:, c]
-    total = s.total if s.total is not None else None
-    pixel = float(site(total, c).mean()) / site(s.mean, c).size if total is not None else 0.0
-    if len(frames) < 2:
-        return max(np.sqrt(pixel), 1e-6)
-    scatter, dof = float(frames.var(ddof=1)), len(frames) - 1
-    larger = scatter > pixel * stats.chi2.isf(1e-3, dof) / dof
-    return float(np.sqrt((scatter if larger else pixel) / len(frames)))
 
 
 def _nearest(x: Float[np.ndarray, "H W"], steps: Sequence[tuple[int, int]]) -> Float[np.ndarray, "H W"]:

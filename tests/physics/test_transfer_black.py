@@ -1,0 +1,101 @@
+"""The black level of flats when no dark is as long as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.estimate import NotMeasurable
+from cannoise_jax.physics.estimators import ESTIMATORS
+from cannoise_jax.physics.transfer import transfer_at
+from cannoise_jax.physics.transfer_black import black_at
+from cannoise_jax.physics.transfer_frames import frame_statistics
+from cannoise_jax.physics.transfer_model import find_mechanisms, format_findings, sensor_model
+from cannoise_jax.physics.transfer_table import format_transfer
+from cannoise_jax.recordings.recording import Recording, per_channel
+
+GAIN, READ, BLACK, RATE = 2.0, 3.0, 200.0, 20.0
+
+
+def shot(seed, kind, light, seconds, frames=8, temperature_c=None):
+    """A camera with a dark current of 20 e-/s; light: electrons per pixel."""
+    rng, size = np.random.default_rng(seed), (frames, 64, 96)
+    charge = rng.poisson(light + RATE * seconds, size) + rng.normal(0, READ, size)
+    frames_dn = np.clip(np.rint(BLACK + GAIN * charge), 0, 16383).astype(np.uint16)
+    return Recording(
+        frames_dn, "RGGB", per_channel(BLACK), 16383.0, camera="made", kind=kind, exposure_s=seconds,
+        temperature_c=temperature_c,
+    )  # fmt: skip
+
+
+def flats():
+    """One steady light, 0.01 to 0.08 s."""
+    return [shot(9 + n, "flat", 90000.0 * t, t) for n, t in enumerate((0.01, 0.02, 0.04, 0.08))]
+
+
+def gathered(*recordings):
+    return [frame_statistics(r) for r in recordings]
+
+
+def test_one_long_dark_is_remarked_and_explains_nothing():
+    statistics = gathered(*flats(), shot(1, "dark", 0.0, 10.0))
+    transfer = transfer_at(statistics)
+    text = format_transfer(transfer)
+    assert "flats at 0.01 s" in text and "dark of 10 s" in text and "record a dark at 0.01 s" in text
+    findings = find_mechanisms(statistics, transfer.baseline)
+    verdicts = {f.mechanism: f.verdict for f in findings}
+    unknown = {"nonlinearity", "channel_offset", "bookkeeping"}
+    assert {verdicts[id] for id in unknown} == {"not measurable"}
+    assert "record a dark at" in format_findings(findings)
+    model = sensor_model([transfer], findings)
+    assert not unknown & {f.mechanism for f in model.mechanisms}
+
+
+@pytest.mark.parametrize("times", [(5.0, 10.0, 20.0), (0.01, 10.0)], ids=["line", "as long as the flats"])
+def test_black_is_that_of_the_flats_where_darks_allow_it(times):
+    statistics = gathered(*flats(), *(shot(20 + n, "dark", 0.0, t) for n, t in enumerate(times)))
+    black = black_at(statistics, 0.01)
+    assert black.certain and ("line" in black.note) == (len(times) == 3)
+    assert np.abs(np.subtract(black.level, BLACK)).max() < 4 * max(black.error) + 0.4  # and 0.4 DN of charge
+    transfer = transfer_at(statistics)
+    assert np.allclose(transfer.baseline.gain, GAIN, rtol=0.03)
+    # In the line's darks 9 e-^2 of read noise stand beside 100 of charge, known to 2 of every channel.
+    assert np.mean(transfer.baseline.read_noise_e) == pytest.approx(READ, abs=0.5 if black.note else 0.1)
+    loss = ESTIMATORS["nonlinearity"](statistics)["loss"]
+    assert abs(loss.value) < 3.5 * loss.stderr and loss.stderr < 0.01
+    offset = ESTIMATORS["channel_offset"](statistics, transfer.baseline)["sigma_dn"]
+    assert offset.value < 1.0
+
+
+def test_the_model_of_long_darks_has_the_black_level_without_their_charge():
+    statistics = gathered(*flats(), *(shot(20 + n, "dark", 0.0, t) for n, t in enumerate((5.0, 10.0, 20.0))))
+    transfer = transfer_at(statistics)
+    model = sensor_model([transfer], find_mechanisms(statistics, transfer.baseline))
+    assert "dark_current" in {f.mechanism for f in model.mechanisms}
+    np.testing.assert_allclose(model.black_level, BLACK, atol=1.0)
+    assert np.mean(model.read_noise_e) == pytest.approx(READ, abs=0.5)
+
+
+def test_error_of_the_line_holds_its_scatter():
+    errors = []
+    for seed in range(60):
+        times = enumerate((1.0, 2.0, 4.0, 8.0))
+        darks = gathered(*(shot(100 * seed + n, "dark", 0.0, t, 2) for n, t in times))
+        black = black_at(darks, 0.01)
+        errors.append((np.array(black.level) - BLACK - GAIN * RATE * 0.01) / black.error)
+    assert 0.85 < np.std(errors) < 1.15
+    assert 0.84 < np.mean(np.abs(errors) < 1.6449) < 0.95
+
+
+def test_darks_of_another_temperature_do_not_count():
+    darks = [shot(n, "dark", 0.0, t, temperature_c=20.0) for n, t in enumerate((5.0, 10.0, 20.0))]
+    assert black_at(gathered(*darks), 0.01, 21.0).certain
+    cold = black_at(gathered(*darks), 0.01, -10.0)
+    assert not cold.certain and "record a dark at 0.01 s" in cold.note
+
+
+def test_unknown_exposures_leave_the_dark_as_it_is():
+    dark = shot(1, "dark", 0.0, 10.0)
+    (s,) = gathered(dark)
+    assert black_at([s], None).level == per_channel(s.frame_means.mean(0))
+    assert not isinstance(ESTIMATORS["bookkeeping"]([s]), NotMeasurable)
