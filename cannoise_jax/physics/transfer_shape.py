@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from cannoise_jax.physics.estimate import (
     Estimate,
@@ -20,6 +21,7 @@ from cannoise_jax.physics.estimate import (
     variance_estimate,
 )
 from cannoise_jax.physics.transfer_black import DARK_KINDS
+from cannoise_jax.physics.transfer_fit import median_quotient
 from cannoise_jax.physics.transfer_frames import FrameStatistics, site
 from cannoise_jax.physics.transfer_quantities import Quantity
 from cannoise_jax.physics.transfer_spatial import temporal_mean_square
@@ -34,16 +36,21 @@ def shape_quantities(dark: FrameStatistics) -> list[Quantity]:
     """Lines for the table, all channels together, from repeated darks. Needs three frames."""
     if dark.total is None or dark.recording.count < 3:
         return []
-    sigma = np.sqrt(dark.total)
+    sigma, dof = np.sqrt(dark.total), dark.recording.count - 1.0
     middle = float(np.median(sigma))
     spread = 1.2533 * float(sigma.std()) / np.sqrt(sigma.size)
-    out = [Quantity("typical pixel noise", "DN", "all", _plain(middle, spread), "median over the pixels")]
+    # The median of what few frames show of one noise lies below it.
+    below = float(np.sqrt(median_quotient(dof)))
+    note = f"median over the pixels, over the {below:.3f} of {dark.recording.count} frames of Gaussian noise"
+    out = [Quantity("typical pixel noise", "DN", "all", _plain(middle, spread).scaled(1 / below), note)]
     for factor in _NOISY:
         share = float(np.mean(sigma > factor * middle))
-        error = np.sqrt(share * (1 - share) / sigma.size)
-        out.append(
-            Quantity(f"pixels above {factor:g} x typical", "%", "all", _plain(100 * share, 100 * error))
-        )
+        chance = float(stats.chi2.sf((factor * below) ** 2 * dof, dof))
+        error = np.sqrt(max(share, chance) * (1 - share) / sigma.size)
+        low, high = (max(share - chance + 1.6449 * side * error, 0.0) for side in (-1, 1))
+        found = Estimate(max(share - chance, 0.0), float(error), (low, float(high))).scaled(100.0)
+        note = f"s of a pixel against its median, {100 * chance:.2g} % by chance taken out"
+        out.append(Quantity(f"pixels above {factor:g} x typical", "%", "all", found, note))
     out += _moments(dark)
     out += _rows(dark)
     out += _fixed_pattern(dark)
