@@ -20,20 +20,34 @@ _TAIL = 0.05  # of a 90 % interval
 
 @dataclass(frozen=True)
 class Estimate:
-    """A measured value, its standard error and 90 % interval, all in the unit of the value."""
+    """A measured value, its standard error and 90 % interval, all in the unit of the value.
+
+    chance: with which a true value of zero shows as much, where that is not as Gaussian errors have it. (The
+    root of a variance is not: at three standard errors above zero the variance is at one and a half.)
+    """
 
     value: float
     stderr: float
     ci90: tuple[float, float]
+    chance: float | None = None
 
     def scaled(self, factor: float) -> Estimate:
         """The same measurement in another unit."""
         low, high = sorted((self.ci90[0] * factor, self.ci90[1] * factor))
-        return Estimate(self.value * factor, self.stderr * abs(factor), (low, high))
+        return Estimate(self.value * factor, self.stderr * abs(factor), (low, high), self.chance)
 
     def shifted(self, by: float) -> Estimate:
         """The same measurement with a known number added."""
         return Estimate(self.value + by, self.stderr, (self.ci90[0] + by, self.ci90[1] + by))
+
+    @property
+    def by_chance(self) -> float:
+        """The chance with which a true value of zero shows as much (both signs where both can be)."""
+        if self.chance is not None:
+            return self.chance
+        if self.stderr <= 0:
+            return 0.0 if self.value else 1.0
+        return float(2 * stats.norm.sf(abs(self.value) / self.stderr))
 
     @property
     def significant(self) -> bool:
@@ -55,7 +69,9 @@ Estimates = Mapping[str, Estimate] | NotMeasurable
 def normal_estimate(value: float, stderr: float, dof: float = np.inf) -> Estimate:
     """An estimate with Gaussian error; `dof`: degrees of freedom behind its `stderr` (Student t)."""
     half = float(stats.t.ppf(1 - _TAIL, dof)) * stderr if np.isfinite(dof) else 1.6449 * stderr
-    return Estimate(float(value), float(stderr), (float(value - half), float(value + half)))
+    known = np.isfinite(dof) and stderr > 0
+    chance = float(2 * stats.t.sf(abs(value) / stderr, dof)) if known else None
+    return Estimate(float(value), float(stderr), (float(value - half), float(value + half)), chance)
 
 
 def scatter_estimate(values: Float[np.ndarray, "n"]) -> Estimate:
@@ -99,9 +115,9 @@ def variance_difference(first: float, first_dof: float, second: float, second_do
     above = h1**2 * one**2 + g2**2 * two**2 + h12 * one * two
     stderr = np.sqrt(2 * one**2 / first_dof + 2 * two**2 / second_dof)
     value = one - two
-    return Estimate(
-        value, float(stderr), (value - float(np.sqrt(max(below, 0))), value + float(np.sqrt(max(above, 0))))
-    )
+    low, high = value - float(np.sqrt(max(below, 0))), value + float(np.sqrt(max(above, 0)))
+    chance = float(stats.f.sf(one / two, first_dof, second_dof)) if two > 0 else float(one <= 0)
+    return Estimate(value, float(stderr), (low, high), chance)
 
 
 def root(variance: Estimate) -> Estimate:
@@ -113,7 +129,7 @@ def root(variance: Estimate) -> Estimate:
     high = float(np.sqrt(variance.ci90[1] if variance.ci90[1] > 0 else variance.stderr))
     reach = max(variance.value, variance.stderr)
     stderr = variance.stderr / (2 * np.sqrt(reach)) if reach > 0 else 0.0
-    return Estimate(float(value), float(stderr), (low, high))
+    return Estimate(float(value), float(stderr), (low, high), variance.by_chance if value else 1.0)
 
 
 def heavy_dof(values: Float[np.ndarray, "*n"], count: float | None = None) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.estimate import Estimate, NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer_black import mean_error
 from cannoise_jax.physics.transfer_fit import robust_mean_square
 from cannoise_jax.physics.transfer_frames import FrameStatistics, pixel_variance, site
 
@@ -26,10 +27,12 @@ _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its s
 
 
 class Series(NamedTuple):
-    """Darks of one channel over exposure time: mean (e- above any constant) and temporal variance (e-^2)."""
+    """Darks of one channel over exposure time: mean (e- above any constant) and temporal variance (e-^2),
+    and the errors of both."""
 
     seconds: Float[np.ndarray, "n"]
     mean: Float[np.ndarray, "n"]
+    mean_error: Float[np.ndarray, "n"]
     variance: Float[np.ndarray, "n"]
     error: Float[np.ndarray, "n"]
 
@@ -56,7 +59,8 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)
         error = value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR)
         mean = float(site(s.mean, channel)[keep].mean())
-        rows.append((s.recording.exposure_s, mean / gain, value / gain**2, error / gain**2))
+        doubt = mean_error(s, channel) / gain
+        rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
     return Series(*np.array(rows, np.float64).T)
 
 
@@ -66,8 +70,9 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
     gain_error: relative standard error of the gain that made electrons of DN; the mean is divided by the
     gain, the variance by its square.
     """
-    by_mean = _slope(series.seconds, series.mean, np.ones(len(series.seconds)), gain_error)
-    by_variance = _slope(series.seconds, series.variance, 1 / series.error, 2 * gain_error)
+    even = np.ones(len(series.seconds))
+    by_mean = _slope(series.seconds, series.mean, even, series.mean_error, gain_error)
+    by_variance = _slope(series.seconds, series.variance, 1 / series.error, series.error, 2 * gain_error)
     apart = by_mean.value - by_variance.value
     error = float(np.hypot(by_mean.stderr, by_variance.stderr))
     if abs(apart) < max(3 * error, 0.25 * abs(by_variance.value)):
@@ -78,15 +83,21 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
     return by_mean, by_variance, False, note
 
 
-def _slope(times: np.ndarray, values: np.ndarray, weight: np.ndarray, relative: float) -> Estimate:
+def _slope(
+    times: np.ndarray, values: np.ndarray, weight: np.ndarray, errors: np.ndarray, relative: float
+) -> Estimate:
     """Weighted straight line; the error of its slope comes from the scatter about the line, and from the
-    relative error of the unit of the values."""
+    relative error of the unit of the values. Few points may lie on a line by luck: against a slope of zero
+    the errors of the values count too."""
     design = np.stack([np.ones_like(times), times], -1) * weight[:, None]
-    solution, *_ = np.linalg.lstsq(design, values * weight, rcond=None)
-    rest = values * weight - design @ solution
+    solve = np.linalg.pinv(design) * weight
+    offset, slope = solve @ values
+    rest = (values - offset - slope * times) * weight
     dof = len(times) - 2
     covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
-    line = normal_estimate(float(solution[1]), float(np.sqrt(covariance[1, 1])), dof)
+    line = normal_estimate(float(slope), float(np.sqrt(covariance[1, 1])), dof)
     half = float(np.hypot(line.ci90[1] - line.value, 1.6449 * relative * line.value))
     error = float(np.hypot(line.stderr, relative * line.value))
-    return Estimate(line.value, error, (line.value - half, line.value + half))
+    known = float(np.sqrt(np.sum((solve[1] * errors) ** 2)))
+    chance = normal_estimate(line.value, max(line.stderr, known)).by_chance
+    return Estimate(line.value, error, (line.value - half, line.value + half), chance)

@@ -1,13 +1,14 @@
 """From photon transfer and the estimators to a camera model: which mechanisms are there, and how strong.
 
-A mechanism enters the model when its 90 % interval leaves out zero, its strength is at least three standard
-errors, and it is large enough to matter: an additive one 2 % of the noise of a pixel (0.04 % of its variance)
-at the setting that shows it best, others as `_LEAST` lists. Where several explain the same data only one
-enters: pink or white row noise by whether rows far apart are alike, and the place of white rows by whether
-several are read together and even and odd columns apart; heavy tails, a spread of read noise over the pixels
-and telegraph pixels by which of them, or which together, explain the values of the pixels best
-(`estimators.loudness`). What belongs to the light, or is in the baseline already, is reported but does not
-enter.
+A mechanism enters the model when its 90 % interval leaves out zero, chance shows as much less than three
+times in ten thousand (`Estimate.chance`: for the root of a variance that of the variance, for a wave that of
+the strongest of all frequencies), and it is large enough to matter: an additive one 2 % of the noise of a
+pixel (0.04 % of its variance) at the setting that shows it best, others as `_LEAST` lists. Where several
+explain the same data only one enters: pink or white row noise by whether rows far apart are alike, and the
+place of white rows by whether several are read together and even and odd columns apart; heavy tails, a spread
+of read noise over the pixels and telegraph pixels by which of them, or which together, explain the values of
+the pixels best (`estimators.loudness`). What belongs to the light, or is in the baseline already, is reported
+but does not enter.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from cannoise_jax.physics.estimators.loudness import LOUD, explanation
 from cannoise_jax.physics.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.estimators.noise import telegraph_sites
 from cannoise_jax.physics.estimators.pick import darkest, darks_by_exposure, row_offsets
-from cannoise_jax.physics.estimators.spectra import banding_threshold, power_law_correlation
+from cannoise_jax.physics.estimators.spectra import power_law_correlation
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.ranges import clipped
 from cannoise_jax.physics.sensor import SensorModel
@@ -48,7 +49,7 @@ Verdict = Literal[
 ]
 
 _IN_BASELINE = ("gain_error", "read_noise_error", "quantization")
-_STRONG = 3.0
+_CHANCE = 3e-4
 _GAUSSIAN = 0.135  # Tukey's lambda of a Gaussian
 _LEAST_SHARE = 0.02
 """Of a pixel's noise in the dark: what an additive mechanism must have, rms or peak."""
@@ -221,13 +222,15 @@ def _judged(
 ) -> Finding:
     if isinstance(estimates, NotMeasurable):
         return Finding(id, estimates, "not measurable")
-    if VOCABULARY[id].kind != "sensor":
-        return Finding(id, estimates, "reported only", "(not of the sensor)")
     if id == "channel_offset":
         return Finding(id, estimates, "reported only", "(the measured black level is in the baseline)")
     strength = next(iter(estimates.values()))
-    if not _strong(id, strength, statistics):
-        return Finding(id, estimates, "not significant")
+    if not _strong(id, strength):
+        chance = id in ("banding", "flicker") and strength.significant
+        said = "(of so many frequencies chance alone makes one as strong)" if chance else ""
+        return Finding(id, estimates, "not significant", said)
+    if VOCABULARY[id].kind != "sensor":
+        return Finding(id, estimates, "reported only", "(not of the sensor)")
     if id == "row_pink_noise" and not _reaches_far(estimates["exponent"], statistics):
         return Finding(
             id, estimates, "not significant", "(rows are not alike over distance, as 1/f would be)"
@@ -257,15 +260,12 @@ def _matters(
     return dn >= _LEAST_SHARE * float(np.mean(baseline.read_noise))
 
 
-def _strong(id: str, strength: Estimate, statistics: Sequence[FrameStatistics]) -> bool:
+def _strong(id: str, strength: Estimate) -> bool:
     if id in ("missing_codes", "saturation", "black_clipping"):
         return True
     if id == "heavy_tails":
         strength = strength.shifted(-_GAUSSIAN)
-    if id == "banding":
-        dark = darkest(statistics)
-        return dark is not None and strength.value > banding_threshold(dark)
-    return strength.significant and abs(strength.value) >= _STRONG * strength.stderr
+    return strength.significant and strength.by_chance < _CHANCE
 
 
 def _reaches_far(exponent: Estimate, statistics: Sequence[FrameStatistics]) -> bool:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import optimize, special
+from scipy import optimize, special, stats
 
 from cannoise_jax.physics.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.estimators.pick import darks_by_exposure
@@ -42,9 +44,9 @@ def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     found = _fitted_glow(statistics, baseline)
     if found is None:
         return _LONG
-    at, errors, seconds = found
-    rate, length = float(np.exp(at[0])) / seconds, float(np.exp(at[1]))
-    return {"e_per_s": _log_estimate(rate, errors[0]), "length": _log_estimate(length, errors[1])}
+    rate, length = float(np.exp(found.at[0])) / found.seconds, float(np.exp(found.at[1]))
+    strength = dataclasses.replace(_log_estimate(rate, found.errors[0]), chance=found.chance)
+    return {"e_per_s": strength, "length": _log_estimate(length, found.errors[1])}
 
 
 def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarray, "H W"] | None:
@@ -53,15 +55,22 @@ def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarra
     if found is None:
         return None
     height, width = statistics[0].recording.size
-    y0, x0 = _edge_point(found[0][2], height, width)
+    y0, x0 = _edge_point(found.at[2], height, width)
     distance = np.hypot.outer(np.arange(height) - y0, np.arange(width) - x0) / max(height, width)
-    return np.exp(-distance / np.exp(found[0][1]))
+    return np.exp(-distance / np.exp(found.at[1]))
 
 
-def _fitted_glow(
-    statistics: Sequence[FrameStatistics], baseline
-) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Log peak charge, log length, place on the edge and level of the glow, their errors, and the seconds."""
+class _Glow(NamedTuple):
+    """Log peak charge, log length, place on the edge and level of a glow, their errors, the seconds it took,
+    and the chance with which an even dark shows one as good."""
+
+    at: np.ndarray
+    errors: np.ndarray
+    seconds: float
+    chance: float
+
+
+def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | None:
     pair = _long_and_short(statistics)
     if pair is None or baseline is None:
         return None
@@ -94,8 +103,12 @@ def _fitted_glow(
     best = min(starts, key=lambda p: float(np.sum(cost(p) ** 2)))
     fit = optimize.least_squares(cost, best, x_scale=[0.3, 0.3, 0.1, float(sigma.mean())])
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
-    covariance *= max(1.0, 2 * fit.cost / max(means.size - 4, 1))
-    return fit.x, np.sqrt(np.diag(covariance)), seconds
+    excess = max(1.0, 2 * fit.cost / max(means.size - 4, 1))
+    even = np.sum(means / sigma**2) / np.sum(1 / sigma**2)
+    gain = (np.sum(((means - even) / sigma) ** 2) - 2 * fit.cost) / excess
+    places = 2 * sum(means.shape)  # blocks along the edge at which a glow may sit
+    chance = min(places * float(stats.chi2.sf(gain, 2)), 1.0)
+    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), seconds, chance)
 
 
 def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -177,8 +190,8 @@ def hessian(
 
 
 def _log_estimate(value: float, error: float) -> Estimate:
-    """A positive value whose logarithm has a Gaussian error."""
-    low, high = value * np.exp(1.6449 * error * np.array([-1, 1]))
+    """A positive value whose logarithm has a Gaussian error; its ends stay within float64."""
+    low, high = np.exp(np.clip(np.log(max(value, 1e-300)) + 1.6449 * error * np.array([-1, 1]), -700, 700))
     return Estimate(value, value * float(error), (float(low), float(high)))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Complex
+from scipy import stats
 
 
 def circle(points: Complex[np.ndarray, "T"], noise: float) -> tuple[float, float]:
@@ -23,6 +24,15 @@ def circle(points: Complex[np.ndarray, "T"], noise: float) -> tuple[float, float
     # The mean taken out holds a random part of the wave.
     spread = (2 * noise**2 * (1 + share) + square / max(frames, 2)) / (2 * max(frames - 1, 1))
     return float(np.sqrt(square)), float(np.sqrt(spread))
+
+
+def of_largest(power: float, frames: int, count: int) -> float:
+    """The chance that the largest power among `count` frequencies reaches `power` in white noise.
+
+    power: summed over `frames` frames of free phase, in units of its expectation in one. count: twice the
+    frequencies of one period each where the peak is sought between them too.
+    """
+    return float(min(count * stats.gamma.sf(power, max(frames, 1)), 1.0))
 
 
 def _fitted(points: Complex[np.ndarray, "T"], noise: float) -> tuple[float, float] | None:

@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.estimate import (
+    Estimate,
     Estimates,
     NotMeasurable,
     normal_estimate,
     root,
     variance_difference,
 )
-from cannoise_jax.physics.estimators.circle import circle
+from cannoise_jax.physics.estimators.circle import circle, of_largest
 from cannoise_jax.physics.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
@@ -65,8 +66,10 @@ def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     coefficients = (rows - rows.mean()) @ np.linalg.pinv(waves - waves.mean(0)).T
     amplitude, stderr = circle(coefficients[:, 0] + 1j * coefficients[:, 1], np.sqrt(2 * noise / height))
     bound = np.sqrt(24 * noise / (max(amplitude, stderr) ** 2 * height**3 * (frames - 1))) / (2 * np.pi)
+    found = normal_estimate(amplitude, stderr)
+    chance = of_largest(_explained(rest, frequency) / (2 * noise), frames - 1, height)
     return {
-        "amplitude": normal_estimate(amplitude, stderr),
+        "amplitude": Estimate(found.value, found.stderr, found.ci90, chance),
         "frequency": normal_estimate(frequency, float(bound)),
     }
 

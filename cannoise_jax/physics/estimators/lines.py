@@ -150,6 +150,6 @@ def _long_run(rest: Float[np.ndarray, "T n"], lags: int = 16) -> float:
     total = 1.0
     for lag in range(1, min(lags, rest.shape[1] // 4) + 1):
         rho = float(np.mean(rest[:, :-lag] * rest[:, lag:]) / power)
-        if abs(rho) > 3 / np.sqrt(rest[:, lag:].size):
+        if abs(rho) > 4 / np.sqrt(rest[:, lag:].size):
             total += 2 * rho
     return max(total, 0.1)

@@ -87,11 +87,10 @@ def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     flat, dark = brightest_flat(statistics), darkest(statistics)
     if flat is None:
         return REPEATED_FLATS
-    found = _pixel_part(response_pattern(flat))
+    offsets = 0.0
     if dark is not None:
-        offsets = _pixel_part(offset_pattern(dark)).value
-        found = found.shifted(-max(offsets, 0.0) * float(np.mean(1 / np.square(flat.level))))
-    return {"sigma": root(found)}
+        offsets = _pixel_part(offset_pattern(dark)).value * float(np.mean(1 / np.square(flat.level)))
+    return {"sigma": root(_pixel_part(response_pattern(flat), max(offsets, 0.0)))}
 
 
 def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -99,11 +98,10 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     flat, dark = brightest_flat(statistics), darkest(statistics)
     if flat is None:
         return REPEATED_FLATS
-    found = _column_part(response_pattern(flat))
+    offsets = 0.0
     if dark is not None:
-        offsets = _column_part(offset_pattern(dark)).value
-        found = found.shifted(-max(offsets, 0.0) / float(np.mean(flat.level)) ** 2)
-    return {"sigma": root(found)}
+        offsets = _column_part(offset_pattern(dark)).value / float(np.mean(flat.level)) ** 2
+    return {"sigma": root(_column_part(response_pattern(flat), max(offsets, 0.0)))}
 
 
 def pixel_read_noise_map(
@@ -134,7 +132,7 @@ def pixel_read_noise_map(
     row = 1 / (dark.recording.size[1] // 2)
     width = width.scaled((1 - row) / (1 - 2 * row) / float(np.mean(shares)))
     value, low, high = (float(np.sqrt(np.expm1(w**2))) for w in (width.value, *width.ci90))
-    return {"spread": Estimate(value, width.stderr * (1 + value**2), (low, high))}
+    return {"spread": Estimate(value, width.stderr * (1 + value**2), (low, high), width.chance)}
 
 
 def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
@@ -196,17 +194,17 @@ def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> t
     return pixels, columns
 
 
-def _pixel_part(pattern: Pattern) -> Estimate:
-    """Variance of the pixels' own fixed pattern."""
+def _pixel_part(pattern: Pattern, other: float = 0.0) -> Estimate:
+    """Variance of the pixels' own fixed pattern; other: known variance that is no part of it."""
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
     count = inside.size - 2 * (height + width) + 4
     square = float(np.sum(inside**2)) / count
-    return variance_difference(square, heavy_dof(inside, count), pattern.noise, pattern.noise_dof)
+    return variance_difference(square, heavy_dof(inside, count), pattern.noise + other, pattern.noise_dof)
 
 
-def _column_part(pattern: Pattern) -> Estimate:
-    """Variance of the fixed pattern of columns, both row parities of a column together."""
+def _column_part(pattern: Pattern, other: float = 0.0) -> Estimate:
+    """Variance of the fixed pattern of columns, both row parities of a column together; other: as above."""
     means = pattern.columns.mean(0)
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
@@ -214,4 +212,4 @@ def _column_part(pattern: Pattern) -> Estimate:
     # Channel means, and the smooth shading of a flat, have been taken out of both sets of columns.
     count = width - 2 * (pattern.smooth + 1)
     dof = max(heavy_dof(means, count) / correlation_loss(means[None]), 2.0)
-    return variance_difference(float(np.sum(means**2)) / count, dof, share, inside.size)
+    return variance_difference(float(np.sum(means**2)) / count, dof, share + other, inside.size)

@@ -16,8 +16,9 @@ from scipy import stats
 from scipy.interpolate import PchipInterpolator
 
 from cannoise_jax.physics.estimate import Estimate, Estimates, normal_estimate
-from cannoise_jax.physics.estimators.circle import circle
+from cannoise_jax.physics.estimators.circle import circle, of_largest
 from cannoise_jax.physics.estimators.pick import REPEATED_DARKS, darkest, mean_variance, pooled_variance
+from cannoise_jax.physics.transfer_fit import median_quotient
 from cannoise_jax.physics.transfer_frames import FrameStatistics
 from cannoise_jax.recordings.metadata import chunks
 
@@ -82,7 +83,8 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     Row means are taken out, so row noise cannot pass for a line; waves slower than two rows are left to the
     estimators of row noise. The frequency is refined until the power at it is largest; its error is the
     Cramer-Rao bound of a sinusoid of unknown phase (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974). The
-    largest of many powers is biased upwards: an amplitude below `banding_threshold` is noise.
+    largest of many powers is biased upwards, so its interval may leave out zero in white noise; the chance of
+    that is the amplitude's.
     """
     dark = darkest(statistics)
     if dark is None:
@@ -94,24 +96,18 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     frequency = _refined(dark, (slowest + int(np.argmax(power[slowest - 1 :]))) / count)
     # Of a wave the row means hold the share `lost`; of white noise at its frequency they hold as much.
     lost = (np.sin(np.pi * frequency * width) / (width * np.sin(np.pi * frequency))) ** 2
-    floor = float(np.median(power)) / np.log(2)  # noise power per frequency around, exponential law
+    floor = float(np.median(power)) / median_quotient(2.0 * (frames - 1))  # noise power per frequency
     points = _coefficients(dark, np.array([frequency]), residual=False)[:, 0] * 2 / count / (1 - lost)
     amplitude, stderr = circle(points, np.sqrt(2 * floor / count / (1 - lost)))
     strength = max(amplitude, stderr) ** 2
     by_bound = np.sqrt(24 * floor / (strength * count**3 * frames)) / (2 * np.pi)
+    top = float(np.sum(np.abs(_coefficients(dark, np.array([frequency]))) ** 2)) / count
+    found = normal_estimate(amplitude, stderr)
+    chance = of_largest(top / max(floor, pooled_variance(dark)[0]), frames - 1, count)
     return {
-        "amplitude_dn": normal_estimate(amplitude, stderr),
+        "amplitude_dn": Estimate(found.value, found.stderr, found.ci90, chance),
         "frequency": normal_estimate(frequency, float(by_bound)),
     }
-
-
-def banding_threshold(s: FrameStatistics, chance: float = 1e-3) -> float:
-    """The amplitude, DN, that the largest of all raster frequencies exceeds in white noise with `chance`."""
-    count = s.recording.size[0] * s.recording.size[1]
-    frames = s.recording.count
-    variance, _ = pooled_variance(s)
-    largest = stats.gamma.isf(chance / (count / 2), frames) / frames
-    return float(np.sqrt(4 * variance / count * max(largest - 1, 0.0)))
 
 
 def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
@@ -201,8 +197,11 @@ def _whittle(seen: np.ndarray, dof: np.ndarray, pink: np.ndarray, sigmas: np.nda
 def _profiles(
     loglik: Float[np.ndarray, "a s"], sigmas: Float[np.ndarray, "s"], exponents: Float[np.ndarray, "a"]
 ) -> dict[str, Estimate]:
+    strength = _profile_estimate(sigmas, loglik.max(0))
+    # Against no such noise at all: twice the gain in likelihood, with the exponent free to choose.
+    chance = float(stats.chi2.sf(2 * (loglik.max() - loglik[:, 0].max()), 2))
     return {
-        "sigma_dn": _profile_estimate(sigmas, loglik.max(0)),
+        "sigma_dn": Estimate(strength.value, strength.stderr, strength.ci90, chance),
         "exponent": _profile_estimate(exponents, loglik.max(1)),
     }
 
