@@ -13,10 +13,10 @@ import numpy as np
 
 import cannoise_jax
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.battery import prepare, prepare_split, split_recordings
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fields import Fields, channel_index
-from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.fit import SPENT, Step, charge, second_look
 from cannoise_jax.discovery.heldout import predicted, score_frames
 from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import BLURS, Named
@@ -42,20 +42,36 @@ def diagnosed(
 def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
     """Declare, calibrate and locate alone: what the battery rejects, and its smallest family-wise p."""
     ids = declare.registered(without)
-    prepared = prepare_split(capture, split_recordings(capture))
+    splits = split_recordings(capture)
+    prepared = prepare_split(capture, splits)
     first = locate(prepared.fields, prepared.probes)
     mechanism = {p.name: p.mechanism if p.mechanism in ids else "unknown" for p in prepared.probes}
-    rejected = [(s, mechanism[s.probe]) for s in first.significant(math.log(ALPHA))]
+    rejected = [
+        (mechanism[s.probe], s.probe, charge(first.log_p[s.probe], SPENT[0]))
+        for s in first.significant(math.log(ALPHA * SPENT[0]))
+    ]
+    if not rejected:
+        late, log_p = second_look(
+            [],
+            first,
+            lambda: prepare(capture, [sorted(a + b) for a, b in splits], False).fields,
+            prepared.probes,
+            frozenset(ids),
+            first.tests,
+            math.log(ALPHA),
+        )
+        if late is not None and log_p is not None:
+            rejected = [(late.mechanism, late.probe.name, log_p)]
     findings = [
         {
             "mechanism": name,
             "class": "sensor" if name == "unknown" else VOCABULARY[name].kind,
             "outcome": "UNKNOWN_STRUCTURE" if name == "unknown" else "FOUND",
             "candidates": [{"mechanism": name, "probability": 1.0}],
-            "probe": s.probe,
-            "p_value": math.exp(max(first.log_p[s.probe], -700.0)),
+            "probe": probe,
+            "p_value": math.exp(max(log_p, -700.0)),
         }
-        for s, name in rejected
+        for name, probe, log_p in rejected
     ]
     return {"findings": findings, **smallest_p(first)}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from cannoise_jax.discovery.battery import (
 )
 from cannoise_jax.discovery.fields import refit
 from cannoise_jax.discovery.fit import Fitted, Step, stepwise
-from cannoise_jax.discovery.prove import Proof, Proofs, prove, unproven
+from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
@@ -112,20 +113,22 @@ def diagnose(
     own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
     first = _without(seen, own)
     tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
-    fitted = stepwise(first.fields, first.probes, frozenset(ids), float(np.log(alpha)), tell)
-    yes, no = declare.testable(fitted.first, first.probes, ids)
     chosen = [b for _, b in splits]
+
+    @cache
+    def every() -> Prepared:
+        return _without(prepare(capture, [sorted(a + b) for a, b in splits], judged, drawn), own)
+
+    log_alpha = float(np.log(alpha))
+    again = (lambda: every().fields) if any(chosen) else None
+    fitted = stepwise(first.fields, first.probes, frozenset(ids), log_alpha, tell, again)
+    yes, no = declare.testable(fitted.first, first.probes, ids)
     second = unseen = None
     proven = unproven(fitted.steps)
     if any(chosen):
         tell("prove: on the frames held back")
         unseen = prepare_split(capture, splits, judged, drawn, held_back=True)
         second = _without(unseen, own)
-
-        def every() -> Prepared:
-            used = [sorted(a + b) for a, b in splits]
-            return _without(prepare(capture, used, judged, drawn), own)
-
         proven = prove(fitted, first, second, chosen, every)
     if handed is None:
         stated = stated_parameters(capture, first.baselines) if judged else None
@@ -147,6 +150,7 @@ def diagnose(
             proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
     if not sides.likelihood:
         proven = proven._replace(before=None, after=None)
+    proven = unconfirmed(proven, fitted.steps)
     label = str(simulator) if handed is None else handed.label
     return Diagnosis(
         capture, label, alpha, ids, yes, no, splits, first, second, fitted, proven, quality, sides.exported

@@ -11,13 +11,10 @@ import numpy as np
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.statistics.hot import known_heat
 from cannoise_jax.discovery.statistics.lines import static_sums
 from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.discovery.statistics.score import Score
-
-_DARK = ("dark", "bias")
-_FAR = 4.0
-"""Standard errors from which a pixel of the darks counts as hot."""
 
 
 def line_pattern(
@@ -41,16 +38,14 @@ def _draw(score, information, variance: float, rng: np.random.Generator) -> np.n
     return doubt * score + np.sqrt(doubt) * rng.standard_normal(np.shape(score))
 
 
-def hot_map(fields: tuple[Fields, ...], scaling: str) -> np.ndarray | None:
-    """Excess of every hot pixel of the darks `[H, W]`, DN (at the longest exposure where 'thermal'); 0
-    elsewhere."""
-    sums = pixel_sums(fields, scaling, _DARK)
-    if sums is None:
+def hot_map(fields: tuple[Fields, ...], score: Score, rng: np.random.Generator) -> np.ndarray | None:
+    """A draw of the heat of every pixel `[H, W]`, DN (at the longest exposure where 'thermal')."""
+    known = known_heat(fields, score.payload)
+    if known is None:
         return None
-    safe = np.maximum(sums.information, 1e-30)
-    far = (sums.score / np.sqrt(safe) > _FAR) & (sums.information > 0)
-    seconds = max(f.exposure_s or 1.0 for f in fields if not f.lit) if scaling == "thermal" else 1.0
-    return np.where(far, sums.score / safe, 0.0) * seconds
+    thermal = score.payload.scaling == "thermal"
+    seconds = max(f.exposure_s or 1.0 for f in fields if not f.lit) if thermal else 1.0
+    return known.draw(rng) * seconds
 
 
 def dark_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int]:
@@ -116,7 +111,7 @@ def frozen_map(probe: str, score: Score, prepared: Prepared, fields, rng) -> np.
     if parts[0] == "pixel" and parts[-1] == "static":
         return pixel_pattern(fields, parts[1], variance, rng)
     if probe.startswith("hot_"):
-        return hot_map(fields, parts[1])
+        return hot_map(fields, score, rng)
     if probe == "telegraph":
         return noisy_map(fields, score.parameters["fraction"][0])
     if probe == "pixel_spread":

@@ -21,8 +21,8 @@ from jaxtyping import Bool, Float
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fields import Fields, channel_index, stratum
 from cannoise_jax.discovery.fit import Step
-from cannoise_jax.discovery.frozen import hot_map
 from cannoise_jax.discovery.stacks import Stack, at_level
+from cannoise_jax.discovery.statistics.hot import known_heat
 from cannoise_jax.discovery.statistics.lines import static_sums
 from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.physics.likelihood import CodeGrid
@@ -77,9 +77,8 @@ def predicted(step: Step) -> Predicted | None:
         doubt = variance / (1 + variance * sums.information)
         return Predicted(doubt * sums.score, doubt, parts[1])
     if probe in ("hot_additive", "hot_thermal"):
-        hot = hot_map(fields, parts[1])
-        seconds = max(f.exposure_s or 1.0 for f in fields if not f.lit) if parts[1] == "thermal" else 1.0
-        return None if hot is None else Predicted(hot / seconds, 0.0, parts[1])
+        known = known_heat(fields, score.payload)
+        return None if known is None else Predicted(known.mean, known.variance, parts[1])
     return None
 
 

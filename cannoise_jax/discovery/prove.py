@@ -19,10 +19,11 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.fields import Fields, helmert, refit
+from cannoise_jax.discovery.blocks import bands, frame_blocks, leave_out
+from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.fit import Fitted, Step
 from cannoise_jax.discovery.heldout import Scored, predicted, score_frames
-from cannoise_jax.discovery.statistics.hot import without_pixels
+from cannoise_jax.discovery.statistics.hot import heat_again, without_pixels
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 MOST_JOINT = 4
@@ -73,6 +74,15 @@ def unproven(steps: tuple[Step, ...]) -> Proofs:
     return Proofs(tuple(Proof(None, None, np.nan, np.nan, 0) for _ in steps), None, None)
 
 
+def unconfirmed(proofs: Proofs, steps: tuple[Step, ...]) -> Proofs:
+    """The proofs without gains of findings that took all frames to see: none is left to confirm them."""
+    each = (
+        p._replace(gain=None, low=np.nan, high=np.nan, pixels=0, log_e=None) if s.late else p
+        for p, s in zip(proofs.each, steps, strict=True)
+    )
+    return proofs._replace(each=tuple(each))
+
+
 def prove(
     fitted: Fitted,
     first: Prepared,
@@ -106,6 +116,8 @@ def prove(
             looked, both = (step.named.probe.score(beside(steps, n, p.fields)) for p in (first, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
+        if score is not None and step.named.probe.name.startswith("hot_"):
+            score = heat_again(step.named.score, beside(steps, n, first.fields), fields) or score
         law = laws[n]
         if law is not None and pixels:
             rest = [p for p in laws if p is not None and p is not law]
@@ -229,52 +241,6 @@ def jackknife_interval(
     g = gains.size
     half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
     return gain - half, gain + half
-
-
-def bands(size: tuple[int, int], most: int) -> list[np.ndarray]:
-    """The frame in at most `most` bands of whole mosaic cells, one marked in each array."""
-    edges = np.linspace(0, size[0] // 2, most + 1).round().astype(int) * 2
-    rows = np.arange(size[0])[:, None]
-    return [np.broadcast_to((rows >= a) & (rows < b), size) for a, b in zip(edges, edges[1:], strict=False)]
-
-
-def frame_blocks(fields: tuple[Fields, ...], most: int) -> list[list[tuple[int, int]]]:
-    """Frames as (field, frame), in at most `most` blocks. The two frames of a recording of two that is seen
-    against no others stay together: one alone says nothing."""
-    units: list[list[tuple[int, int]]] = []
-    for n, f in enumerate(fields):
-        if f.frames == 2 and not f.before:
-            units.append([(n, 0), (n, 1)])
-        elif f.frames > 2 or f.before:
-            units += [[(n, t)] for t in range(f.frames)]
-    count = min(most, len(units))
-    return [[frame for unit in units[k::count] for frame in unit] for k in range(count)]
-
-
-def leave_out(fields: tuple[Fields, ...], block: list[tuple[int, int]]) -> tuple[Fields, ...]:
-    """The fields without some of their frames; recordings of which nothing could be told then drop out."""
-    out = []
-    for n, f in enumerate(fields):
-        gone = [t for m, t in block if m == n]
-        if not gone:
-            out.append(f)
-            continue
-        kept = [t for t in range(f.frames) if t not in gone]
-        if len(kept) < (1 if f.before else 2):
-            continue
-        inner = np.einsum("nt,nij->tij", helmert(f.frames).astype(np.float32), f.contrasts[: f.frames - 1])
-        static = None
-        if f.static is not None:
-            static = (inner[kept] + f.static / np.float32(np.sqrt(f.frames))).sum(0) / np.float32(
-                np.sqrt(len(kept))
-            )
-        contrasts = np.einsum("nt,tij->nij", helmert(len(kept)).astype(np.float32), inner[kept])
-        if f.before:
-            moved = inner[kept].mean(0) + f.contrasts[-1] * np.float32(np.sqrt(1 / f.frames + 1 / f.before))
-            outer = moved / np.float32(np.sqrt(1 / len(kept) + 1 / f.before))
-            contrasts = np.concatenate([contrasts, outer[None]])
-        out.append(f._replace(frames=len(kept), contrasts=contrasts, static=static))
-    return tuple(out)
 
 
 def _same_place(found: Score, again: Score) -> bool:

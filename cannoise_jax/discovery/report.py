@@ -259,7 +259,9 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
         start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}: {amount}"
     frozen = step.named.probe.axes.get("time") == "frozen"
     whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
-    if proof.gain is None:
+    if step.late:
+        proven = "; not confirmed: only all frames together show it, and none is left to confirm it on."
+    elif proof.gain is None:
         proven = "; not confirmed: too few frames to set some aside."
     elif proof.confirmed:
         proven = f"; on {whose} the fit gains {proof.gain:.0f} nats."

@@ -73,3 +73,37 @@ def test_what_the_final_model_does_not_need_is_given_up_again():
     assert [s.named.mechanism for s in found.steps] == ["row_noise"]
     assert any(text.startswith("given up: row_fpn") for text in said)
     assert all(s.log_p < np.log(0.01) for s in found.steps)
+
+
+def two_looks(rng, columns):
+    """The frames that look, and all frames, of two darks with the same columns' offsets in every look."""
+    sizes = (4, 16)
+    return (tuple(dark(rng, n, columns=columns, frames=f) for n in range(2)) for f in sizes)
+
+
+def test_a_second_look_sees_what_the_first_suspects_and_charges_its_share():
+    late = 0
+    for seed in range(12):
+        looked, together = two_looks(np.random.default_rng(seed), 0.05)
+        found = stepwise(
+            looked, PROBES, ALLOWED, float(np.log(0.01)), every=lambda together=together: together
+        )
+        for step in found.steps:
+            assert step.named.mechanism == "column_noise"
+            assert step.log_p < np.log(0.01)
+            if step.late:
+                late += 1
+                assert step.named.score == found.first.scores[step.named.probe.name]
+                assert np.log(0.006) < found.first.log_p[step.named.probe.name] < 0
+                alone = sidak(step.named.probe.score(together).log_p, found.first.tests)
+                assert step.log_p == pytest.approx(alone - np.log(0.4))
+    assert late >= 3
+
+
+def test_two_looks_find_nothing_where_there_is_nothing():
+    found = []
+    for seed in range(40):
+        looked, together = two_looks(np.random.default_rng(100 + seed), 0.0)
+        every = lambda together=together: together  # noqa: E731
+        found.append(stepwise(looked, PROBES, ALLOWED, float(np.log(0.01)), every=every).steps)
+    assert sum(map(bool, found)) <= 3  # 0.4 expected: more than 3 has probability 1e-3

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import prepare, prepare_split, split_recordings
+from cannoise_jax.discovery.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fields import frame_fields
 from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
-from cannoise_jax.discovery.prove import frame_blocks, frame_interval, leave_out
+from cannoise_jax.discovery.prove import frame_interval
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_frames, split_recordings
+from cannoise_jax.discovery.blocks import leave_out
 from cannoise_jax.discovery.fields import contrast_matrix, frame_fields
 from cannoise_jax.discovery.locate import EFFECTIVE, RARE, locate
-from cannoise_jax.discovery.prove import leave_out, strength_beyond
+from cannoise_jax.discovery.prove import strength_beyond
 from cannoise_jax.discovery.statistics.score import Probe, Score, sidak, unchanged
 from tests.discovery.capture import capture_set
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special, stats
@@ -13,6 +14,100 @@ from cannoise_jax.discovery.statistics.score import Probe, Score
 from cannoise_jax.discovery.statistics.shape import DARK
 
 _SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
+
+
+class Heat(NamedTuple):
+    """Law of the heat of a pixel: exponential of this mean, DN or ('thermal') DN per second, in a share of
+    the pixels, none in the others."""
+
+    share: float
+    mean: float
+    scaling: str
+
+
+class Known(NamedTuple):
+    """What is known of the heat of every pixel: the chance that it is hot, and mean and variance of its heat
+    if it is, `[H, W]`."""
+
+    chance: np.ndarray
+    centre: np.ndarray
+    shape: np.ndarray
+    unit: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Expected heat."""
+        return self.chance * self.unit * (self.centre + self.shape)
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Variance of the heat."""
+        return np.maximum(self.power(2) - self.mean**2, 0.0)
+
+    def power(self, k: int) -> np.ndarray:
+        """Expected square (2) or, of a normal law, fourth power (4) of the heat."""
+        inner = np.maximum(1 - self.shape * (self.shape + self.centre), 0.0)
+        middle = (self.centre + self.shape) ** 2
+        moment = middle + inner if k == 2 else middle**2 + 6 * middle * inner + 3 * inner**2
+        return self.chance * self.unit**k * moment
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Heat of every pixel, drawn from what is known."""
+        hot = rng.random(self.chance.shape) < self.chance
+        heat = stats.truncnorm.rvs(-self.centre[hot], np.inf, self.centre[hot], 1.0, random_state=rng)
+        out = np.zeros(self.chance.shape)
+        out[hot] = heat * self.unit[hot]
+        return out
+
+
+def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
+    """What the darks tell of the heat of every pixel: of a normal value with an exponential mean, the mean is
+    a normal one cut off at zero."""
+    sums = pixel_sums(fields, heat.scaling, DARK)
+    if sums is None:
+        return None
+    root = np.sqrt(sums.information)
+    seen = root > 0
+    safe = np.where(seen, root, 1.0)
+    u, mean = sums.score / safe, heat.mean * safe
+    ratio = np.where(seen, log_ratio_of(u, mean), 0.0)
+    log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, 0.5)) + ratio
+    centre = np.where(seen, u - 1 / mean, -1 / mean)
+    # Mean of a standard normal above -centre: the inverse of Mills' ratio.
+    shape = np.exp(stats.norm.logpdf(centre) - stats.norm.logcdf(centre))
+    return Known(np.where(seen, special.expit(log_odds), 0.0), centre, shape, 1 / safe)
+
+
+def log_ratio_of(u: np.ndarray, mean: np.ndarray | float) -> np.ndarray:
+    """Log density of a standard normal value plus an exponential one of this mean over the normal's alone."""
+    log_ratio = (
+        0.5 / np.square(mean)
+        - u / mean
+        - np.log(mean)
+        + stats.norm.logcdf(u - 1 / mean)
+        - stats.norm.logpdf(u)
+    )
+    return np.clip(log_ratio, -50, 600)
+
+
+def heat_again(looked: Score, first: tuple[Fields, ...], second: tuple[Fields, ...]) -> Score | None:
+    """The strength of hot pixels on other frames: the heat that the frames that found them expect of every
+    pixel, times how much of it shows again. None where nothing shows it."""
+    known = known_heat(first, looked.payload)
+    sums = pixel_sums(second, looked.payload.scaling, DARK)
+    if known is None or sums is None:
+        return None
+    information = float(np.sum(known.mean**2 * sums.information))
+    square = float(np.sum(known.power(2)))
+    if not information > 0 or not square > 0:
+        return None
+    again = max(float(np.sum(known.mean * sums.score)) / information, 0.0)
+    # The heat of the same camera: what is not known of it is the doubt about each pixel, not the draw.
+    doubt = float(np.sum(np.maximum(known.power(4) - known.power(2) ** 2, 0.0))) / square**2
+    unit = looked.amplitude / (looked.payload.mean * np.sqrt(2 * max(looked.payload.share, 1e-12)))
+    amplitude = unit * float(np.sqrt(square / known.mean.size))
+    error = amplitude * float(np.sqrt(1 / information + again**2 * doubt / 4))
+    return looked._replace(amplitude=amplitude * again, error=error)
 
 
 def sparse_log_p(counts: np.ndarray, log_ratios: list[np.ndarray]) -> float:
@@ -44,15 +139,7 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     counts, centre = counts[used], ((edges[1:] + edges[:-1]) / 2)[used]
     root /= spread
     for mean in np.exp(np.linspace(np.log(1.5), np.log(200), 14)):
-        # Density of normal + exponential over the normal density.
-        log_ratio = (
-            0.5 / mean**2
-            - centre / mean
-            - np.log(mean)
-            + stats.norm.logcdf(centre - 1 / mean)
-            - stats.norm.logpdf(centre)
-        )
-        log_ratio = np.clip(log_ratio, -50, 600)
+        log_ratio = log_ratio_of(centre, mean)
         ratios.append(log_ratio)
         f = 1e-3
         for _ in range(40):
@@ -81,7 +168,7 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
         2,
         {"fraction": (share, "1", float(np.sqrt(share / u.size)))},
         {"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
-        scaling,
+        Heat(share, at / root, scaling),
     )
 
 

@@ -1,0 +1,93 @@
+"""Hot pixels: what is known of each, against integration, and their strength on new frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.statistics.hot import Heat, heat_again, hot_score, known_heat
+from cannoise_jax.discovery.statistics.score import Score
+
+SIZE = (96, 128)
+
+
+def dark(static: np.ndarray, frames: int) -> Fields:
+    """A dark of unit noise: only the sum of its frames, of standard deviation 1."""
+    one = np.ones(static.shape, np.float32)
+    return Fields(
+        "d", "dark", frames, 0, 0, 1.0, 1.0, one, 0 * one, one, 0 * one, one > 0,
+        np.zeros((0, *static.shape), np.float32), static.astype(np.float32), None, np.ones(4), np.zeros(4),
+    )  # fmt: skip
+
+
+def split(rng, share: float, mean: float, frames=(6, 2)):
+    """Heat of every pixel, DN, and the same camera in two groups of frames."""
+    heat = (rng.random(SIZE) < share) * rng.exponential(mean, SIZE)
+    return heat, *(dark(np.sqrt(n) * heat + rng.standard_normal(SIZE), n) for n in frames)
+
+
+@pytest.mark.parametrize("u", [-2.0, 1.0, 3.5, 6.0, 40.0])
+def test_what_is_known_of_a_pixel_agrees_with_integration(u):
+    share, mean, frames = 0.01, 0.8, 4
+    known = known_heat((dark(np.full((2, 2), u), frames),), Heat(share, mean, "additive"))
+    assert known is not None
+
+    def moment(k):
+        def density(x):
+            likelihood = stats.norm.pdf(u - np.sqrt(frames) * x) / stats.norm.pdf(u)
+            return x**k * likelihood * stats.expon.pdf(x, scale=mean)
+
+        at = max(u / np.sqrt(frames), 0.0)
+        return integrate.quad(density, 0, at + 6, points=[at], epsabs=0, epsrel=1e-9, limit=400)[0]
+
+    if u < 10:
+        odds = share * moment(0) / (1 - share)
+        chance = odds / (1 + odds)
+        first, second = (chance * moment(k) / moment(0) for k in (1, 2))
+    else:  # surely hot: a normal law about the value, drawn towards zero by the mean
+        chance, first = 1.0, u / 2 - 1 / (4 * mean)
+        second = first**2 + 1 / 4
+    assert known.chance[0, 0] == pytest.approx(chance, rel=1e-6)
+    assert known.mean[0, 0] == pytest.approx(first, rel=1e-5)
+    assert known.variance[0, 0] == pytest.approx(second - first**2, rel=1e-4)
+
+
+def test_draws_have_the_strength_of_the_camera_and_lie_where_it_is_known():
+    rng = np.random.default_rng(1)
+    heat, first, _ = split(rng, 3e-3, 5.0)
+    known = known_heat((first,), Heat(3e-3, 5.0, "additive"))
+    assert known is not None
+    drawn = known.draw(rng)
+    assert np.mean(drawn**2) == pytest.approx(np.mean(heat**2), rel=0.1)
+    hot = heat > 3
+    assert np.max(np.abs(drawn - heat)[hot]) < 5 / np.sqrt(6)
+    assert np.all(drawn >= 0)
+
+
+@pytest.mark.parametrize(("share", "mean"), [(1.5e-3, 1.2), (5e-4, 5.0)])
+def test_strength_on_new_frames_covers_the_truth(share, mean):
+    """Hot pixels just seen, and well seen: the estimate is centred and its interval holds the truth."""
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(100):
+        heat, first, second = split(rng, share, mean)
+        looked = hot_score((first,), probe="hot_additive", scaling="additive")
+        assert looked is not None
+        if looked.log_p > -9:
+            continue
+        again = heat_again(looked, (first,), (second,))
+        assert again is not None
+        errors.append((again.amplitude - float(np.sqrt(np.mean(heat**2)))) / again.error)
+    assert len(errors) > 80
+    assert abs(np.mean(errors)) < 0.4
+    low, high = stats.binom.ppf([1e-3, 0.999], len(errors), 0.91)
+    assert low <= np.sum(np.abs(errors) < 1.645) <= high
+
+
+def test_where_nothing_is_known_nothing_is_said():
+    rng = np.random.default_rng(3)
+    _, first, _ = split(rng, 0.0, 1.0)
+    score = Score("hot_additive", 0.0, 0.0, 1.0, 0.1, 0.1, 0.1, 2, {}, {}, Heat(1e-4, 1.0, "additive"))
+    assert heat_again(score, (first,), (first._replace(static=None),)) is None
