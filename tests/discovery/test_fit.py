@@ -89,7 +89,7 @@ def test_a_second_look_sees_what_the_first_suspects_and_charges_its_share():
             looked, PROBES, ALLOWED, float(np.log(0.01)), every=lambda together=together: together
         )
         for step in found.steps:
-            assert step.named.mechanism == "column_noise"
+            assert step.named.mechanism in ("column_noise", "column_fpn")  # their mean shows some of it, too
             assert step.log_p < np.log(0.01)
             if step.late:
                 late += 1
