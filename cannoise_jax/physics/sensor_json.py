@@ -11,31 +11,27 @@ import hashlib
 import io
 import json
 import os
-import reprlib
 import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.ranges import is_whole
 from cannoise_jax.physics.sensor import IsoTable, SensorModel
-from cannoise_jax.recordings.recording import BadInput, per_channel
+from cannoise_jax.physics.sensor_entries import IMPLEMENTATION, entry_of, model_of
+from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/sensor/1"
-_LARGEST = float(np.finfo(np.float32).max)
-_MAY_BE_NULL = ("doubling_c", "reference_iso", "reference_temperature_c")
 
 
 def write_sensor(path: str | Path, model: SensorModel) -> None:
     """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically.
 
-    Raises BadInput where `path` is a folder, or the `.npz` is there and not of the model at `path`.
+    Raises BadInput where `path` is a folder, the `.npz` is there and not of the model at `path`, or the model
+    (changed with `dataclasses.replace`, say) holds what `read_sensor` would refuse.
     """
     path = Path(path)
     if path.is_dir():
@@ -45,7 +41,12 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
         for i, fitted in enumerate(model.mechanisms)
         for name, values in fitted.maps.items()
     }
-    document = sensor_document(model)
+    try:
+        document = sensor_document(model)
+        model_of(document, maps)
+    except (ValueError, TypeError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path}: not written, {said}: correct the model") from error
     files: dict[Path, bytes] = {}
     if maps:
         content = io.BytesIO()
@@ -97,8 +98,15 @@ def sensor_document(model: SensorModel) -> dict[str, Any]:
             for iso, gain, read in rows
         ],
         "mechanisms": [_mechanism(i, fitted) for i, fitted in enumerate(model.mechanisms)],
-        "unit_key": np.asarray(jax.random.key_data(model.unit_key)).tolist(),
+        **_unit(model.unit_key),
     }
+
+
+def _unit(key: jax.Array) -> dict[str, Any]:
+    """The key as whole numbers, and the name of its generator where that is not the usual one."""
+    name = str(jax.random.key_impl(key))
+    numbers = {"unit_key": np.asarray(jax.random.key_data(key)).tolist()}
+    return numbers if name == IMPLEMENTATION else {**numbers, "unit_key_impl": name}
 
 
 def _plain(value) -> Any:
@@ -124,7 +132,8 @@ def _mechanism(index: int, fitted) -> dict[str, Any]:
         "maps": {name: f"{index}/{name}" for name in fitted.maps},
     }
     if fitted.point is not None:
-        entry["grammar"] = dataclasses.asdict(fitted.point)
+        axes = dataclasses.asdict(fitted.point)
+        entry["grammar"] = {axis: list(v) if isinstance(v, tuple) else v for axis, v in axes.items()}
     return entry
 
 
@@ -140,26 +149,25 @@ def read_sensor(path: str | Path) -> SensorModel:
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise BadInput(f"{path}: has no schema {SCHEMA}: name a sensor.json written by bin/calibrate")
     try:
-        return _model(document, _read_maps(path, document))
-    except KeyError as error:
-        raise BadInput(f"{path}: lacks the entry {error}: add it, or write the file anew") from error
+        return model_of(document, _read_maps(path, document))
+    except BadInput:
+        raise
     except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        if isinstance(error, BadInput):
-            raise
         said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadInput(f"{path}: {said}: correct the entry") from error
+        raise BadInput(f"{path}: {said}: correct the entry, or write the file anew") from error
 
 
 def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
-    entry = document.get("maps")
-    if not entry:
+    if document.get("maps") is None:
         return {}
-    npz = path.with_name(Path(entry["file"]).name)  # beside the JSON file, wherever both were moved
+    entry = entry_of(document, "maps", dict)
+    # Beside the JSON file, wherever both were moved.
+    npz = path.with_name(Path(entry_of(entry, "file", str, "maps: ")).name or path.stem)
     try:
         content = npz.read_bytes()
     except OSError as error:
         raise BadInput(f"{npz}: cannot be read ({error.strerror}): keep it beside {path.name}") from error
-    if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+    if hashlib.sha256(content).hexdigest() != entry_of(entry, "sha256", str, "maps: "):
         raise BadInput(
             f"{npz}: is not the file that {path.name} was written with: restore it, or calibrate anew"
         )
@@ -168,89 +176,3 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
             return {name: archive[name] for name in archive.files}
     except (ValueError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         raise BadInput(f"{npz}: holds no plain arrays: write it anew with bin/calibrate") from error
-
-
-def _number(value: Any, what: str) -> np.float32:
-    plain = isinstance(value, int | float) and not isinstance(value, bool)
-    if not plain or not abs(value) <= _LARGEST:  # holds for nan, and for integers of any size
-        raise ValueError(f"{what} is {reprlib.repr(value)}, not a finite number")
-    return np.float32(value)
-
-
-def _numbers(values: Any, what: str) -> np.ndarray:
-    values = values if isinstance(values, list) else [values]
-    return np.array([_number(v, what) for v in values], np.float32)
-
-
-def _model(document: dict[str, Any], maps: dict[str, np.ndarray]) -> SensorModel:
-    rows = document["baseline"]
-    if not rows:
-        raise ValueError("baseline is empty")
-    table = {
-        name: [per_channel(_numbers(row[name], name)) for row in rows]
-        for name in ("gain_dn_per_e", "read_noise_e")
-    }
-    model = SensorModel.poisson_gaussian(
-        table["gain_dn_per_e"],
-        table["read_noise_e"],
-        per_channel(_numbers(document["black_level"], "black_level")),
-        float(_number(document["white_level"], "white_level")),
-        document["cfa"],
-        iso=tuple(float(_number(row["iso"], "iso")) for row in rows),
-        code_step=float(_number(document.get("code_step", 1), "code_step")),
-        camera=str(document["camera"]),
-        unit_key=_key(document.get("unit_key")),
-    )
-    for entry in document["mechanisms"]:
-        model = _with_entry(model, entry, maps)
-    return model
-
-
-def _key(data: Any) -> jax.Array | None:
-    if data is None:
-        return None
-    if not isinstance(data, list) or len(data) != 2 or not all(is_whole(v, 2**32 - 1) for v in data):
-        raise ValueError(f"unit_key is {reprlib.repr(data)}, not two whole numbers from 0 to 4294967295")
-    return jax.random.wrap_key_data(jnp.asarray(np.array(data, np.uint32)))
-
-
-def _scaling(id: str, law: Any) -> Scaling | None:
-    """The scaling law of an entry; None where it states none, so that the mechanism's own holds."""
-    if not isinstance(law, dict):
-        raise ValueError(f"{id}: scaling is {reprlib.repr(law)}, not numbers by name")
-    known = {f.name for f in dataclasses.fields(Scaling)}
-    if set(law) - known:
-        raise ValueError(f"{id}: scaling knows {', '.join(sorted(known))}, not {', '.join(set(law) - known)}")
-    values = {
-        name: None if v is None and name in _MAY_BE_NULL else float(_number(v, f"{id}: scaling {name}"))
-        for name, v in law.items()
-    }
-    return Scaling(**values) if values else None  # type: ignore[arg-type]
-
-
-def _point(id: str, entry: Any) -> Point | None:
-    if entry is None:
-        return None
-    kernel = tuple(float(_number(v, f"{id}: grammar kernel")) for v in entry.get("kernel", ()))
-    return Point(**{**entry, "blocks": tuple(entry["blocks"]), "kernel": kernel})
-
-
-def _with_entry(model: SensorModel, entry: dict[str, Any], maps: dict[str, np.ndarray]) -> SensorModel:
-    id = entry["mechanism"]
-    parameters = {
-        name: IsoTable(_numbers(v["iso"], name), _numbers(v["value"], name))
-        if isinstance(v, dict)
-        else float(_number(v, name))
-        for name, v in entry.get("parameters", {}).items()
-    }
-    named = entry.get("maps", {}).values()
-    missing = [key for key in named if key not in maps or maps[key].dtype.kind not in "fiub"]
-    if missing:
-        raise ValueError(f"{id}: map {missing[0]} is not in the .npz file, or holds no numbers")
-    return model.with_mechanism(
-        id,
-        scaling=_scaling(id, entry.get("scaling", {})),
-        maps={name: jnp.asarray(maps[key]) for name, key in entry.get("maps", {}).items()},
-        point=_point(id, entry.get("grammar")),
-        **parameters,
-    )

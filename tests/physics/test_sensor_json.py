@@ -1,5 +1,6 @@
 """A stored sensor model is the same model, and a damaged file says in one line what is wrong."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -129,6 +130,9 @@ def rename_map(entry, name):
         (damage(unit_key=[1, 2, 3]), "unit_key"),
         (damage(unit_key=[10**30, 2]), "unit_key"),
         (damage(unit_key=7), "unit_key"),
+        (damage(unit_key_impl="dice"), "unit_key_impl is 'dice'"),
+        (damage(unit_key_impl="rbg"), "not 4 whole numbers"),
+        (damage(camera=None), "camera is None, not text"),
         (damage(white_level=10**400), "not a finite number"),
         (damage(white_level=65536), "above 65535"),
         (damage(code_step=-1), "code_step -1"),
@@ -149,6 +153,45 @@ def test_damaged_files_are_one_line(change, message, tmp_path):
     with pytest.raises(BadInput, match=message) as caught:
         read_sensor(path)
     assert "\n" not in str(caught.value) and str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize("implementation", ["threefry2x32", "rbg", "unsafe_rbg"])
+def test_the_unit_is_the_same_whatever_the_generator(implementation, tmp_path):
+    key = jax.random.key(3, impl=implementation)
+    base = SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, unit_key=key).with_mechanism("dsnu")
+    write_sensor(tmp_path / "sensor.json", base)
+    again = read_sensor(tmp_path / "sensor.json")
+    assert_same(base, again)
+    assert jax.random.key_impl(again.unit_key) == jax.random.key_impl(key)
+    first, second = (m.with_maps(SIZE).mechanisms[0].maps["field"] for m in (base, again))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gain_dn_per_e": np.full((2, 4), -1.0)}, "gain_dn_per_e must be positive"),
+        ({"gain_dn_per_e": np.full((2, 4), np.nan)}, "gain_dn_per_e is nan"),
+        ({"gain_dn_per_e": np.ones((3, 4))}, "not written"),
+        ({"read_noise_e": np.ones((2, 3))}, "read_noise_e has 3"),
+        ({"iso": np.array([400.0, 100.0])}, "ISOs must ascend"),
+        ({"white_level": np.float32(10)}, "not above black_level"),
+        ({"black_level": np.ones(3)}, "black_level has 3"),
+        ({"code_step": np.float32(-1)}, "code_step -1"),
+        ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
+        ({"camera": None}, "camera is None"),
+        ({"unit_key": jax.random.split(jax.random.key(1), 3)}, "unit_key"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)
+def test_a_model_that_could_not_be_read_is_not_written(change, message, tmp_path):
+    path = tmp_path / "sensor.json"
+    write_sensor(path, camera())
+    before = path.read_bytes()
+    with pytest.raises(BadInput, match=message) as caught:
+        write_sensor(path, dataclasses.replace(camera(), **change))
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
 
 def test_files_that_are_no_sensor_model(tmp_path):
