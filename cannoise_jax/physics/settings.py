@@ -178,6 +178,7 @@ def warn_outside(model: Any, settings: Settings) -> None:
         law = fitted.scaling
         if isinstance(law.exposure, jax.core.Tracer):
             return
+        said += _beyond_iso(fitted, iso, (low, high))
         said += _beyond(fitted.mechanism, law, temperature)
         shortest, longest = fitted.scaling.exposure_low_s, fitted.scaling.exposure_high_s
         if (
@@ -191,6 +192,25 @@ def warn_outside(model: Any, settings: Settings) -> None:
             )
     if said:
         warnings.warn(f"{model.camera}: {'; '.join(said)}", ExtrapolationWarning, stacklevel=3)
+
+
+def _beyond_iso(fitted: Fitted, iso: float, calibrated: tuple[float, float]) -> list[str]:
+    """What to say of one mechanism beyond the ISOs of its tables, or beyond those of the gain it follows."""
+    said: list[str] = []
+    for name, value in fitted.parameters.items():
+        power = fitted.scaling.gain if name == fitted.record.scales else 0.0
+        table = np.asarray(value.iso) if isinstance(value, IsoTable) and _is_known(value.iso) else None
+        if table is not None and not table[0] <= np.float32(iso) <= table[-1]:
+            end = table[0] if iso < table[0] else table[-1]
+            said.append(f"{name} of {fitted.mechanism} is held at its value of ISO {end:g}")
+        beyond = not calibrated[0] <= np.float32(iso) <= calibrated[1]
+        if beyond and not isinstance(value, IsoTable) and _is_known(power) and power:
+            said.append(f"{name} of {fitted.mechanism} is taken to grow as gain^{power:g}")
+    return said
+
+
+def _is_known(value: Any) -> bool:
+    return not isinstance(value, jax.core.Tracer)
 
 
 def _beyond(id: str, law: Scaling, temperature: float | None) -> list[str]:

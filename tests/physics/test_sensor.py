@@ -2,7 +2,6 @@
 JAX code."""
 
 import dataclasses
-import warnings
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +10,9 @@ import pytest
 
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.initial_noise import initial_noise
-from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import ExtrapolationWarning, IsoTable, SensorModel, Settings
+from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import write_sensor
-from cannoise_jax.physics.settings import baseline_at, context_of, resolve
+from cannoise_jax.physics.settings import context_of
 from cannoise_jax.recordings import BadInput
 from cannoise_jax.recordings.packing import pack
 
@@ -92,61 +90,6 @@ def test_codes_lie_on_the_lattice_within_the_rails(step):
     assert np.all(y % step == 0) and y.max() == 1084 // step * step
     low = dataclasses.replace(model, black_level=np.zeros(4, np.float32))
     assert np.asarray(low.sample(KEY, FLAT * 0, Settings(frames=20))).min() == 0
-
-
-def test_baseline_between_and_beyond_the_calibrated_isos():
-    model = SensorModel.poisson_gaussian([[0.1], [0.4]], [[4.0], [2.0]], 64, 1023, iso=(100, 400))
-    for iso, gain, read in ((100, 0.1, 4), (250, 0.25, 3), (400, 0.4, 2), (800, 0.8, 2), (50, 0.05, 4)):
-        got = baseline_at(model, iso)
-        np.testing.assert_allclose(got[0], gain, rtol=1e-5)
-        np.testing.assert_allclose(got[1], read, rtol=1e-5)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        model.sample(KEY, FLAT, Settings(iso=250))
-    with pytest.warns(ExtrapolationWarning, match="proportional to ISO") as caught:
-        model.sample(KEY, FLAT, Settings(iso=800))
-    assert len(caught) == 1
-
-
-def values_at(model, **settings):
-    return resolve(model, context_of(model, jnp.zeros((1, *SIZE)), Settings(**settings)))[0]
-
-
-def test_scaling_laws_and_tables():
-    base = SensorModel.poisson_gaussian([[0.1], [0.4]], [[4.0], [2.0]], 64, 1023, iso=(100, 400))
-    row = base.with_mechanism("row_noise", sigma_dn=0.5)
-    np.testing.assert_allclose(values_at(row, iso=400.0)["sigma_dn"], 2.0, rtol=1e-5)
-    table = base.with_mechanism(
-        "row_noise", sigma_dn=IsoTable(np.array([100.0, 400.0]), np.array([0.5, 0.7]))
-    )
-    np.testing.assert_allclose(values_at(table, iso=250.0)["sigma_dn"], 0.6, rtol=1e-5)
-    law = Scaling(exposure=1.0, doubling_c=6.0, reference_temperature_c=20.0)
-    dark = base.with_mechanism("dark_current", e_per_s=3.0, scaling=law)
-    warm = values_at(dark, iso=100.0, exposure_s=2.0, temperature_c=32.0)
-    np.testing.assert_allclose(warm["e_per_s"], 3 * 2 * 4, rtol=1e-5)
-    np.testing.assert_allclose(values_at(dark, iso=100.0, exposure_s=2.0)["e_per_s"], 6, rtol=1e-5)
-
-
-def test_a_temperature_that_no_law_covers_is_said_once():
-    known = Scaling(exposure=1.0, doubling_c=7.0, reference_temperature_c=20.0)
-    blind = MODEL.with_mechanism("dark_current", e_per_s=3.0)
-    told = MODEL.with_mechanism("dark_current", e_per_s=3.0, scaling=known)
-    for model, celsius, words in (
-        (blind, 40.0, "reference temperature is unknown"),
-        (told, 40.0, "double every 7 K"),
-    ):
-        with pytest.warns(ExtrapolationWarning, match=words) as caught:
-            model.sample(KEY, FLAT, Settings(temperature_c=celsius))
-        assert len(caught) == 1 and "dark_current" in str(caught[0].message)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        told.sample(KEY, FLAT, Settings(temperature_c=22.0))
-        measured = Scaling(exposure=1.0, exposure_low_s=0.001, exposure_high_s=30.0)
-        ranged = MODEL.with_mechanism("dark_current", e_per_s=3.0, scaling=measured)
-        ranged.sample(KEY, FLAT)
-        blind.sample(KEY, FLAT)
-    with pytest.warns(ExtrapolationWarning, match=r"0.001 to 30 s of dark_current.*exposure\^1"):
-        ranged.sample(KEY, FLAT, Settings(exposure_s=100.0))
 
 
 def test_a_place_in_the_grammar_without_a_name_can_be_sampled():
@@ -299,92 +242,6 @@ def test_a_sensor_without_colours():
     noise, sigma = jax.jit(model.n_init())(KEY, packed, *level)
     assert noise.shape == sigma.shape == packed.shape
     assert float(jnp.std(noise)) == pytest.approx(float(jnp.mean(sigma)), rel=0.1)
-
-
-def poisson_gaussian(**changes):
-    known = {"gain_dn_per_e": 0.5, "read_noise_e": 3.0, "black_level": 64.0, "white_level": 1023.0}
-    return SensorModel.poisson_gaussian(**{**known, **changes})
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"gain_dn_per_e": 0.0}, "gain_dn_per_e must be positive"),
-        ({"gain_dn_per_e": float("nan")}, "gain_dn_per_e is nan, not a finite number"),
-        ({"gain_dn_per_e": "high"}, "not a finite number"),
-        ({"read_noise_e": -1.0}, "read_noise_e must be positive"),
-        ({"read_noise_e": float("inf")}, "not a finite number"),
-        ({"black_level": 2000.0}, "not above black_level"),
-        ({"black_level": float("nan")}, "black_level is nan"),
-        ({"white_level": 65536.0}, "above 65535"),
-        ({"code_step": -1.0}, "code_step -1"),
-        ({"iso": 0.0}, "iso must be above 0"),
-        ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
-    ],
-    ids=lambda v: str(v) if isinstance(v, dict) else "",
-)
-def test_a_baseline_that_no_camera_has_is_refused_in_one_line(change, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        poisson_gaussian(**change)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("id", "change", "message"),
-    [
-        ("row_noise", {"sigma_dn": -1.0}, "sigma_dn = -1 is outside 0 to"),
-        ("row_noise", {"sigma_dn": float("nan")}, "sigma_dn is nan"),
-        ("row_noise", {"sigma_dn": None}, "sigma_dn is None"),
-        ("heavy_tails", {"tukey_lambda": -0.5}, "outside -0.45 to 0.3"),
-        ("rts", {"fraction": 1.5}, "outside 1e-06 to 1"),
-        ("row_noise", {"sigma_dn": IsoTable(np.array([400.0, 100.0]), np.ones(2))}, "ascend"),
-        ("row_noise", {"sigma_dn": IsoTable(np.array([100.0]), np.array([-1.0]))}, "outside"),
-        ("dark_current", {"scaling": Scaling(doubling_c=0.0)}, "doubling_c is 0, not above 0"),
-        ("dsnu", {"maps": {"fild": np.zeros(SIZE, np.float32)}}, "maps are fild, it has field"),
-        ("dsnu", {"maps": {"field": np.full(SIZE, np.nan, np.float32)}}, "not finite"),
-        ("stripes", {"point": Point("readout", "signal", "moon", "redrawn")}, "grammar over is 'moon'"),
-    ],
-    ids=lambda v: v if isinstance(v, str) else "",
-)
-def test_a_mechanism_outside_its_ranges_is_refused_in_one_line(id, change, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        MODEL.with_mechanism(id, **change)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("clean", "settings", "message"),
-    [
-        (FLAT, Settings(frames=0), "frames must be a whole number from 1"),
-        (FLAT, Settings(frames=1.5), "frames must be a whole number from 1"),
-        (FLAT, Settings(iso=0.0), "iso must be above 0"),
-        (FLAT, Settings(exposure_s=-1.0), "exposure_s must be 0 or more"),
-        (FLAT, Settings(temperature_c=float("nan")), "temperature_c is nan"),
-        (FLAT, Settings(temperature_c=-300.0), "temperature_c must be"),
-        (np.where(np.arange(32) == 3, np.nan, FLAT), Settings(), "clean holds values that are not finite"),
-        (FLAT[None], Settings(), r"clean must be a mosaic \[H, W\]"),
-    ],
-    ids=lambda v: v if isinstance(v, str) else "",
-)
-def test_what_cannot_be_recorded_is_refused_in_one_line(clean, settings, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        MODEL.sample(KEY, clean, settings)
-    assert "\n" not in str(caught.value)
-
-
-def test_settings_are_an_argument_of_jit_and_vmap():
-    model, settings = MODEL.with_mechanism("dark_current", e_per_s=100.0), Settings(exposure_s=0.5, frames=2)
-    eager = np.asarray(model.sample(KEY, FLAT, settings))
-    traced = np.asarray(jax.jit(model.sample)(KEY, FLAT, settings))
-    assert traced.shape == (2, *SIZE) and np.mean(traced != eager) < 1e-3  # fused arithmetic rounds otherwise
-    times = np.array([0.0, 2.0, 4.0], np.float32)
-    series = jax.vmap(lambda t: model.sample(KEY, FLAT, Settings(exposure_s=t, frames=2)))(times)
-    along = Settings(iso=None, exposure_s=0, frames=2)
-    given = Settings(iso=100.0, exposure_s=times, frames=2)
-    again = jax.vmap(model.sample, in_axes=(None, None, along))(KEY, FLAT, given)
-    np.testing.assert_array_equal(series, again)
-    rise = np.diff(np.asarray(series, np.float64).mean((1, 2, 3)))
-    np.testing.assert_allclose(rise, 0.5 * 100.0 * 2.0, rtol=0.05)  # K mu_I t
 
 
 def test_a_model_may_be_composed_of_traced_numbers():

@@ -1,0 +1,85 @@
+"""What no camera has, or cannot record, is refused in one line when a model is composed or asked."""
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.mechanism import Scaling
+from cannoise_jax.physics.sensor import IsoTable, SensorModel, Settings
+
+SIZE = (32, 32)
+FLAT = np.full(SIZE, 0.2, np.float32)
+MODEL = SensorModel.poisson_gaussian(0.5, 3.0, (60, 64, 68, 72), 1084, "RGGB")
+KEY = jax.random.key(1)
+
+
+def poisson_gaussian(**changes):
+    known = {"gain_dn_per_e": 0.5, "read_noise_e": 3.0, "black_level": 64.0, "white_level": 1023.0}
+    return SensorModel.poisson_gaussian(**{**known, **changes})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gain_dn_per_e": 0.0}, "gain_dn_per_e must be positive"),
+        ({"gain_dn_per_e": float("nan")}, "gain_dn_per_e is nan, not a finite number"),
+        ({"gain_dn_per_e": "high"}, "not a finite number"),
+        ({"read_noise_e": -1.0}, "read_noise_e must be positive"),
+        ({"read_noise_e": float("inf")}, "not a finite number"),
+        ({"black_level": 2000.0}, "not above black_level"),
+        ({"black_level": float("nan")}, "black_level is nan"),
+        ({"white_level": 65536.0}, "above 65535"),
+        ({"code_step": -1.0}, "code_step -1"),
+        ({"iso": 0.0}, "iso must be above 0"),
+        ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
+    ],
+    ids=lambda v: str(v) if isinstance(v, dict) else "",
+)
+def test_a_baseline_that_no_camera_has_is_refused_in_one_line(change, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        poisson_gaussian(**change)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("id", "change", "message"),
+    [
+        ("row_noise", {"sigma_dn": -1.0}, "sigma_dn = -1 is outside 0 to"),
+        ("row_noise", {"sigma_dn": float("nan")}, "sigma_dn is nan"),
+        ("row_noise", {"sigma_dn": None}, "sigma_dn is None"),
+        ("heavy_tails", {"tukey_lambda": -0.5}, "outside -0.45 to 0.3"),
+        ("rts", {"fraction": 1.5}, "outside 1e-06 to 1"),
+        ("row_noise", {"sigma_dn": IsoTable(np.array([400.0, 100.0]), np.ones(2))}, "ascend"),
+        ("row_noise", {"sigma_dn": IsoTable(np.array([100.0]), np.array([-1.0]))}, "outside"),
+        ("dark_current", {"scaling": Scaling(doubling_c=0.0)}, "doubling_c is 0, not above 0"),
+        ("dsnu", {"maps": {"fild": np.zeros(SIZE, np.float32)}}, "maps are fild, it has field"),
+        ("dsnu", {"maps": {"field": np.full(SIZE, np.nan, np.float32)}}, "not finite"),
+        ("stripes", {"point": Point("readout", "signal", "moon", "redrawn")}, "grammar over is 'moon'"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)
+def test_a_mechanism_outside_its_ranges_is_refused_in_one_line(id, change, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        MODEL.with_mechanism(id, **change)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("clean", "settings", "message"),
+    [
+        (FLAT, Settings(frames=0), "frames must be a whole number from 1"),
+        (FLAT, Settings(frames=1.5), "frames must be a whole number from 1"),
+        (FLAT, Settings(iso=0.0), "iso must be above 0"),
+        (FLAT, Settings(exposure_s=-1.0), "exposure_s must be 0 or more"),
+        (FLAT, Settings(temperature_c=float("nan")), "temperature_c is nan"),
+        (FLAT, Settings(temperature_c=-300.0), "temperature_c must be"),
+        (np.where(np.arange(32) == 3, np.nan, FLAT), Settings(), "clean holds values that are not finite"),
+        (FLAT[None], Settings(), r"clean must be a mosaic \[H, W\]"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)
+def test_what_cannot_be_recorded_is_refused_in_one_line(clean, settings, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        MODEL.sample(KEY, clean, settings)
+    assert "\n" not in str(caught.value)
