@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="PATH",
         type=Path,
         required=True,
-        help="folder for the recordings, or the page's file",
+        help="folder for the recordings, SCENE_isoISO_EXPOSUREs.h5, or the page's file",
     )
     add("--frames", type=int, default=1, help="frames per recording (default 1)")
     add("--overwrite", action="store_true", help="replace recordings that exist")
@@ -131,19 +131,30 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
             raise BadInput(
                 f"{clean.name}: {height} x {width} pixels: a {model.cfa} mosaic has even sizes: crop it"
             )
-        path = arguments.out / f"{clean.name}.h5"
+        path = arguments.out / _name(clean, settings, arguments.unit)
         if path.exists() and not arguments.overwrite:
             raise BadInput(f"{path}: exists: name another folder, or replace it with --overwrite")
+    for size in {clean.values.shape for clean in scenes}:
+        # Raises BadInput where the unit's measured maps are of another size; draws nothing.
+        jax.eval_shape(lambda size=size: model.with_maps(size).mechanisms)
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{arguments.out}: no folder can be made here ({error.strerror})") from error
     key = jax.random.key(arguments.seed)
     for number, clean in enumerate(scenes):
-        path = arguments.out / f"{clean.name}.h5"
+        path = arguments.out / _name(clean, settings, arguments.unit)
         recording = record(model, jax.random.fold_in(key, number), clean, settings)
         write_recording(path, recording)
         yield path, recording
+
+
+def _name(clean: Clean, settings: Settings, unit: int | None) -> str:
+    """The file of a recording: scene and setting, so that those of several settings lie side by side."""
+    parts = [clean.name, f"iso{settings.iso:g}", f"{settings.exposure_s:g}s"]
+    parts += [] if settings.temperature_c is None else [f"{settings.temperature_c:g}C"]
+    parts += [] if unit is None else [f"unit{unit}"]
+    return "_".join(parts) + ".h5"
 
 
 def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings) -> Recording:

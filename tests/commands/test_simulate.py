@@ -35,7 +35,7 @@ def test_a_flat_is_a_recording_with_its_truth(sensor, tmp_path, capsys):
     ]
     assert main([*arguments, "--exposure", "0.02", "--out", str(out)]) == 0
     assert "8 frames of 32 x 48, GRBG, bench camera" in capsys.readouterr().out
-    recording = read_recording(out / "flat_0.2.h5")
+    recording = read_recording(out / "flat_0.2_iso400_0.02s.h5")
     frames = np.asarray(recording.frames[:], np.float64)
     assert frames.shape == (8, 32, 48)
     assert (recording.kind, recording.iso, recording.exposure_s) == ("flat", 400.0, 0.02)
@@ -66,10 +66,10 @@ def test_a_folder_gives_one_recording_per_picture_and_seeds_repeat(sensor, tmp_p
             str(tmp_path / out),
         ]
         assert main(arguments) == 0
-    first, second = (read_recording(tmp_path / out / "ramp.h5") for out in ("first", "second"))
+    first, second = (read_recording(tmp_path / out / "ramp_iso100_0.01s.h5") for out in ("first", "second"))
     np.testing.assert_array_equal(first.frames[:], second.frames[:])
     np.testing.assert_allclose(first.clean, ramp)
-    colour = read_recording(tmp_path / "first" / "colour.h5")
+    colour = read_recording(tmp_path / "first" / "colour_iso100_0.01s.h5")
     # GRBG: red is the second site, blue the third; an sRGB code of 128 is 0.216 in linear light.
     np.testing.assert_allclose(colour.clean[0, 1], 1.0)
     np.testing.assert_allclose(colour.clean[1, 0], 0.0)
@@ -88,10 +88,25 @@ def test_a_calibrated_unit_gives_frames_of_its_own_size_and_another_unit_any(tmp
         str(tmp_path / "out"),
         "--overwrite",
     ]
-    assert main(dark) == 0 and read_recording(tmp_path / "out" / "dark.h5").size == (24, 40)
+    assert main(dark) == 0 and read_recording(tmp_path / "out" / "dark_iso100_0.01s.h5").size == (24, 40)
     assert main([*dark, "--size", "32x32"]) == 2
     assert "another unit" in capsys.readouterr().err
+    elsewhere = tmp_path / "elsewhere"
+    assert main([*dark, "--size", "32x32", "--out", str(elsewhere)]) == 2
+    assert "another unit" in capsys.readouterr().err and not elsewhere.exists()
     assert main([*dark, "--size", "32x32", "--unit", "3"]) == 0
+    assert (tmp_path / "out" / "dark_iso100_0.01s_unit3.h5").exists()
+
+
+def test_several_settings_lie_side_by_side(sensor, tmp_path):
+    out = tmp_path / "out"
+    dark = ["--sensor", sensor, "--clean", "dark", "--size", "32x32", "--out", str(out)]
+    for more in (["--exposure", "10"], ["--exposure", "0.5"], ["--iso", "400"], ["--temperature", "-5"]):
+        assert main([*dark, *more]) == 0
+    assert sorted(p.name for p in out.iterdir()) == [
+        "dark_iso100_0.01s_-5C.h5", "dark_iso100_0.5s.h5", "dark_iso100_10s.h5", "dark_iso400_0.01s.h5",
+    ]  # fmt: skip
+    assert read_recording(out / "dark_iso100_10s.h5").exposure_s == 10.0
 
 
 @pytest.mark.parametrize(
@@ -153,11 +168,11 @@ def test_nothing_is_written_over(sensor, tmp_path, capsys):
     out = tmp_path / "out"
     flat = ["--sensor", sensor, "--clean", "flat:0.2", "--size", "32x32", "--out", str(out)]
     assert main(flat) == 0
-    before = (out / "flat_0.2.h5").read_bytes()
+    before = (out / "flat_0.2_iso100_0.01s.h5").read_bytes()
     assert main([*flat, "--seed", "5"]) == 2
-    assert "exists" in capsys.readouterr().err and (out / "flat_0.2.h5").read_bytes() == before
+    assert "exists" in capsys.readouterr().err and (out / "flat_0.2_iso100_0.01s.h5").read_bytes() == before
     assert main([*flat, "--seed", "5", "--overwrite"]) == 0
-    assert (out / "flat_0.2.h5").read_bytes() != before
+    assert (out / "flat_0.2_iso100_0.01s.h5").read_bytes() != before
 
 
 def test_catalogue_needs_a_place(tmp_path, capsys):
