@@ -1,5 +1,5 @@
-"""One harness for every mechanism: it samples what a naive second implementation samples, its closed form
-is what Monte Carlo finds, it survives jit and vmap, and its frozen patterns belong to the camera unit."""
+"""One harness for every mechanism: it samples what a naive second implementation samples, it survives jit and
+vmap, and its frozen patterns belong to the camera unit."""
 
 import dataclasses
 import zlib
@@ -13,130 +13,23 @@ from scipy import stats
 from cannoise_jax.physics import chain
 from cannoise_jax.physics.mechanism import STAGES
 from cannoise_jax.physics.registry import MECHANISMS, estimator, mechanism
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import context_of, resolve
+from cannoise_jax.physics.settings import resolve
 from cannoise_jax.vocabulary import VOCABULARY, core_ids
 from tests.physics import naive
-
-SIZE = (8, 12)
-FRAMES = 1500
-SETTINGS = Settings(iso=100.0, exposure_s=0.5, frames=FRAMES)
-
-# Strong enough to be seen in a small simulation, and no special case of anything weaker.
-STRONG = {
-    "gain_error": {"error": 0.4},
-    "read_noise_error": {"error": 0.5},
-    "dual_gain": {"iso_switch": 50.0, "gain_ratio": 1.3, "read_ratio": 0.5},
-    "prnu": {"sigma": 0.1},
-    "column_gain": {"sigma": 0.1},
-    "green_imbalance": {"sigma": 0.05},
-    "lens_shading": {"sigma": 0.3},
-    "dead_pixels": {"fraction": 0.1},
-    "defect_correction": {"fraction": 0.2},
-    "hot_pixels": {"fraction": 0.1, "e_per_s": 100.0},
-    "clock_induced_charge": {"charge_e": 5.0},
-    "dsnu": {"sigma_dn": 3.0},
-    "nonlinearity": {"loss": 0.2},
-    "saturation": {"full_well_e": 420.0},
-    "crosstalk": {"fraction": 0.3},
-    "brighter_fatter": {"a00": 3e-4},
-    "image_lag": {"fraction": 0.2},
-    "smear": {"fraction": 0.1},
-    "rts": {"jump_dn": 12.0, "fraction": 0.3},
-    "cosmic_rays": {"rate": 40000.0, "charge_e": 60.0},
-    "row_noise": {"sigma_dn": 3.0},
-    "column_noise": {"sigma_dn": 3.0},
-    "row_fpn": {"sigma_dn": 3.0},
-    "column_fpn": {"sigma_dn": 3.0},
-    "pink_noise": {"sigma_dn": 4.0, "exponent": 1.2},
-    "row_pink_noise": {"sigma_dn": 4.0, "exponent": 0.8},
-    "banding": {"amplitude_dn": 6.0, "frequency": 0.13},
-    "offset_drift": {"sigma_dn": 3.0},
-    "channel_offset": {"sigma_dn": 3.0},
-    "amplifier_mismatch": {"step_dn": 5.0},
-    "flicker": {"amplitude": 0.08, "frequency": 0.11},
-    "illumination_drift": {"sigma": 0.05},
-    "temperature_drift": {"sigma_k": 4.0, "e_per_s": 120.0, "memory_frames": 1.5},
-    "reference_error": {"sigma_dn": 5.0, "blur": 0.2, "shift_y": 0.6, "shift_x": -0.8, "scale": 0.03},
-    "misregistration": {"shift_px": 1.5, "angle": 0.7},
-    "bookkeeping": {"black_dn": 4.0, "white_error": 0.1},
-    "missing_codes": {"period": 4.0},
-    "lossy_compression": {"step_dn": 30.0},
-    "in_camera_denoising": {"weight": 0.4},
-    "black_clipping": {"level_dn": 60.0},
-    "dark_current": {"e_per_s": 60.0},
-    "amp_glow": {"e_per_s": 200.0, "length": 0.4},
-    "hot_pixel_suppression": {"weight": 0.7},
-}
-EACH = pytest.mark.parametrize("id", MECHANISMS)
-# These move the scene with time, or are fixed within a recording and new in the next.
-PER_RECORDING = ("reference_error",)
-
-
-def scene(size=SIZE) -> np.ndarray:
-    """A clean mosaic with slopes, a dark corner and differing colours."""
-    y, x = np.indices(size)
-    return (0.08 + 0.15 * x / size[1] + 0.05 * y / size[0] + 0.05 * ((y + x) % 2)).astype(np.float32)
-
-
-def camera(id: str, **more) -> SensorModel:
-    base = SensorModel.poisson_gaussian(
-        0.5, 4.0, (60, 61, 62, 63), 1060, "GRBG", unit_key=jax.random.key(5), **more
-    )
-    return base.with_mechanism(id, **STRONG.get(id, {}))
-
-
-def prepared(model: SensorModel, size=SIZE, settings=SETTINGS):
-    context = context_of(model, jnp.asarray(scene(size))[None], settings)
-    values = resolve(model, context)
-    maps = [chain.maps_of(model, i, values[i], context) for i in range(len(model.mechanisms))]
-    return context, values, maps
-
-
-def numpy_context(context) -> dict:
-    def wide(v):
-        return np.asarray(v, np.float64)
-
-    return {
-        "gain": wide(context.gain_dn_per_e),
-        "read": wide(context.read_noise_e),
-        "black": wide(context.black_level),
-        "white": wide(context.white_level),
-        "mean": wide(context.mean_dn),
-        "step": float(context.code_step),
-        "exposure": float(context.exposure_s),
-        "iso": float(context.iso),
-    }
-
-
-def key_of(id: str) -> jax.Array:
-    return jax.random.key(zlib.crc32(id.encode()))
-
-
-def frames_of(model: SensorModel, key, settings=SETTINGS, size=SIZE) -> np.ndarray:
-    """Codes of the fast chain, run eagerly: compiling fifty chains would take minutes."""
-    context, values, _ = prepared(model, size, settings)
-    with_step = chain.run_chain(model, key, context, values, settings.frames)
-    return np.asarray(chain.to_codes(model, key, *with_step, context, values), np.float64)
-
-
-def summaries(y: np.ndarray) -> dict[str, np.ndarray]:
-    """Independent numbers, one per frame or block of frames, that see means, rows, columns, lags and
-    tails."""
-    z = y - y.mean(axis=0)
-    return {
-        "pixel": y[:, 1, 3],
-        "other pixel": y[:, 6, 8],
-        "row": y[:, 2].mean(axis=1),
-        "column": y[:, :, 5].mean(axis=1),
-        "frame": y.mean(axis=(1, 2)),
-        "power": (z**2).mean(axis=(1, 2)),
-        "right": (z[:, :, :-1] * z[:, :, 1:]).mean(axis=(1, 2)),
-        "down": (z[:, :-1] * z[:, 1:]).mean(axis=(1, 2)),
-        "right 2": (z[:, :, :-2] * z[:, :, 2:]).mean(axis=(1, 2)),
-        "later": (z[:-1:2] * z[1::2]).mean(axis=(1, 2)),
-        "extreme": z.max(axis=(1, 2)),
-    }
+from tests.physics.harness import (
+    EACH,
+    FRAMES,
+    PER_RECORDING,
+    SETTINGS,
+    SIZE,
+    camera,
+    frames_of,
+    key_of,
+    numpy_context,
+    prepared,
+    scene,
+    summaries,
+)
 
 
 @EACH
@@ -168,124 +61,6 @@ def test_samples_like_a_naive_draw(id):
         error = np.sqrt((fast.var(axis=0) + slow.var(axis=0)) / frames)
         gap = (fast.mean(axis=0) - slow.mean(axis=0)) / np.maximum(error, 1e-3)
         assert np.abs(gap).max() < 5.5
-
-
-def analogue(model: SensorModel, key, frames: int) -> np.ndarray:
-    """The chain without rounding; what acts on codes acts on the unrounded values."""
-    context, values, maps = prepared(model)
-    y, _ = chain.run_chain(model, key, context, values, frames)
-    for i, fitted in enumerate(model.mechanisms):
-        if fitted.record.acts_on == "code":
-            y = fitted.record.sample(key, y, values[i], maps[i], context)
-    return np.asarray(y, np.float64)
-
-
-# The clamp's holds on an even light, and has a test of its own.
-WITH_EFFECT = [id for id, m in MECHANISMS.items() if m.effect is not None and id != "hot_pixel_suppression"]
-
-
-@pytest.mark.parametrize("id", WITH_EFFECT)
-def test_closed_form_is_what_monte_carlo_finds(id):
-    model, record = camera(id), mechanism(id)
-    context, values, maps = prepared(model)
-    effect = record.effect(values[0], maps[0], context)
-    if id in PER_RECORDING:
-        run = jax.jit(jax.vmap(lambda k: chain.run_chain(model, k, context, values, 2)[0]))
-        pairs = np.asarray(run(jax.random.split(key_of(id), FRAMES)), np.float64)
-        y, later = pairs[:, 0], pairs
-    else:
-        y = analogue(model, key_of(id), FRAMES)
-        later = None
-    if id == "missing_codes":
-        y = frames_of(model, key_of(id))
-    base = np.asarray(context.black_level + context.mean_dn)[0]
-    own = np.broadcast_to(np.asarray(context.own_variance())[0], SIZE)
-
-    def wide(v):
-        return np.broadcast_to(np.asarray(0.0 if v is None else v, np.float64), (1, *SIZE))[0]
-
-    variance = own + wide(effect.variance)
-    assert (variance > -1e-6).all()
-    n = len(y)
-    z = y - (base + wide(effect.mean))
-    # Frames that remember each other count for fewer.
-    memory = 1 + 2 * sum(float(np.max(np.abs(wide(v) / variance))) for v in (effect.temporal or {}).values())
-    if id in PER_RECORDING:
-        memory = 1.0
-    sparse = id in ("cosmic_rays", "brighter_fatter", "lossy_compression", "missing_codes")
-    error = np.sqrt(np.maximum(z.var(axis=0), 1e-6) / n * memory)
-    slack = 0.05 if sparse else 1e-4 * base
-    assert (np.abs(z.mean(axis=0)) < 5.5 * error + slack).all(), "mean"
-
-    # Sums of squares over frames, with their own scatter as the yardstick.
-    def close(products, expected, what, tolerance=0.0):
-        per_frame = products.reshape(n if len(products) == n else len(products), -1).mean(axis=1)
-        blocks = per_frame[: len(per_frame) // 30 * 30].reshape(30, -1).mean(axis=1)
-        error = blocks.std(ddof=1) / np.sqrt(30)
-        gap = abs(blocks.mean() - float(np.mean(expected)))
-        assert gap < 5 * error + tolerance, f"{what}: {blocks.mean():.4f} against {np.mean(expected):.4f}"
-
-    first_order = (
-        0.03 if id in ("brighter_fatter", "excess_noise", "lossy_compression", "cosmic_rays") else 0.003
-    )
-    if id != "missing_codes":
-        # At the edge a pixel stands in for its missing neighbour: the closed form holds inside.
-        own_neighbour = id in ("in_camera_denoising", "demosaicing", "crosstalk", "brighter_fatter")
-        place = (slice(2, -2), slice(2, -2)) if own_neighbour else (slice(None), slice(None))
-        inner = z[:, place[0], place[1]]
-        close(inner**2, variance[place], "variance", first_order * float(np.mean(variance)))
-        for half in (slice(0, inner.shape[1] // 2), slice(inner.shape[1] // 2, None)):
-            expected = variance[place][half]
-            close(inner[:, half] ** 2, expected, "variance by place", first_order * float(np.mean(variance)))
-    shared = {"row": (z[:, :, 3] * z[:, :, 8], wide(effect.row), (3, 8)),
-              "column": (z[:, 1] * z[:, 6], wide(effect.column).T, (1, 6)),
-              "frame": (z[:, 1, 3] * z[:, 6, 8], None, None)}  # fmt: skip
-    lags = effect.lags or {}
-    tolerance = first_order * float(np.mean(variance))
-    if not lags and effect.frame is None:
-        for name in ("row", "column"):
-            product, power, (a, b) = shared[name]
-            close(product, np.sqrt(np.maximum(power[:, a] * power[:, b], 0)), name, tolerance)
-    if effect.frame is not None:
-        power = wide(effect.frame)
-        close(shared["frame"][0], np.sqrt(power[1, 3] * power[6, 8]), "frame", tolerance)
-    for (dy, dx), expected in lags.items():
-        ahead = z[:, dy:, dx:] if dy + dx else z
-        product = z[:, : SIZE[0] - dy, : SIZE[1] - dx] * ahead
-        inside = slice(2, -3)  # away from the edges, where a neighbour stands in for a missing one
-        keep = product[:, : SIZE[0] - dy, : SIZE[1] - dx]
-        want = wide(expected)[: SIZE[0] - dy, : SIZE[1] - dx]
-        if id in ("in_camera_denoising", "demosaicing", "crosstalk", "brighter_fatter"):
-            rows = slice(2, max(SIZE[0] - dy - 2, 3)) if dy < 4 else slice(2, 3)
-            if dy >= 4:
-                continue  # the frame is too small for an interior at this lag
-            keep, want = keep[:, rows, inside], want[rows, inside]
-        close(keep, want, f"lag {dy}, {dx}", tolerance)
-    for step, expected in (effect.temporal or {}).items():
-        if later is not None:
-            if step == 1:
-                w = later - (base + wide(effect.mean))
-                close(w[:, 0] * w[:, 1], wide(expected), "temporal", tolerance)
-        else:
-            close(z[:-step] * z[step:], wide(expected), f"temporal {step}", tolerance)
-    centred = y - y.mean(axis=0)
-    if effect.third is not None:
-        third = np.asarray(context.gain_dn_per_e**2 * context.mean_dn)[0] + wide(effect.third)
-        close(centred**3, third, "third cumulant", 0.02 * float(np.mean(np.abs(third))))
-    if effect.fourth is not None and np.isfinite(np.asarray(effect.fourth)).all():
-        fourth = np.asarray(context.gain_dn_per_e**3 * context.mean_dn)[0] + wide(effect.fourth)
-        close(centred**4 - 3 * variance**2, fourth, "fourth cumulant", 0.05 * float(np.mean(variance**2)))
-
-
-def test_clamped_peaks_have_the_moments_of_the_closed_form():
-    record, weight = mechanism("hot_pixel_suppression"), 0.7
-    base = SensorModel.poisson_gaussian(1.0, 6.0, 60, 1060, "MONO")
-    context = context_of(base, jnp.zeros((1, 64, 64)), SETTINGS)
-    noise = 6.0 * np.random.default_rng(2).normal(size=(60, 64, 64)).astype(np.float32)
-    y = np.asarray(record.sample(None, jnp.asarray(noise), {"weight": weight}, {}, context))[:, 2:-2, 2:-2]
-    effect = record.effect({"weight": weight}, {}, context)
-    assert y.mean() == pytest.approx(float(np.mean(effect.mean)), abs=0.04)
-    assert y.var() == pytest.approx(36 + float(np.mean(effect.variance)), rel=0.01)
 
 
 @EACH
@@ -405,44 +180,6 @@ def test_gradients_are_finite_differences(id, name):
     h = 0.01 * abs(at)
     difference = (float(value(jnp.float32(at + h))) - float(value(jnp.float32(at - h)))) / (2 * h)
     assert slope != 0 and slope == pytest.approx(difference, rel=0.05)
-
-
-SCORED = [id for id, m in MECHANISMS.items() if m.score is not None]
-
-
-@pytest.mark.parametrize("id", SCORED)
-def test_score_is_standard_normal_without_the_mechanism(id):
-    size, record, draws = (32, 48), mechanism(id), 64
-    context, values, maps = prepared(camera(id), size)
-    z = np.random.default_rng(11).normal(size=(draws, 4, *size))
-    score = jax.vmap(lambda z: record.score(z, values[0], maps[0], context))
-    scores = np.asarray(score(jnp.asarray(z, jnp.float32)))
-    assert abs(scores.mean()) < 4.5 / np.sqrt(draws)
-    assert 0.75 < scores.std() < 1.3
-
-
-@pytest.mark.parametrize("id", SCORED)
-def test_score_sees_the_mechanism(id):
-    # Peaks are few, and a third of the pixels of a colour either way stand for them.
-    size = (128, 192) if id == "hot_pixel_suppression" else (32, 48)
-    model, record = camera(id), mechanism(id)
-    # Effects on the noise of a flat; photons are few enough to be skewed in a dark one.
-    clean = scene(size)
-    if id in ("brighter_fatter", "hot_pixel_suppression"):
-        clean = np.full(size, 0.2, np.float32)
-    if id == "poisson_skew":
-        clean, model = (
-            np.full(size, 0.01, np.float32),
-            camera(id).without(id).with_mechanism(id, strength=1.0),
-        )
-    context = context_of(model, jnp.asarray(clean)[None], SETTINGS)
-    values = resolve(model, context)
-    maps = chain.maps_of(model, 0, values[0], context)
-    y, step = chain.run_chain(model, key_of(id), context, values, 8)
-    y = np.asarray(chain.to_codes(model, key_of(id), y, step, context, values), np.float64)
-    sigma = np.sqrt(np.asarray(context.own_variance()) + 1 / 12)
-    z = (y - np.asarray(context.black_level + context.mean_dn)) / sigma
-    assert float(record.score(jnp.asarray(z, jnp.float32), values[0], maps, context)) > 3.5
 
 
 def test_equations_can_be_set():
