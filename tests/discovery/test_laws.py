@@ -20,14 +20,35 @@ def test_kurtosis_of_rounded_noise_is_known(width, place):
     codes = np.rint(rng.normal(100 + place, width, 2_000_000))
     sigma = codes.std()
     measured = np.mean(((codes - codes.mean()) / sigma) ** 4) - 3
-    expected = float(rounding_kurtosis(np.array(codes.mean() * 4), np.array(sigma * 4), 4.0))
+    expected = float(rounding_kurtosis(np.array(codes.mean() * 4), np.array(sigma * 4), 4.0)[0])
     assert measured == pytest.approx(expected, abs=0.012)
+
+
+@pytest.mark.parametrize("width", [0.55, 0.8, 2.0])
+@pytest.mark.parametrize("place", [0.0, 0.3, 0.5])
+def test_what_rounding_leaves_of_heavy_tails_agrees_with_students_t(width, place):
+    """Probabilities of the codes from Student's t of 6 / 0.05 + 4 freedoms: excess kurtosis 0.05."""
+    excess = 0.05
+    freedom = 4 + 6 / excess
+    codes = np.arange(-40, 41)
+    edges = (np.append(codes, 41) - 0.5 - place) / width
+
+    def moments(cdf):
+        p = np.diff(cdf(edges))
+        mean = np.sum(p * codes)
+        second, fourth = (np.sum(p * (codes - mean) ** k) for k in (2, 4))
+        return mean, np.sqrt(second), fourth / second**2 - 3
+
+    mean, sigma, plain = moments(stats.norm.cdf)
+    tailed = moments(stats.t(freedom, scale=np.sqrt((freedom - 2) / freedom)).cdf)[2]
+    left = float(rounding_kurtosis(np.array(mean), np.array(sigma), 1.0)[1])
+    assert (tailed - plain) / excess == pytest.approx(left, abs=0.02)
 
 
 def test_sheppards_kurtosis_is_the_mean_over_places():
     places = np.linspace(0, 1, 16, endpoint=False)
     sigma = np.sqrt(0.62**2 + 1 / 12)
-    mean = rounding_kurtosis(places, np.full(16, sigma), 1.0).mean()
+    mean = rounding_kurtosis(places, np.full(16, sigma), 1.0)[0].mean()
     assert mean == pytest.approx(-1 / 120 / sigma**4, abs=3e-3)
 
 

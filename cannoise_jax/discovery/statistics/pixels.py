@@ -38,7 +38,7 @@ def _rounded_dispersion(fields: tuple[Fields, ...]) -> float:
     """What the kurtosis of rounding adds to the variance of a pixel's sum of squares over all darks."""
     return float(
         sum(
-            np.mean(known_kurtosis(f)) * len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0)
+            np.mean(known_kurtosis(f)[0]) * len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0)
             for f in darks(fields)
         )
     )
