@@ -15,13 +15,14 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.draws import as_fields, draw_like, spread_codes
-from cannoise_jax.discovery.fields import Fields, frame_fields
+from cannoise_jax.discovery.fields import Fields, frame_fields, stratum
 from cannoise_jax.discovery.heldout import Scored
+from cannoise_jax.discovery.patch_network import SIDE
 from cannoise_jax.discovery.prove import Proof, Proofs, frame_interval
 from cannoise_jax.discovery.sides import Drawings, Sides
 from cannoise_jax.discovery.statistics.covariance import LAGS, lag_sums
 from cannoise_jax.discovery.statistics.lines import line_power
-from cannoise_jax.discovery.twosample import SIDE, TwoSample, two_sample
+from cannoise_jax.discovery.twosample import TwoSample, two_sample
 from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
 from cannoise_jax.physics.likelihood_composite import Profile, composite_score, profile, ruler
 
@@ -190,13 +191,13 @@ def composite_proofs(key: Key[Array, ""], proven: Proofs, quality: Quality, side
     if quality.after.composite is None:
         return proven
     half = quality.half
-    number = np.concatenate([np.full(f.frames, f.number) for f in half.fields])
+    alike = np.concatenate([np.full(f.frames, stratum(f)) for f in half.fields])
     pixels = np.concatenate([np.full(f.frames, f.mean.size) for f in half.fields])
-    full = Scored(quality.after.composite * pixels, number, pixels)
+    full = Scored(quality.after.composite * pixels, alike, pixels)
     out = []
     for proof, without in zip(proven.each, sides.less, strict=True):
         rest = composite_scores(jax.random.fold_in(key, 2), half, without)
-        gain, low, high = frame_interval(full, Scored(rest * pixels, number, pixels))
+        gain, low, high = frame_interval(full, Scored(rest * pixels, alike, pixels))
         out.append(Proof(proof.score, gain, low, high, int(pixels.sum()), "composite"))
     return Proofs(tuple(out), None, None)
 

@@ -1,53 +1,55 @@
 """A two-sample test that knows no physics: can a small network tell recordings from draws of the simulator?
 
-The network sees patches of 32 x 32 residuals, standardised by the baseline for both simulators: a fixed
-bank of cosine filters over the patch and along its lines, squared, averaged and logarithmed, and one linear
-layer that is trained in closed form (ridge). It is trained on the frames that looked and one half of the
-image and measured on the other halves of both, for both halves of the image; nothing of it differs before
-and after. An area of 0.5 under the curve: it cannot tell.
+The network (`patch_network`) sees patches of 32 x 32 residuals, standardised by the baseline for both
+simulators. It is trained on the frames that looked and one half of the image and measured on the other
+halves of both, for both halves of the image; nothing of it differs before and after. Patches are compared
+within their recording. An area of 0.5 under the curve: it cannot tell.
 
 One patch holds little: a decision is the mean score of several patches of one frame. How many is fixed by a
 control, row noise of four times the smallest detectable effect added to draws of the baseline: the number
-is doubled until the network tells those from plain draws with an area of 0.6, or a frame has no more.
+is doubled until the network tells those from plain draws with an area of 0.6, as long as a frame gives four
+decisions: with fewer, chance does so too. That effect is counted over the whole rows of all frames of the
+set, so in large sets no number of patches of one frame may show it. A decision is then one patch, whose area
+the frames tell best, and the control is reported as it is. Neither depends on how the recordings compare.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.draws import spread_codes
 from cannoise_jax.discovery.fields import Fields, stratum
+from cannoise_jax.discovery.patch_network import cut, train
 
-SIDE = 32
 CONTROL_AREA = 0.6
-_BATCH = 512
-_RIDGE = 10.0
+_DECISIONS = 4
 _GROUPINGS = 4
 _RESAMPLED = 400
 
 
-class Patches(NamedTuple):
-    """Standardised patches, and the frame each comes from."""
-
-    values: Float[np.ndarray, "n s s"]
-    frame: np.ndarray
-
-
 class Scored(NamedTuple):
-    """What the network says of unseen patches of the recordings and of the draws, with their frames; strata:
-    of every frame, within which frames are drawn again."""
+    """What the network says of unseen patches of the recordings and of the draws, with their frames; of every
+    frame its recording, and the stratum within which it is drawn again."""
 
     real: np.ndarray
     fake: np.ndarray
     real_frame: np.ndarray
     fake_frame: np.ndarray
+    recording: np.ndarray
     strata: np.ndarray
+
+
+class Compared(NamedTuple):
+    """Decisions of every recorded frame against those of every drawn one of the same recording: the share of
+    pairs in which the recorded one scores higher, and the number of decisions of each frame."""
+
+    share: Float[np.ndarray, "t t"]
+    same: Float[np.ndarray, "t t"]
+    real: Float[np.ndarray, "t"]
+    fake: Float[np.ndarray, "t"]
 
 
 class Area(NamedTuple):
@@ -59,9 +61,9 @@ class Area(NamedTuple):
 
 
 class TwoSample(NamedTuple):
-    """Areas before and after; change: of their distance from 0.5 (None: nothing
-    was added). patches: to a decision; control: the area
-    for the injected row noise at that number."""
+    """Areas before and after; change: of their distance from 0.5 (None: nothing was added). patches: to a
+    decision; control: the area for the injected row noise at that number, below `CONTROL_AREA` where no
+    number reaches it."""
 
     before: Area
     after: Area
@@ -74,72 +76,6 @@ Pair = tuple[tuple[Fields, ...], tuple[Fields, ...]]
 """Fields of the frames that train, and of those that are judged."""
 
 
-def cut(fields: tuple[Fields, ...], parity: int, seed: int) -> Patches:
-    """Non-overlapping patches of every other site of a checkerboard; recordings of one frame and no modelled
-    mean are left out."""
-    values, frame, number = [], [], 0
-    for f in fields:
-        if not len(f.contrasts):
-            continue
-        stack = spread_codes(f, np.random.default_rng((seed, f.number)))
-        t, h, w = stack.shape
-        ny, nx = h // SIDE, w // SIDE
-        tiles = stack[:, : ny * SIDE, : nx * SIDE].reshape(t, ny, SIDE, nx, SIDE).transpose(0, 1, 3, 2, 4)
-        sites = (np.add.outer(np.arange(ny), np.arange(nx)) % 2) == parity
-        chosen = tiles[:, sites]
-        values.append(np.clip(chosen.reshape(-1, SIDE, SIDE), -8, 8))
-        frame.append(np.repeat(np.arange(t) + number, chosen.shape[1]))
-        number += t
-    if not values:
-        return Patches(np.zeros((0, SIDE, SIDE), np.float32), np.zeros(0, int))
-    return Patches(np.concatenate(values), np.concatenate(frame))
-
-
-def cosines(length: int, number: int) -> np.ndarray:
-    """The first cosine functions on `length` points, of norm 1: `[length, number]`."""
-    x = (np.arange(length) + 0.5) / length
-    basis = np.cos(np.pi * x[:, None] * np.arange(number))
-    return (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)
-
-
-@jax.jit
-def features(x: Float[Array, "b s s"]) -> Float[Array, "b k"]:
-    """Answers of the fixed filters: energies of 5 x 5 cosines, of line means and their steps, and moments."""
-    small = cosines(5, 5)
-    bank = np.einsum("ia,jb->ijab", small, small).reshape(5, 5, 1, 25)
-    local = jax.lax.conv_general_dilated(
-        x[..., None], bank, (2, 2), "VALID", dimension_numbers=("NHWC", "HWIO", "NHWC")
-    )
-    line = cosines(SIDE, 4)
-    parts = [jnp.mean(local**2, (1, 2))]
-    for lines in (jnp.einsum("bij,jk->bik", x, line), jnp.einsum("bij,ik->bjk", x, line)):
-        steps = jnp.diff(lines[..., 0], axis=1)
-        parts += [jnp.mean(lines**2, 1), jnp.mean(steps**2, 1, keepdims=True) / 2]
-    moments = (jnp.abs(x), x**2, x**4 / 3)
-    parts += [jnp.mean(m, (1, 2))[:, None] for m in moments]
-    parts.append(SIDE**2 * jnp.mean(x, (1, 2))[:, None] ** 2)
-    return jnp.log1p(jnp.concatenate(parts, -1))
-
-
-def all_features(values: np.ndarray) -> np.ndarray:
-    """`features` in batches of one compiled size."""
-    padded = np.zeros((-(-len(values) // _BATCH) * _BATCH, SIDE, SIDE), np.float32)
-    padded[: len(values)] = values
-    parts = [np.asarray(features(padded[i : i + _BATCH])) for i in range(0, len(padded), _BATCH)]
-    return np.concatenate(parts)[: len(values)].astype(np.float64)
-
-
-def read_out(real: np.ndarray, fake: np.ndarray) -> np.ndarray:
-    """Weights of the linear layer; the scores of `fake` have standard deviation 1."""
-    within = np.concatenate([real - real.mean(0), fake - fake.mean(0)])
-    spread = np.maximum(within.std(0), 1e-6)
-    within = within / spread
-    correlation = np.einsum("nk,nl->kl", within, within) / len(within)
-    gap = (real.mean(0) - fake.mean(0)) / spread
-    weights = np.linalg.solve(correlation + _RIDGE * np.eye(len(gap)), gap) / spread
-    return weights / max(float((fake @ weights).std()), 1e-9)
-
-
 def area(real: np.ndarray, fake: np.ndarray) -> float:
     """Area under the curve of two sets of scores."""
     ranks = stats.rankdata(np.concatenate([real, fake]))
@@ -148,35 +84,26 @@ def area(real: np.ndarray, fake: np.ndarray) -> float:
 
 def judge(real: Pair, fake: Pair, seed: int) -> Scored | None:
     """Trains the network on the first of both pairs and scores the second, on the other half of the image,
-    either way round; None for frames too few or small.
-
-    Scores are counted, recording by recording, from those of the draws that trained it, on the half of the
-    image that did not: what tells one recording from another says nothing about the simulator.
-    """
+    either way round; None for frames too few or small."""
     parts: list[tuple[np.ndarray, ...]] = []
-    trained, judged = recording_of(fake[0]), recording_of(real[1])
     for parity in (0, 1):
         a, b = cut(real[0], parity, seed), cut(fake[0], parity, seed + 1)
         c, d = cut(real[1], 1 - parity, seed + 2), cut(fake[1], 1 - parity, seed + 3)
-        e = cut(fake[0], 1 - parity, seed + 4)
-        if min(len(p.values) for p in (a, b, c, d, e)) < 2:
+        if min(len(p.values) for p in (a, b, c, d)) < 2:
             return None
-        weights = read_out(all_features(a.values), all_features(b.values))
-        told, plain, usual = (all_features(p.values) @ weights for p in (c, d, e))
-        for number in np.unique(judged):
-            mine = usual[trained[e.frame] == number]
-            for scores, frame in ((told, c.frame), (plain, d.frame)):
-                there = judged[frame] == number
-                scores[there] = (scores[there] - mine.mean()) / max(float(mine.std()), 1e-9)
-        parts.append((told, plain, c.frame, d.frame))
+        network = train(a, b)
+        parts.append((network.scores(c), network.scores(d), c.frame, d.frame))
     told, plain, frame, other = (np.concatenate(column) for column in zip(*parts, strict=True))
-    strata = np.concatenate([np.full(f.frames, stratum(f)) for f in real[1] if len(f.contrasts)])
-    return Scored(told, plain, frame, other, strata)
+    shown = [f for f in real[1] if len(f.contrasts)]
+    recording, strata = (np.repeat(v, [f.frames for f in shown]) for v in _places(shown))
+    return Scored(told, plain, frame, other, recording, strata)
 
 
-def recording_of(fields: tuple[Fields, ...]) -> np.ndarray:
-    """The recording of every frame, in the order of `cut`."""
-    return np.concatenate([np.full(f.frames, f.number) for f in fields if len(f.contrasts)])
+def _places(fields: list[Fields]) -> tuple[list[int], list[int]]:
+    """Recording and stratum of each; those alone in their stratum are taken together."""
+    own = [stratum(f) for f in fields]
+    lone = [sum(f.frames for f, t in zip(fields, own, strict=True) if t == s) == 1 for s in own]
+    return [f.number for f in fields], [-9 if one else s for s, one in zip(own, lone, strict=True)]
 
 
 def grouped(scores: np.ndarray, frame: np.ndarray, size: int, rng: np.random.Generator):
@@ -190,51 +117,60 @@ def grouped(scores: np.ndarray, frame: np.ndarray, size: int, rng: np.random.Gen
     return np.array(values), np.array(frames)
 
 
-def decided(scored: Scored, size: int, seed: int) -> float:
-    """Area under the curve of decisions on `size` patches, averaged over a few groupings."""
+def compared(scored: Scored, size: int, seed: int) -> Compared:
+    """Decisions on `size` patches, pair by pair, averaged over a few groupings."""
     rng = np.random.default_rng(seed)
-    return float(
-        np.mean(
-            [
-                area(
-                    grouped(scored.real, scored.real_frame, size, rng)[0],
-                    grouped(scored.fake, scored.fake_frame, size, rng)[0],
-                )
-                for _ in range(_GROUPINGS)
-            ]
+    same = scored.recording[:, None] == scored.recording
+    share = np.zeros(same.shape)
+    for _ in range(_GROUPINGS if size > 1 else 1):
+        (real, a), (fake, b) = (
+            grouped(scored.real, scored.real_frame, size, rng),
+            grouped(scored.fake, scored.fake_frame, size, rng),
         )
-    )
+        for i, j in np.argwhere(same):
+            share[i, j] += area(real[a == i], fake[b == j])
+    share /= _GROUPINGS if size > 1 else 1
+    count = scored.recording.size
+    return Compared(share, same * 1.0, np.bincount(a, minlength=count), np.bincount(b, minlength=count))
+
+
+def weighted_area(pairs: Compared, real: np.ndarray, fake: np.ndarray) -> float:
+    """Area under the curve within recordings, averaged over the recorded decisions; real, fake: weight of
+    every frame."""
+    below = pairs.share @ (fake * pairs.fake) / (pairs.same @ (fake * pairs.fake))
+    return float(np.average(below, weights=real * pairs.real))
+
+
+def decided(scored: Scored, size: int, seed: int) -> float:
+    """Area under the curve of decisions on `size` patches."""
+    equal = np.ones(scored.recording.size)
+    return weighted_area(compared(scored, size, seed), equal, equal)
 
 
 def resampled(scored: list[Scored], size: int, seed: int) -> np.ndarray:
-    """Areas of several networks `[n, R]` under the same resampling of frames, within each recording or,
-    of recordings of one frame, each kind."""
+    """Areas of several networks `[n, R]` under the same resampling of frames, within each recording or, of
+    recordings of one frame, each kind: there with the draws that they are compared with."""
     rng = np.random.default_rng(seed)
-    groups = [
-        (grouped(s.real, s.real_frame, size, rng), grouped(s.fake, s.fake_frame, size, rng)) for s in scored
-    ]
+    pairs = [compared(s, size, seed) for s in scored]
     strata = scored[0].strata
     alike = [np.flatnonzero(strata == s) for s in np.unique(strata)]
+    several = [a for a in alike if strata[a[0]] >= 0]
     out = np.zeros((len(scored), _RESAMPLED))
     for k in range(_RESAMPLED):
-        real_weight = np.bincount(_redrawn(rng, alike), minlength=strata.size)
-        fake_weight = np.bincount(_redrawn(rng, alike), minlength=strata.size)
-        for n, (real, fake) in enumerate(groups):
-            out[n, k] = _weighted_area(real[0], real_weight[real[1]], fake[0], fake_weight[fake[1]])
+        real, fake = redrawn(rng, alike, strata.size), redrawn(rng, several, strata.size)
+        out[:, k] = [weighted_area(p, real, fake) for p in pairs]
     return out
 
 
-def _redrawn(rng: np.random.Generator, strata: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([rng.choice(s, s.size) for s in strata])
-
-
-def _weighted_area(real, real_weight, fake, fake_weight) -> float:
-    order = np.argsort(fake)
-    below = np.concatenate([[0.0], np.cumsum(fake_weight[order])])
-    left = below[np.searchsorted(fake[order], real, "left")]
-    right = below[np.searchsorted(fake[order], real, "right")]
-    total = real_weight.sum() * below[-1]
-    return float(np.sum(real_weight * (left + right) / 2) / max(total, 1))
+def redrawn(rng: np.random.Generator, strata: list[np.ndarray], size: int) -> Float[np.ndarray, "t"]:
+    """Weights of frames drawn again within strata: of n frames n - 1, each weighing n / (n - 1), which is
+    without bias for the variance however few they are (Rao & Wu 1988)."""
+    weight = np.ones(size)
+    for s in strata:
+        if s.size > 1:
+            weight[s] = np.bincount(rng.integers(0, s.size, s.size - 1), minlength=s.size)
+            weight[s] *= s.size / (s.size - 1)
+    return weight
 
 
 def with_row_noise(rng: np.random.Generator, fields: tuple[Fields, ...], sigma: float) -> tuple[Fields, ...]:
@@ -249,6 +185,18 @@ def with_row_noise(rng: np.random.Generator, fields: tuple[Fields, ...], sigma: 
         static = None if f.static is None else f.static + rows(1)[0] * weight
         out.append(f._replace(contrasts=f.contrasts + rows(len(f.contrasts)) * weight, static=static))
     return tuple(out)
+
+
+def decision_size(control: Scored, seed: int) -> tuple[int, float]:
+    """Patches to a decision, doubled until the control is told by more than chance, and its area then; one
+    where none tells it of which a frame gives `_DECISIONS`."""
+    most = int(np.bincount(control.real_frame).max()) // _DECISIONS
+    alone = decided(control, 1, seed)
+    for size in (2**n for n in range(most.bit_length())):
+        reached = alone if size == 1 else decided(control, size, seed)
+        if reached >= CONTROL_AREA and np.quantile(resampled([control], size, seed), 0.05) > 0.5:
+            return size, reached
+    return 1, alone
 
 
 def two_sample(
@@ -273,11 +221,7 @@ def two_sample(
         injected = tuple(with_row_noise(rng, f, control_sigma) for f in control[0])
         told = judge(injected, control[1], seed)  # type: ignore[arg-type]
         assert told is not None
-        most = int(np.bincount(told.real_frame).max())
-        reached = decided(told, size, seed)
-        while reached < CONTROL_AREA and 2 * size <= most:
-            size *= 2
-            reached = decided(told, size, seed)
+        size, reached = decision_size(told, seed)
     second = None if after is None else judge(real, after, seed)
     both = [first] if second is None else [first, second]
     drawn = resampled(both, size, seed)
