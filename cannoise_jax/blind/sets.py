@@ -97,17 +97,22 @@ def draw_scene(rng: np.random.Generator, size: tuple[int, int] = SIZE, nyquist: 
     return np.clip(mosaic, 0.002, 0.92)
 
 
-def draw_design(rng: np.random.Generator, kind: str = "full", reference: str | None = None) -> Design:
+def draw_design(
+    rng: np.random.Generator,
+    kind: str = "full",
+    reference: str | None = None,
+    size: tuple[int, int] = SIZE,
+) -> Design:
     """A camera and its shots: 3 scenes x 4 frames, 2 darks x 8, 5 flats x 4, or what `kind` leaves."""
     camera = draw_camera(rng)
     frames = 1 if kind == "single_frames" else 4
-    shots = [Shot(f"scene_{i}", "scene", draw_scene(rng), frames, 0.02) for i in range(3)]
+    shots = [Shot(f"scene_{i}", "scene", draw_scene(rng, size), frames, 0.02) for i in range(3)]
     if kind in ("full", "no_flats"):
-        zero = np.zeros(SIZE)
+        zero = np.zeros(size)
         shots += [Shot("dark_short", "dark", zero, 8, 0.02), Shot("dark_long", "dark", zero, 8, 8.0)]
     if kind in ("full", "no_darks"):
         shots += [
-            Shot(f"flat_{i}", "flat", np.full(SIZE, level), 4, 0.02 * level / FLATS[-1])
+            Shot(f"flat_{i}", "flat", np.full(size, level), 4, 0.02 * level / FLATS[-1])
             for i, level in enumerate(FLATS)
         ]
     if reference is None:

@@ -1,10 +1,11 @@
-"""bin/blind seal|run|score|develop|real: hidden effects, the analysis that has to find them, and the score.
+"""bin/blind seal|run|score|develop|real|size: hidden effects, the analysis that must find them, the score.
 
 seal    writes capture sets, and what was injected into them to a file elsewhere.
 run     diagnoses every set and commits to its claims; reads no truth.
 score   checks both commitments, opens the truth, writes the tables and figures.
 develop scores fixed sets that are for development, and records their figures for the tests.
 real    conceals in real recordings: injects effects, withholds what the sensor has, permutes frames.
+size    draws capture sets without an effect and counts how often something is found in them.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from cannoise_jax.commands.blind_analysis import (
 from cannoise_jax.commands.blind_develop import develop
 from cannoise_jax.commands.blind_real import PARTS, real_trial
 from cannoise_jax.commands.blind_real import text as real_text
+from cannoise_jax.commands.blind_size import true_size
 from cannoise_jax.commands.parser import OneLineParser, count
 from cannoise_jax.discovery.diagnose import mde
 from cannoise_jax.discovery.report import plain
@@ -158,6 +160,18 @@ def _real(arguments: argparse.Namespace) -> None:
     print(f"{real_text(result)}\n{arguments.out / 'real.json'}")
 
 
+def _true_size(arguments: argparse.Namespace) -> None:
+    result = true_size(
+        arguments.out,
+        arguments.seed,
+        arguments.replicates,
+        arguments.size,
+        arguments.shard,
+        progress("located"),
+    )
+    print(json.dumps(plain(result), indent=1))
+
+
 def progress(done: str) -> Callable[[int, int], None]:
     """Prints how many sets are done and the time left; sets that were there already do not count."""
     started = last = time.monotonic()
@@ -220,7 +234,7 @@ def _whole(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/blind", description=__doc__.split("\n\n")[0])
-    steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real")
+    steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real|size")
     step = steps.add_parser("seal", prog="bin/blind seal", help="capture sets, and their truth elsewhere")
     step.add_argument("--out", type=Path, required=True, help="folder for the sets")
     step.add_argument("--truth", type=Path, required=True, help="file for the truth, outside of that folder")
@@ -267,6 +281,13 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="crop used (192x256)")
     step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted (100)")
     step.set_defaults(step=_real)
+    step = steps.add_parser("size", prog="bin/blind size", help="false alarms of the search, by simulation")
+    step.add_argument("--out", type=Path, required=True, help="folder for the lines of all replicates")
+    step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
+    step.add_argument("--replicates", type=count, default=2000, help="capture sets (2000)")
+    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="pixels (192x256)")
+    step.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help="part I of N of them")
+    step.set_defaults(step=_true_size)
     return parser
 
 

@@ -27,10 +27,14 @@ from cannoise_jax.discovery.statistics import (
     waves,
 )
 from cannoise_jax.discovery.statistics.score import Probe
-from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 BROAD = 3.0
 """Standard deviation, in codes, from which a pixel's noise is broad enough to judge the lattice of codes."""
+
+
+LEAST_SIDE = 32
+"""Rows and columns from which the laws of the statistics hold."""
 
 
 class Prepared(NamedTuple):
@@ -92,8 +96,15 @@ def prepare(
 
     chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
     read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given. before:
-    frames per recording whose mean the chosen ones are seen against as well.
+    frames per recording whose mean the chosen ones are seen against as well. Raises BadInput for recordings
+    of fewer than `LEAST_SIDE` rows or columns.
     """
+    for r in capture.recordings:
+        height, width = r.frames.shape[1:]
+        if min(height, width) < LEAST_SIDE:
+            raise BadInput(
+                f"{r.path or 'recording'}: {height}x{width} pixels: give {LEAST_SIDE}x{LEAST_SIDE} or more"
+            )
     step = code_step(capture)
     known = before or [[] for _ in chosen]
     stacks = tuple(

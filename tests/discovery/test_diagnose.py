@@ -206,3 +206,11 @@ def test_bad_requests_say_what_is_wrong():
         run(capture, without=("nonsense",))
     with pytest.raises(ValueError, match="alpha"):
         run(capture, alpha=2.0)
+    with pytest.raises(BadInput, match="30x64 pixels: give 32x32 or more"):
+        run(capture_set(0, kinds="d", size=(30, 64)))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_recordings_no_larger_than_a_tile_give_a_report():
+    found = run(capture_set(3, kinds="df", size=(64, 64)))
+    assert not found.findings

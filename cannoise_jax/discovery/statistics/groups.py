@@ -84,7 +84,7 @@ def group_score(fields: tuple[Fields, ...], *, probe: str, name: str, time: str)
         powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
         informations.append(information)
         freedoms.append(len(score) * left)
-    if not powers:
+    if not powers or np.sum(np.concatenate(freedoms)) < 2:  # such as one tile that covers the frame
         return None
     channel = name == "site" or name.endswith("parity")
     where = {"axis": "channel", "channel": name} if channel else {"axis": "block", "layout": name}

@@ -112,7 +112,7 @@ def variance_component(
     """
     power, information = np.ravel(power), np.ravel(information)
     dof = np.broadcast_to(np.asarray(dof, float), power.shape)
-    used = information > 0
+    used = (information > 0) & (dof > 0)
     power, information, dof = power[used], information[used], dof[used]
     if power.size < 2:
         return Component(0.0, 0.0, 0.0, 0.0, np.inf)
