@@ -235,7 +235,9 @@ def fit_mechanism(
 
     What one setting cannot tell: the ISO at which a dual gain switches, whose error is infinite; the memory
     of a temperature drift, unless the frames are many times as many; step and exponent of lossy compression
-    one by one, on light of one level.
+    one by one, on light of one level. The errors are those of a linearised fit: of a drift with a memory of
+    2 frames (2 K, 200 e-/s) they were too small by 1.4 at 256 frames and by 4 at 32 frames, where most fits
+    do not settle (`converged`).
     """
     parameters = mechanism(id).parameters
     settings = dataclasses.replace(settings, frames=len(frames))

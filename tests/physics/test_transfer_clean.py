@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 from cannoise_jax.physics.estimate import normal_estimate, root, variance_difference
+from cannoise_jax.physics.estimators.charge import _log_estimate
 from cannoise_jax.physics.transfer import transfer_at
 from cannoise_jax.physics.transfer_frames import frame_statistics
 from cannoise_jax.physics.transfer_model import find_mechanisms
@@ -37,7 +40,13 @@ KINDS = {
 
 
 def entries(kind, seed):
-    """Mechanisms in the model of one clean set."""
+    """Mechanisms in the model of one clean set; warnings of NumPy are errors."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        return _entries(kind, seed)
+
+
+def _entries(kind, seed):
     statistics = [frame_statistics(r) for r in KINDS[kind](np.random.default_rng([seed, len(kind)]))]
     findings = find_mechanisms(statistics, transfer_at(statistics).baseline)
     return [f.mechanism for f in findings if f.verdict == "in the model"]
@@ -53,6 +62,15 @@ def test_nothing_enters_that_is_not_there():
 def test_hardly_ever_does_anything_enter_that_is_not_there(kind):
     found = [entries(kind, seed) for seed in range(100)]
     assert sum(map(bool, found)) <= 4, found
+
+
+def test_the_interval_of_a_logarithm_that_is_not_known_is_finite():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        e = _log_estimate(3.0, 1e4)
+    assert e.ci90[0] < 1e-200 and 1e200 < e.ci90[1] < np.inf
+    known = _log_estimate(3.0, 0.1)
+    assert known.ci90 == pytest.approx((3 * np.exp(-0.16449), 3 * np.exp(0.16449)))
 
 
 def test_chance_of_a_root_is_that_of_its_variance():
