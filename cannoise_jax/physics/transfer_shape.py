@@ -41,7 +41,9 @@ def shape_quantities(dark: FrameStatistics) -> list[Quantity]:
     spread = 1.2533 * float(sigma.std()) / np.sqrt(sigma.size)
     # The median of what few frames show of one noise lies below it.
     below = float(np.sqrt(median_quotient(dof)))
-    note = f"median over the pixels, over the {below:.3f} of {dark.recording.count} frames of Gaussian noise"
+    note = (
+        f"median over pixels, over the {below:.3f} that {dark.recording.count} frames of Gaussian noise show"
+    )
     out = [Quantity("typical pixel noise", "DN", "all", _plain(middle, spread).scaled(1 / below), note)]
     for factor in _NOISY:
         share = float(np.mean(sigma > factor * middle))
