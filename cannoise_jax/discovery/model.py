@@ -249,30 +249,39 @@ def _hot(model: SensorModel, heat: np.ndarray, probe: str, score: Score, seconds
 
 
 def _balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> SensorModel:
-    """The model with gain and read noise lowered so that its temporal variance of the ordinary pixel, at
-    black and at half of the range, is that of the fitted baseline."""
-    size = prepared.fields[0].mean.shape
-    channel = channel_index(size)
-    dark = [f.exposure_s for f in prepared.fields if not f.lit and f.exposure_s is not None]
-    seconds = min(dark) if dark else 0.01
-    levels = (0.0, 0.4)
-    gains, reads = [], []
+    """The model with gain and read noise lowered so that its temporal variance of the ordinary pixel is that
+    of the recordings: at black of the shortest dark, at 0.4 of the range of the fitted baseline, whose line
+    through long darks and flats need not meet the short ones."""
+    channel = channel_index(prepared.fields[0].mean.shape)
     for n, iso in enumerate(np.asarray(bare.iso)):
+        seconds, dark = _shortest_dark(prepared, float(iso), channel)
         settings = Settings(float(iso), seconds)
-        wanted = [_variance(bare, level, settings, channel) for level in levels]
+        wanted = [_variance(bare, level, settings, channel) for level in (0.0, 0.4)]
+        wanted[0] = wanted[0] if dark is None else dark
         gain, read = np.array(bare.gain_dn_per_e)[n], np.array(bare.read_noise_e)[n]
         shot0 = gain.copy()
         for _ in range(4):
             trial = _with_noise(model, n, gain, read)
-            have = [_variance(trial, level, settings, channel) for level in levels]
+            have = [_variance(trial, level, settings, channel) for level in (0.0, 0.4)]
             slope = (wanted[1] - wanted[0]) / np.maximum(have[1] - have[0], 1e-9)
             read_dn = np.sqrt(np.maximum((gain * read) ** 2 + wanted[0] - have[0], 0.0025 * wanted[0]))
             gain = np.clip(gain * slope, 0.3 * shot0, 3 * shot0)
             read = read_dn / gain
-        gains.append(gain)
-        reads.append(read)
-    gain_table, read_table = (np.stack(table).astype(np.float32) for table in (gains, reads))
-    return dataclasses.replace(model, gain_dn_per_e=gain_table, read_noise_e=read_table)
+        model = _with_noise(model, n, gain, read)
+    return model
+
+
+def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray):
+    """Exposure, s, and temporal variance before rounding per channel, DN^2, of the shortest dark of one gain
+    setting; 0.01 and None without one, None where one frame or rounding hides it."""
+    isos = [b.iso or 100.0 for b in prepared.baselines]
+    mine = [f for f in prepared.fields if not f.lit and f.exposure_s is not None and isos[f.group] == iso]
+    if not mine:
+        return 0.01, None
+    f = min(mine, key=lambda f: f.exposure_s or 0.0)
+    variance = np.array([np.median(f.sigma[channel == c]) ** 2 for c in range(4)]) - f.step**2 / 12
+    shown = f.frames > 1 and variance.min() > (0.5 * f.step) ** 2
+    return f.exposure_s, variance if shown else None
 
 
 def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) -> SensorModel:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
+from scipy import stats
 
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import registered
@@ -77,6 +78,28 @@ def test_a_frozen_pattern_is_this_camera_s_own():
         jax.random.key(0), np.zeros(SIZE), Settings(100.0, 0.01)
     )
     assert abs(np.corrcoef(np.asarray(other).mean((0, 1)), pattern[0])[0, 1]) < 0.4
+
+
+def test_read_noise_is_that_of_short_darks_though_others_are_noisier():
+    """Light that flickers and dark current that the clamp hides bend the line that the baseline is fitted
+    to."""
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            flicker = 0.02 * signal * rng.standard_normal((dn.shape[0], 1))
+            return dn + flicker + 80 * exposure * rng.standard_normal(dn.shape)
+
+        return change
+
+    capture = capture_set(57, alter, kinds="df")
+    first, steps = found(capture)
+    model = extended_model(capture, first, steps)
+    drawn = np.asarray(
+        model.sample(jax.random.key(0), np.zeros(SIZE, np.float32), Settings(100.0, 0.01, None, 8)), float
+    )
+    temporal = np.sqrt(np.median(drawn.var(0, ddof=1)) * 7 / stats.chi2.median(7))
+    assert temporal == pytest.approx(np.hypot(4.5, 0.8), rel=0.05)
+    assert first.baselines[0].read_dn.min() > 1.3 * temporal
 
 
 def test_an_unnamed_model_survives_its_file(tmp_path):
