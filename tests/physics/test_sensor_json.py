@@ -76,6 +76,16 @@ def test_every_mechanism_round_trips(id, tmp_path):
     assert set(document["mechanisms"][0]) >= {"mechanism", "parameters", "scaling", "maps"}
 
 
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_the_ends_of_all_ranges_can_be_stored(end, tmp_path):
+    path, base = tmp_path / "sensor.json", SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, "RGGB")
+    for id, record in MECHANISMS.items():
+        values = {p.name: getattr(p, end) for p in record.parameters}
+        write_sensor(path, base.with_mechanism(id, **values))
+        (fitted,) = read_sensor(path).mechanisms
+        assert fitted.parameters == pytest.approx(values, rel=1e-6)
+
+
 def damage(**changes):
     def change(document):
         document.update(changes)
