@@ -92,6 +92,9 @@ def step_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         u, i = np.cumsum(sums.score[::-1])[::-1], np.cumsum(sums.information[::-1])[::-1]
         i = i * (1 - i / total)
         inside = np.arange(8, u.size - 8)
+        inside = inside[i[inside] > 1e-6 * total]  # lines at the border may have no usable pixel
+        if not inside.size:
+            continue
         trials += u.size / 8
         z = u[inside] / np.sqrt(np.maximum(i[inside], 1e-30))
         k = int(np.argmax(np.abs(z)))
@@ -101,6 +104,8 @@ def step_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
                 axis,
             )
     z, at, step, error = best
+    if not error:
+        return None
     where = {"axis": axis_best, "index": [int(at)]}
     return Score(
         probe,
