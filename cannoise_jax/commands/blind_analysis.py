@@ -23,6 +23,8 @@ from cannoise_jax.discovery.name import BLURS, Named
 from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document
 from cannoise_jax.discovery.stacks import Stack
+from cannoise_jax.discovery.statistics.hot import Heat
+from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
 
@@ -148,7 +150,8 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
         strength = amplitude if score.amplitude >= 0 else -amplitude
         law = None
         if looked is not None:
-            named = Named(looked._replace(amplitude=strength), probe, mechanism, (), False)
+            true = looked._replace(amplitude=strength, payload=_true_law(looked, strength))
+            named = Named(true, probe, mechanism, (), False)
             law = predicted(Step(named, first.fields, 0.0))
         if law is None:
             gains.append(held_out_gain(score._replace(amplitude=strength), score))
@@ -163,6 +166,13 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
         if BLURS.get(p.name, ("",))[0] == mechanism and (s := p.score(prepared.fields)) is not None
     ]
     return max(gains) + sum(blurs) if gains else None
+
+
+def _true_law(looked: Score, amplitude: float) -> Any:
+    """What a score carries along, at another strength: of hot pixels the mean heat that goes with it."""
+    if isinstance(looked.payload, Heat) and looked.amplitude > 0:
+        return looked.payload._replace(mean=looked.payload.mean * amplitude / looked.amplitude)
+    return looked.payload
 
 
 def fingerprint() -> str:

@@ -229,17 +229,18 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     """The fields of one recording under the fitted baseline."""
     recording, size = stacked.recording, stacked.mean.shape
     channel = channel_index(size)
-    signal = np.maximum(_expected(stacked, baseline.black), 0)
+    expected = _expected(stacked, baseline.black)
+    signal = np.maximum(expected, 0)
     gain, read = baseline.gain[channel], baseline.read_dn[channel]
     variance = gain * signal + read**2 + stacked.step**2 / 12
     clean = None if recording.clean is None else reference(recording)
     static, mean = None, signal + baseline.black[channel]
     if recording.kind in ("dark", "bias"):
-        mean = smooth_mean(stacked)
+        mean = expected + mosaic_map(baseline.black, size)
         variance = _own_variance(stacked, channel, variance, mean)
         static = stacked.mean - mean
     elif recording.kind == "flat":
-        mean = smooth_mean(stacked)
+        mean = expected + mosaic_map(baseline.black, size)
         static = stacked.mean - mean
     elif clean is not None and recording.reference != "burst_mean":
         mean = affine(stacked, clean, np.sqrt(variance), channel, signal < 0.9 * full_level(baseline))

@@ -151,22 +151,12 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
     channel = channel_index(size)
     out = np.zeros(size, np.float32)
     degree = _DEGREE if stacked.recording.kind == "flat" else 0
-    y, x = np.indices(size)
-    y, x = 2 * y / max(size[0] - 1, 1) - 1, 2 * x / max(size[1] - 1, 1) - 1
     for c in range(4):
         chosen = channel == c
         if degree == 0:
             out[chosen] = robust_mean(mean[chosen])
             continue
-        basis = np.stack(
-            [
-                np.polynomial.legendre.legval(y[chosen], np.eye(degree + 1)[i])
-                * np.polynomial.legendre.legval(x[chosen], np.eye(degree + 1)[j])
-                for i in range(degree + 1)
-                for j in range(degree + 1 - i)
-            ],
-            1,
-        )
+        basis = surfaces(size, degree, c)
         values = mean[chosen].astype(np.float64)
         kept = np.ones(values.size, bool)
         for _ in range(2):
@@ -175,6 +165,21 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
             kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
         out[chosen] = np.einsum("nk,k->n", basis, beta)
     return out
+
+
+def surfaces(size: tuple[int, int], degree: int, c: int) -> Float[np.ndarray, "n k"]:
+    """Products of Legendre polynomials of rows and columns, up to this degree in all, at the pixels of mosaic
+    site c in reading order."""
+    rows, columns = (
+        [np.polynomial.legendre.legval(at, np.eye(degree + 1)[i]) for i in range(degree + 1)]
+        for at in (
+            2 * np.arange(o, n, 2) / max(n - 1, 1) - 1 for n, o in zip(size, divmod(c, 2), strict=True)
+        )
+    )
+    products = [
+        np.multiply.outer(rows[i], columns[j]) for i in range(degree + 1) for j in range(degree + 1 - i)
+    ]
+    return np.stack([p.ravel() for p in products], 1)
 
 
 def affine(
