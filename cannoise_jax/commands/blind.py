@@ -32,18 +32,14 @@ from cannoise_jax.commands.blind_analysis import (
     diagnosed,
     fingerprint,
     located,
-    true_gain,
-    unrefitted_p,
-    unweighted_p,
 )
 from cannoise_jax.commands.blind_develop import develop
+from cannoise_jax.commands.blind_know import know
 from cannoise_jax.commands.blind_real import PARTS, real_trial
 from cannoise_jax.commands.blind_real import text as real_text
 from cannoise_jax.commands.blind_size import true_size
 from cannoise_jax.commands.parser import OneLineParser, count
-from cannoise_jax.discovery.diagnose import mde
 from cannoise_jax.discovery.report import plain
-from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 
@@ -90,7 +86,10 @@ def _score(arguments: argparse.Namespace) -> None:
     said = claims.read_claims(arguments.claims, sorted(manifest["sets"]))
     truth = claims.read_truth(arguments.truth, manifest)
     out = arguments.out or arguments.claims
-    known = {} if arguments.quick else know(arguments.sets, truth, out / "known.json")
+    known = {}
+    if not arguments.quick:
+        tell = progress("compared with the true model:")
+        known = know(arguments.sets, truth, out / "known.json", tell, arguments.jobs)
     result = score(truth, said, known)
     codes = {r.get("code_sha256") for r in said.values()}
     result["code"] = {
@@ -107,33 +106,6 @@ def _score(arguments: argparse.Namespace) -> None:
     write_atomically(out / "blind.json", json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
     write_atomically(out / "blind.html", page(result, made_by))
     print(f"{made_by}\n{text(result)}\n{out / 'blind.html'}")
-
-
-def know(sets: Path, truth: dict[str, Any], path: Path) -> dict[str, dict[str, Any]]:
-    """What takes the truth to compute: of single effects `mde`, the tool's, and `gain`, see
-    `true_gain`; for strong and effect-free sets `unweighted_p` and `unrefitted_p`. Kept in `path`."""
-    code = fingerprint()
-    try:
-        kept = json.loads(path.read_text())
-    except (OSError, json.JSONDecodeError):
-        kept = {}
-    known = kept["sets"] if kept.get("code_sha256") == code else {}
-    asked = [e for e in truth.values() if e["category"] in ("strong", "curve", "null")]
-    tell = progress("compared with the true model:")
-    for n, entry in enumerate(asked):
-        if entry["set"] not in known:
-            capture = load_capture_set(sets / entry["set"])
-            facts: dict[str, Any] = {}
-            if entry["category"] != "curve":
-                facts["unweighted_p"] = unweighted_p(capture)
-                facts["unrefitted_p"] = unrefitted_p(capture)
-            for effect in entry["effects"]:
-                facts["mde"] = mde(effect["mechanism"], capture)
-                facts["gain"] = true_gain(capture, effect["mechanism"], effect["amplitude"])
-            known[entry["set"]] = facts
-            write_atomically(path, json.dumps(plain({"code_sha256": code, "sets": known})))
-        tell(n + 1, len(asked))
-    return known
 
 
 def _develop(arguments: argparse.Namespace) -> None:
@@ -262,6 +234,7 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--truth", type=Path, required=True, help="file that bin/blind seal wrote")
     step.add_argument("--out", type=Path, help="folder for blind.html and blind.json (that of the claims)")
     step.add_argument("--quick", action="store_true", help="leave out the true model's gain and MDE")
+    step.add_argument("--jobs", type=count, default=1, help="processes for those two (1)")
     step.set_defaults(step=_score)
     step = steps.add_parser("develop", prog="bin/blind develop", help="figures of fixed development sets")
     step.add_argument("--figures", type=Path, required=True, help="file of recorded figures, written anew")
