@@ -237,7 +237,7 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     static, mean = None, signal + baseline.black[channel]
     if recording.kind in ("dark", "bias"):
         mean = expected + mosaic_map(baseline.black, size)
-        variance = _own_variance(stacked, channel, variance, mean)
+        variance = own_variance(stacked, channel, variance, mean)
         static = stacked.mean - mean
     elif recording.kind == "flat":
         mean = expected + mosaic_map(baseline.black, size)
@@ -276,7 +276,7 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     )
 
 
-def _own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean: np.ndarray) -> np.ndarray:
+def own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Darks are standardised by their own variance, in which rounding below a step and dark current are
     included: the temporal one, of a single frame that over the pixels."""
     out = modelled.copy()

@@ -21,6 +21,7 @@ from tests.discovery.capture import (
     SIZE,
     capture_set,
     column_pattern,
+    frame_offsets,
     offset_map,
     response_map,
     row_offsets,
@@ -100,6 +101,20 @@ def test_read_noise_is_that_of_short_darks_though_others_are_noisier():
     temporal = np.sqrt(np.median(drawn.var(0, ddof=1)) * 7 / stats.chi2.median(7))
     assert temporal == pytest.approx(np.hypot(4.5, 0.8), rel=0.05)
     assert first.baselines[0].read_dn.min() > 1.3 * temporal
+
+
+def test_what_whole_frames_share_does_not_lower_the_noise_of_pixels():
+    """The baseline is fitted without drift of whole frames: none of it may be taken out of the read noise."""
+    capture = capture_set(58, frame_offsets(4.0), kinds="df")
+    first, steps = found(capture)
+    assert [s.named.mechanism for s in steps] == ["offset_drift"]
+    model = extended_model(capture, first, steps)
+    drawn = np.asarray(
+        model.sample(jax.random.key(0), np.zeros(SIZE, np.float32), Settings(100.0, 0.01, None, 8)), float
+    )
+    within = (drawn - drawn.mean((1, 2), keepdims=True)).std()
+    assert within == pytest.approx(4.5, rel=0.03)
+    assert drawn.mean((1, 2)).std() > 1.5
 
 
 def test_an_unnamed_model_survives_its_file(tmp_path):
