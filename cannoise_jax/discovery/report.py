@@ -256,7 +256,8 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
         )
         start = f"These recordings cannot separate {others}; as {name} it is {amount}"
     else:
-        start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}: {amount}"
+        grows = " (growing with the exposure)" if step.named.probe.axes.get("scales") == "thermal" else ""
+        start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}{grows}: {amount}"
     frozen = step.named.probe.axes.get("time") == "frozen"
     whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
     if step.late:

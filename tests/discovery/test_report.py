@@ -8,6 +8,7 @@ import json
 import math
 import re
 import tracemalloc
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -17,7 +18,8 @@ from cannoise_jax.commands import diagnose as command
 from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.page import advice, page
-from cannoise_jax.discovery.report import document
+from cannoise_jax.discovery.prove import Proof
+from cannoise_jax.discovery.report import document, sentence
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import CaptureSet
@@ -250,3 +252,19 @@ def test_command_writes_report_page_and_model(tmp_path, capsys):
     assert (out / "report.json").read_bytes() == before
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert error.startswith("bin/diagnose: ") and np.char.count(error, "\n") == 0
+
+
+def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():
+    entry = {
+        "mechanism": "dsnu",
+        "outcome": "FOUND",
+        "amplitude": {"value": 2.0, "unit": "DN", "ci90": [1.9, 2.1]},
+    }
+    proof = Proof(None, None, math.nan, math.nan, 0)
+
+    def said(scales):
+        probe = SimpleNamespace(axes={"scales": scales, "time": "frozen"})
+        return sentence(entry, SimpleNamespace(named=SimpleNamespace(probe=probe), late=False), proof)
+
+    assert "growing with the exposure" in said("thermal")
+    assert "growing" not in said("additive")
