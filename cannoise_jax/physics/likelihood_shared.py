@@ -16,6 +16,9 @@ from jaxtyping import Array, Float
 
 Shared = Literal["row", "column", "frame"]
 
+_FAR = 1e4
+"""Offsets beyond so many sigma are not looked for."""
+
 
 def as_groups(frames: Float[Array, "t h w"], shared: Shared) -> Float[Array, "groups pixels"]:
     """The pixels that share an offset on the last axis: T*H rows, T*W columns, or T frames."""
@@ -30,14 +33,15 @@ def shared_log_prob(
     sigma: float | Float[Array, "..."],
     groups: int,
     nodes: int = 15,
-    newton_steps: int = 8,
+    newton_steps: int = 10,
 ) -> Float[Array, "groups"]:
     """Log-probability of each group with an N(0, sigma^2) offset integrated out, nats per group.
 
     log_prob: pixel log-probabilities given an offset per group, DN, to be added to the mean; any of this
       package's pixel likelihoods. sigma: DN, scalar or per group. Differentiable in everything `log_prob`
       closes over and in sigma; the nodes themselves are held fixed, which leaves only the quadrature error.
-    The quadrature error is below 1e-6 nats per pixel for pixel noise of a quarter of a step and more.
+    The quadrature error is below 1e-6 nats per pixel for pixel noise of a quarter of a step and more, also
+    where the offset is 20 sigma; at 50 sigma it is that of float32, 3e-6 (of 26 nats).
     """
     sigma = jnp.broadcast_to(jnp.asarray(sigma, jnp.float32), (groups,))
     safe = jnp.maximum(sigma, 1e-6)
@@ -53,14 +57,22 @@ def shared_log_prob(
     def slope(unit):
         return jax.grad(lambda u: jnp.sum(joint(u, fixed_sigma, fixed)))(unit)
 
-    def newton(unit, _):
+    def newton(state, size):
+        # Normal pixels reach their mode, however far, in one step. The sign of the slope keeps the mode
+        # between `low` and `high`, where codes much coarser than the noise would throw the step past it; and
+        # where the prior's curvature is not even reached, in heavy tails, steps grow from one.
+        unit, low, high, _ = state
         first, second = jax.jvp(slope, (unit,), (jnp.ones_like(unit),))
-        moved = unit + jnp.clip(first / jnp.maximum(-second, 0.5), -1.0, 1.0)
-        return jnp.clip(moved, -30.0, 30.0), second
+        low, high = jnp.where(first >= 0, unit, low), jnp.where(first <= 0, unit, high)
+        limit = jnp.where(second < -0.99, _FAR, size)
+        moved = unit + jnp.clip(first / jnp.maximum(-second, 0.5), -limit, limit)
+        return (jnp.where((moved < low) | (moved > high), (low + high) / 2, moved), low, high, second), None
 
     start = jnp.zeros(groups, jnp.float32)
-    mode, curvatures = jax.lax.scan(newton, start, None, length=newton_steps)
-    scale = 1 / jnp.sqrt(jnp.maximum(-curvatures[-1], 1.0))
+    sizes = 2.0 ** jnp.arange(newton_steps)
+    first_state = (start, start - _FAR, start + _FAR, start)
+    mode, _, _, curvature = jax.lax.scan(newton, first_state, sizes)[0]
+    scale = 1 / jnp.sqrt(jnp.maximum(-curvature, 1.0))
 
     def at(node):
         point, log_weight = node

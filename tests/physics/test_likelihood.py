@@ -189,6 +189,23 @@ def test_one_shared_term_agrees_with_brute_force_and_finite_differences():
         assert abs(float(slope[k] - by_difference)) < 5e-3 * max(1, abs(float(by_difference)))
 
 
+@pytest.mark.parametrize("noise", [0.25, 1.0])
+def test_an_offset_far_beyond_its_sigma_is_found(noise):
+    rng, sigma = np.random.default_rng(9), 0.5
+    for far, tolerance in ((10, 1e-6), (20, 1e-6), (50, 5e-6)):
+        codes = np.round(far * sigma + noise * rng.normal(size=(6, 48)))
+        unit = np.linspace(-9, far + 9, 20001)
+
+        def inside(row, unit=unit):
+            a = np.abs((row[:, None] - sigma * unit) / noise)
+            low, high = (stats.norm.logsf(a + s * 0.5 / noise) for s in (-1, 1))
+            return (low + np.log1p(-np.exp(high - low))).sum(0) + stats.norm.logpdf(unit)
+
+        known = [special.logsumexp(inside(row)) + np.log(unit[1] - unit[0]) for row in codes]
+        found = accuracy._nested(codes.astype(np.float32), np.zeros((6, 48), np.float32), noise, sigma)
+        np.testing.assert_allclose(found, known, atol=tolerance * 48)
+
+
 def test_groups_share_rows_columns_and_frames():
     frames = jnp.arange(24.0).reshape(2, 3, 4)
     assert as_groups(frames, "row").shape == (6, 4)
