@@ -181,7 +181,8 @@ SCENE_MOTION = Mechanism(
 
 def _bookkeeping(key, x, values, maps, context: Context):
     # The frames are right and their description is wrong: seen through it, they are shifted and stretched,
-    # and so is the level at which they saturate.
+    # and so is the level at which they saturate. Nothing analogue comes after it, so what has saturated
+    # stays at one code.
     signal = jnp.minimum(x - context.black_level, context.span_dn)
     return context.black_level + values["black_dn"] + signal * (1 + values["white_error"])
 
@@ -226,5 +227,4 @@ MECHANISMS: tuple[Mechanism, ...] = (
     REFERENCE_ERROR,
     FLICKER,
     ILLUMINATION_DRIFT,
-    BOOKKEEPING,
 )

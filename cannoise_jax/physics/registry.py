@@ -19,7 +19,7 @@ from cannoise_jax.physics import (
     readout,
     transport,
 )
-from cannoise_jax.physics.mechanism import Mechanism
+from cannoise_jax.physics.mechanism import STAGES, Mechanism
 from cannoise_jax.vocabulary import VOCABULARY
 
 _CHAIN: tuple[Mechanism, ...] = (
@@ -33,6 +33,7 @@ _CHAIN: tuple[Mechanism, ...] = (
     *readout.MECHANISMS,
     *converter.MECHANISMS,
     *digital.MECHANISMS,
+    capture.BOOKKEEPING,  # the description is laid over whatever came out
 )
 
 
@@ -64,11 +65,12 @@ def mechanism(id: str) -> Mechanism:
     return found
 
 
-def chain_position(id: str, record: Mechanism) -> tuple[int, int]:
-    """Sort key along the chain: what it acts on, then the order above; mechanisms without a name come
-    last."""
+def chain_position(id: str, record: Mechanism) -> tuple[int, int, int]:
+    """Sort key along the chain: what it acts on, its stage, then the order above; mechanisms without a name
+    come last of their stage."""
     ids = list(MECHANISMS)
-    return _ACTS_ON.index(record.acts_on), ids.index(id) if id in MECHANISMS else len(ids)
+    order = ids.index(id) if id in MECHANISMS else len(ids)
+    return _ACTS_ON.index(record.acts_on), STAGES.index(record.stage), order
 
 
 @functools.cache

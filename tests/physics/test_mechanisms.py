@@ -11,8 +11,11 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.physics import chain
+from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.likelihood_model import pixel_law
 from cannoise_jax.physics.mechanism import STAGES
 from cannoise_jax.physics.registry import MECHANISMS, estimator, mechanism
+from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.settings import resolve
 from cannoise_jax.vocabulary import VOCABULARY, core_ids
 from tests.physics import naive
@@ -180,6 +183,26 @@ def test_gradients_are_finite_differences(id, name):
     h = 0.01 * abs(at)
     difference = (float(value(jnp.float32(at + h))) - float(value(jnp.float32(at - h)))) / (2 * h)
     assert slope != 0 and slope == pytest.approx(difference, rel=0.05)
+
+
+def test_a_wrong_description_is_laid_over_all_that_is_analogue():
+    """What has saturated, or was cut off at black, is at one code, as the likelihood's rails say."""
+    base = SensorModel.poisson_gaussian(1.0, 3.0, 100, 1023, "MONO").with_mechanism(
+        "bookkeeping", black_dn=6.0, white_error=-0.1
+    )
+    stripes = Point("readout", "signal", "row", "redrawn")
+    model = base.with_mechanism("row_noise", sigma_dn=5.0).with_mechanism("black_clipping", level_dn=-2.0)
+    model = model.with_mechanism("stripes", point=stripes, sigma_dn=5.0)
+    order = [f.mechanism for f in model.mechanisms]
+    assert order == ["row_noise", "stripes", "black_clipping", "bookkeeping"]
+    clean = np.zeros(SIZE, np.float32)
+    clean[4:] = 1.3
+    codes = np.asarray(model.sample(jax.random.key(0), clean, Settings(frames=40)))
+    low, high = np.round(106 - 0.9 * 2), np.round(106 + 0.9 * 923)
+    assert codes[:, :4].min() == low and 0.2 < np.mean(codes[:, :4] == low) < 0.6
+    assert np.unique(codes[:, 4:]) == high
+    grid = pixel_law(model.without("stripes"), clean, Settings()).grid
+    assert np.unique(grid.low) == low and np.unique(grid.high) == high
 
 
 def test_equations_can_be_set():
