@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics import registry
+from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.ranges import is_whole
+from cannoise_jax.physics.ranges import check_point, is_whole
 from cannoise_jax.physics.sensor import IsoTable, SensorModel
 from cannoise_jax.recordings.recording import per_channel
 
@@ -155,17 +156,29 @@ def _parameter(value: Any, what: str) -> IsoTable | float:
     return IsoTable(*columns)
 
 
+def _lacking(id: str, point: Point | None, given: Mapping[str, Any]) -> list[str]:
+    """The parameters of a mechanism that a file does not give."""
+    if point is not None:
+        check_point(id, point)
+    record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
+    return [name for name in record.defaults() if name not in given]
+
+
 def _with_entry(
     model: SensorModel, entry: dict[str, Any], number: int, maps: Mapping[str, np.ndarray]
 ) -> SensorModel:
     id = entry_of(entry, "mechanism", str, f"mechanisms {number}: ")
     parameters = {
         name: _parameter(v, f"{id}: {name}")
-        for name, v in _of_kind(entry.get("parameters", {}), f"{id}: parameters", dict).items()
+        for name, v in entry_of(entry, "parameters", dict, f"{id}: ").items()
     }
     reserved = {"self", "id", "scaling", "maps", "point"} & set(parameters)
     if reserved:
         raise ValueError(f"{id} has no parameter {reserved.pop()}")
+    point = _point(id, entry.get("grammar"))
+    # A typical value is for those who compose a model: a file that leaves one out is damaged.
+    for name in _lacking(id, point, parameters):
+        raise ValueError(f"{id} lacks the parameter {name!r}")
     named = _of_kind(entry.get("maps", {}), f"{id}: maps", dict)
     for name, key in named.items():
         if not isinstance(key, str) or key not in maps or maps[key].dtype.kind not in "fiub":
@@ -176,6 +189,6 @@ def _with_entry(
         id,
         scaling=_scaling(id, entry.get("scaling", {})),
         maps={name: jnp.asarray(maps[key]) for name, key in named.items()},
-        point=_point(id, entry.get("grammar")),
+        point=point,
         **parameters,
     )

@@ -118,6 +118,12 @@ def rename_map(entry, name):
         (lambda d: d["mechanisms"][0].update(mechanism="gremlins"), "gremlins"),
         (lambda d: d["mechanisms"][0]["parameters"].update(volume=11), "no parameter volume"),
         (lambda d: d["mechanisms"][0]["parameters"].update(sigma=-0.1), "outside"),
+        (lambda d: mechanism(d, "prnu").update(parameters={}), "prnu lacks the parameter 'sigma'"),
+        (lambda d: mechanism(d, "prnu").pop("parameters"), "prnu: lacks the entry 'parameters'"),
+        (
+            lambda d: mechanism(d, "stripes")["parameters"].pop("memory_frames"),
+            "stripes lacks the parameter 'memory_frames'",
+        ),
         (lambda d: d["mechanisms"][0]["scaling"].update(moon=1.0), "moon"),
         (lambda d: d["mechanisms"][0]["maps"].update(field="9/field"), "not in the .npz"),
         (lambda d: mechanism(d, "prnu")["scaling"].update(gain="x"), "scaling gain is 'x'"),
