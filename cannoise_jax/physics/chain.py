@@ -16,6 +16,9 @@ from cannoise_jax.physics.mechanism import Context, Noise
 from cannoise_jax.physics.poisson_gaussian import centred_uniform, sample_normal, sample_poisson
 from cannoise_jax.recordings.recording import BadInput
 
+_ACTS_ON = ("mean", "charge", "signal", "code")
+_LINES = ("row", "column", "frame")
+_APART = 8
 _SHOT, _READ = 1, 2
 """Streams of the two noise steps; those of the mechanisms are named by their ids."""
 
@@ -60,19 +63,79 @@ def inside(context: Context, noise: Noise) -> Context:
     return dataclasses.replace(context, gain_dn_per_e=noise.gain_dn_per_e, read_noise_e=noise.read_noise_e)
 
 
+def along_chain(model) -> list[int]:
+    """Places of the mechanisms in the order in which the chain calls them."""
+    acts = [fitted.record.acts_on for fitted in model.mechanisms]
+    return sorted(range(len(acts)), key=lambda i: _ACTS_ON.index(acts[i]))
+
+
+def seen_at(context: Context, mean: Array, variance: Array | None = None) -> Context:
+    """The context with the signal (DN above black) as earlier mechanisms leave it; variance: DN^2, which
+    `own_variance` then gives. None: charge, whose variance follows the mean."""
+    if variance is None:
+        return dataclasses.replace(context, mean_dn=mean)
+    least = variance / jnp.where(mean > 0, mean, 1.0)
+    gain = jnp.where(mean > 0, jnp.minimum(context.gain_dn_per_e, least), context.gain_dn_per_e)
+    gain = jnp.maximum(gain, 1e-12)
+    read = jnp.sqrt(jnp.maximum(variance - gain * mean, 0.0)) / gain
+    return dataclasses.replace(context, mean_dn=mean, gain_dn_per_e=gain, read_noise_e=read)
+
+
 def closed_form(model, context: Context, values) -> tuple[Array, Array]:
     """Mean (DN) and variance (DN^2) of the analogue value just before rounding, [1, H, W]: of the noise steps
-    as altered, plus the closed form of every other mechanism (the few without one leave both alone)."""
+    as altered, and every other mechanism on what the earlier ones leave (the few without a closed form leave
+    both alone). Variance that is not shot noise passes a mechanism by the slope of its mean."""
     noise = altered_noise(model, context, values)
     inner = inside(context, noise)
-    mean, variance = context.black_level + context.mean_dn, inner.own_variance()
-    for i, fitted in enumerate(model.mechanisms):
-        if fitted.record.effect is None or fitted.record.baseline is not None:
+    shape, gain = (1, *context.size), inner.gain_dn_per_e
+    mean = jnp.broadcast_to(context.mean_dn, shape)
+    # Before read noise the variance is that of the charge; lines: what of it rows, columns, frames share.
+    variance, read = gain * mean, jnp.broadcast_to((gain * inner.read_noise_e) ** 2, shape)
+    lines = {name: jnp.zeros(shape) for name in _LINES}
+    analogue = False
+    for i in along_chain(model):
+        record = model.mechanisms[i].record
+        if record.effect is None or record.baseline is not None:
             continue
-        effect = fitted.record.effect(values[i], maps_of(model, i, values[i], inner), inner)
-        mean = mean if effect.mean is None else mean + effect.mean
-        variance = variance if effect.variance is None else variance + effect.variance
-    return mean, variance
+        if not analogue and record.acts_on in ("signal", "code"):
+            analogue, variance = True, variance + read
+        maps = maps_of(model, i, values[i], inner)
+        shared = sum(lines.values()) if record.acts_on == "code" else jnp.zeros(shape)
+        own = jnp.maximum(variance - shared, 1e-12) if analogue else None
+
+        def effect_at(mean, record=record, value=values[i], maps=maps, own=own):
+            return record.effect(value, maps, seen_at(inner, mean, own))
+
+        def after(mean, effect_at=effect_at):
+            change = effect_at(mean).mean
+            return mean if change is None else jnp.broadcast_to(mean + change, shape)
+
+        effect = effect_at(mean)
+        slope = jax.jvp(after, (mean,), (jnp.ones(shape),))[1]
+        change = 0.0 if effect.variance is None else effect.variance
+        if own is None:
+            variance = gain * mean + change + slope**2 * (variance - gain * mean)
+            lines = {name: slope**2 * v for name, v in lines.items()}
+        else:
+            passed = {name: _passed(after, mean, slope, v, name, record) for name, v in lines.items()}
+            variance = (own + change + sum(passed.values())) if record.acts_on == "code" else own + change
+            lines = passed
+        for name in _LINES:
+            more = getattr(effect, name)
+            lines[name] = lines[name] if more is None else lines[name] + more
+        mean = after(mean)
+    return context.black_level + mean, variance if analogue else variance + read
+
+
+def _passed(after, mean: Array, slope: Array, shared: Array, name: str, record) -> Array:
+    """What is left of a shared variance behind a mechanism: times its slope squared, but where it mixes the
+    codes of neighbouring lines, which differ."""
+    if record.acts_on != "code" or name == "frame":
+        return slope**2 * shared
+    place = jnp.arange(mean.shape[1])[:, None] if name == "row" else jnp.arange(mean.shape[2])
+    # Lines further apart than this never meet in one pixel.
+    parts = [jnp.broadcast_to(place % _APART == k, mean.shape).astype(mean.dtype) for k in range(_APART)]
+    return shared * sum(jax.jvp(after, (mean,), (part,))[1] ** 2 for part in parts)
 
 
 def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:

@@ -1,7 +1,7 @@
-"""The likelihood of frames under a camera model: what its mechanisms make of each pixel, and what pixels share.
+"""The likelihood of frames under a camera model, of the laws of its pixels and what they share.
 
-Offsets that rows, columns and frames share are integrated; the light of a whole frame is integrated alone, and
-beside other shared terms at the mean light. See `likelihood_law` for the law of a pixel.
+Offsets that rows, columns and frames share are integrated; the light of a whole frame is integrated alone,
+and beside other shared terms at the mean light. See `likelihood_law` for the law of a pixel.
 """
 
 from __future__ import annotations
