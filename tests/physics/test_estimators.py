@@ -55,6 +55,13 @@ def test_intervals_hold_the_truth(case):
         assert abs(row.mean - row.truth) < 4 * row.spread / np.sqrt(16) + 0.02 * abs(row.truth), row
 
 
+@pytest.mark.parametrize("case", [c for c in CASES if c.note == "strong"], ids=lambda c: c.mechanism)
+def test_strong_mechanisms_are_measured_without_bias(case):
+    for row in coverage(case, 12):
+        assert row.coverage >= 7 / 12, row
+        assert abs(row.mean - row.truth) < 4 * row.spread / np.sqrt(12) + 0.005 * row.truth, row
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.mechanism}{c.note}")
 def test_intervals_are_calibrated(case):

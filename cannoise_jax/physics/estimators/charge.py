@@ -115,7 +115,8 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     """e_per_s (mean over the hot pixels) and fraction: maximum likelihood of a mixture of healthy pixels and
     hot ones with exponential heights, on the longest dark less the shortest.
 
-    The spread of the healthy ones, fixed pattern included, is taken from the quartiles.
+    The spread of the healthy ones, fixed pattern included, is taken from the quartiles. Of pixels that are
+    full it is known that they are hot, and at least as much as fills them.
     """
     pair = _long_and_short(statistics)
     if pair is None or baseline is None:
@@ -125,6 +126,8 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     values = charge[~long.clipped].ravel()
     values = values[values > -8 * sigma]
     tail = values[values > 6 * sigma]
+    full = charge[long.clipped & (long.mean > long.recording.white_level / 2)]
+    ceiling = float(np.median(full)) if full.size else 0.0
     if len(tail) < 10:
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
 
@@ -132,10 +135,11 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         fraction, mean = special.expit(p[0]), np.exp(p[1])
         healthy = np.exp(-0.5 * (values / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma
         hot = 0.5 / mean * _exponential_tail(values, sigma, mean)
-        return -float(np.sum(np.log((1 - fraction) * healthy + fraction * hot + 1e-300)))
+        seen = float(np.sum(np.log((1 - fraction) * healthy + fraction * hot + 1e-300)))
+        return -seen - full.size * (np.log(fraction + 1e-300) - ceiling / mean)
 
-    share = len(tail) / len(values)
-    start = np.array([special.logit(min(1.2 * share, 0.4)), np.log(tail.mean())])
+    share = (len(tail) + full.size) / (len(values) + full.size)
+    start = np.array([special.logit(min(1.2 * share, 0.4)), np.log(np.r_[tail, full].mean())])
     fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
     errors = np.sqrt(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.05, 0.05])))))
     fraction = float(special.expit(fit.x[0]))

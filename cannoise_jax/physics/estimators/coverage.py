@@ -90,8 +90,10 @@ CASES: tuple[Case, ...] = (
     Case("dark_current", {"e_per_s": 2.0}, _SERIES),
     Case("amp_glow", {"e_per_s": 3.0, "length": 0.2}, _LONG),
     Case("hot_pixels", {"e_per_s": 50.0, "fraction": 0.02}, _LONG),
+    Case("hot_pixels", {"e_per_s": 300.0, "fraction": 0.05}, _LONG, note="strong"),
     Case("heavy_tails", {"tukey_lambda": -0.05}, _DARK),
     Case("pixel_read_noise_map", {"spread": 0.2}, _DARK),
+    Case("pixel_read_noise_map", {"spread": 0.8}, _DARK, note="strong"),
     Case("rts", {"jump_dn": 40.0, "fraction": 0.03, "rate": 0.2}, (Shot("dark", frames=16),)),
     Case("row_noise", {"sigma_dn": 1.0}, _DARK),
     Case("row_noise", {"sigma_dn": 0.1}, _DARK, note="near zero"),
@@ -108,6 +110,7 @@ CASES: tuple[Case, ...] = (
     Case("quantization", {"step_dn": 4.0}, _DARK, exact=True),
     Case("missing_codes", {"period": 8.0}, _FLAT, exact=True),
     Case("in_camera_denoising", {"weight": 0.15}, _DARK),
+    Case("in_camera_denoising", {"weight": 0.5}, _DARK, note="strong"),
     Case("flicker", {"amplitude": 0.02, "frequency": 0.06}, _FLAT),
     Case("illumination_drift", {"sigma": 0.01}, _FLAT),
     Case(

@@ -118,21 +118,39 @@ def pixel_read_noise_map(
         return REPEATED_DARKS
     rounding = dark.code_step**2 / 12
     halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
-    products, shares = [], []
+    products, means = [], []
     for c in range(4):
         keep = ~site(dark.clipped if without is None else dark.clipped | without, c)
         logs = [site(v, c)[keep] - site(v, c)[keep].mean() for v in halves]
         # Every way to halve the frames measures the same; their mean is a little surer than one alone.
         products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))
-        shares.append(max(1 - rounding / float(pixel_variance(dark, c)[keep].mean()), 0.1))
+        means.append(float(pixel_variance(dark, c)[keep].mean()))
     values = np.concatenate(products)
     square = normal_estimate(float(values.mean()), float(values.std() / np.sqrt(values.size)))
     width = root(square.scaled(0.25))
-    # Rounding, and the row mean taken out, add the same to every variance and so narrow the spread of logs.
-    row = 1 / (dark.recording.size[1] // 2)
-    width = width.scaled((1 - row) / (1 - 2 * row) / float(np.mean(shares)))
-    value, low, high = (float(np.sqrt(np.expm1(w**2))) for w in (width.value, *width.ci90))
-    return {"spread": Estimate(value, width.stderr * (1 + value**2), (low, high), width.chance)}
+    row, mean = 1 / (dark.recording.size[1] // 2), float(np.mean(means))
+    own = max((mean - rounding) / (1 - row), 0.1 * mean)
+    # Rounding, and the row mean taken out, add the same to the variances of all pixels.
+    shared = (row * own + rounding) / (1 - 2 * row) / own
+    grid = np.linspace(0.0, 2.0, 401)
+    seen = _narrowed(grid, shared)
+    rising = slice(0, int(np.argmax(seen)) + 1)  # beyond, most pixels have no more than what is shared
+    grid, seen = grid[rising], seen[rising]
+    spread = np.sqrt(np.expm1(grid**2))
+    value, low, high = (float(np.interp(w, seen, spread)) for w in (width.value, *width.ci90))
+    slope = float(np.interp(width.value, seen, np.gradient(spread, seen)))
+    return {"spread": Estimate(value, width.stderr * slope, (low, high), width.chance)}
+
+
+_POINTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(80)
+
+
+def _narrowed(widths: Float[np.ndarray, "n"], shared: float) -> Float[np.ndarray, "n"]:
+    """Half the standard deviation of ln(v + shared) over pixels of log-normal read noise: v has mean 1, ln v
+    the standard deviation 2 width."""
+    weights = _WEIGHTS / _WEIGHTS.sum()
+    logs = np.log(np.exp(2 * widths[:, None] * (_POINTS - widths[:, None])) + shared)
+    return np.sqrt((logs - (logs @ weights)[:, None]) ** 2 @ weights) / 2
 
 
 def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:

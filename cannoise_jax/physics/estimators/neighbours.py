@@ -54,45 +54,78 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     return {"fraction": _through(given, float(rho), float(stderr))}
 
 
+_BLEND_LAGS = (((0, 2), (2, 0)), ((2, 2), (2, -2)), ((0, 4), (4, 0)))
+"""Lags at which a blend with the nearest of the same colour shows: beside, diagonally, and two away."""
+
+
 def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """weight of the mean of the four nearest pixels of the same colour, from their correlation in darks (or
-    in flats): 2 (1-w) w/4 / ((1-w)^2 + w^2/4), less what row means take with them."""
+    """weight w of the mean of the four nearest pixels of the same colour, from correlations in darks (or in
+    flats), less what row means take with them: generalised least squares over three kinds of lags.
+
+    The correlation of neighbours alone, 2 (1-w) w/4 / ((1-w)^2 + w^2/4), is the same for a weight on either
+    side of 2/3; those further away grow on.
+    """
     s = darkest(statistics) or brightest_flat(statistics)
     if s is None:
         return REPEATED_DARKS
-    found = lag_covariances(s)
+    # At the edge a pixel stands in for its missing neighbours.
+    found = lag_covariances(s, ((0, 0), *(lag for group in _BLEND_LAGS for lag in group)), margin=2)
     power = found[0, 0][0] - s.code_step**2 / 12
-    seen = (found[0, 2][0] + found[2, 0][0]) / 2 / power
+    seen = np.array([np.mean([found[lag][0] for lag in group]) for group in _BLEND_LAGS]) / power
     height, width = (n // 2 for n in s.recording.size)
+    pixels = 4 * (height - 2) * (width - 2) * (s.recording.count - 1)
+    # Codes were rounded before the blend as well, so its own rounding is not quite white: where weights are
+    # near simple fractions its covariances are off by some quarter of it.
+    rounded = s.code_step**2 / 12 / power
 
-    def correlation(w: float) -> float:
-        row = ((1 - w / 2) ** 2 + w**2 / 8) / width  # variance of a row mean
-        rows = (1 - w / 2) * w / 2 / width  # covariance of the means of two rows
-        return ((1 - w) * w / 2 - (row + rows) / 2) / ((1 - w) ** 2 + w**2 / 4 - row)
+    def precision(w: float) -> Float[np.ndarray, "3 3"]:
+        rho = _correlations(w, width)
+        doubt = rounded**2 * (np.outer(rho, rho) + np.eye(3) / 16)
+        return np.linalg.inv(_correlation_errors(w, pixels) + doubt)
 
-    def blended(r: float) -> float:
-        low, high = -0.5, 0.8
-        if r >= correlation(high):
-            return high
-        return (
-            float(optimize.brentq(lambda w: correlation(w) - r, low, high)) if r > correlation(low) else low
+    at, grid = 0.0, np.linspace(-0.5, 1.0, 61)
+    for _ in range(4):  # the errors of the correlations depend on the weight
+        inverse = precision(at)
+
+        def gap(w: float, inverse=inverse) -> float:
+            rest = seen - _correlations(w, width)
+            return float(rest @ inverse @ rest)
+
+        best = grid[int(np.argmin([gap(w) for w in grid]))]
+        found_at = optimize.minimize_scalar(
+            gap, bounds=(best - 0.03, best + 0.03), method="bounded", options={"xatol": 1e-6}
         )
+        at = float(found_at.x)
+    slope = (_correlations(at + 1e-4, width) - _correlations(at - 1e-4, width)) / 2e-4
+    return {"weight": normal_estimate(at, float(1 / np.sqrt(slope @ precision(at) @ slope)))}
 
-    pixels = 4 * height * width * (s.recording.count - 1)
-    return {"weight": _through(blended, seen, _correlation_error(blended(seen), pixels))}
 
-
-def _correlation_error(weight: float, pixels: int) -> float:
-    """Standard error of the mean correlation at lags (0, 2) and (2, 0) of a field that was blended with this
-    weight: the formula of Bartlett for the ratio of covariances, in units of same-colour pixels."""
+def _blend(weight: float) -> Float[np.ndarray, "16 16"]:
+    """Covariances of white noise of unit variance that was blended, on a circle of same-colour pixels."""
     kernel = np.zeros((16, 16))
     kernel[0, 0] = 1 - weight
     for at in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         kernel[at] = weight / 4
-    own = np.fft.ifft2(np.abs(np.fft.fft2(kernel)) ** 2).real
-    lags = ((0, 1), (1, 0), (0, 0))
-    rho = (own[0, 1] + own[1, 0]) / 2 / own[0, 0]
-    slopes = np.array([0.5, 0.5, -rho]) / own[0, 0]
+    return np.fft.ifft2(np.abs(np.fft.fft2(kernel)) ** 2).real
+
+
+def _correlations(weight: float, width: int) -> Float[np.ndarray, "3"]:
+    """Of blended noise at `_BLEND_LAGS`, with the means of rows of `width` pixels taken out."""
+    own = _blend(weight)
+    own = own - own.sum(axis=1, keepdims=True) / width
+    return np.array([np.mean([own[y // 2, x // 2] for y, x in group]) for group in _BLEND_LAGS]) / own[0, 0]
+
+
+def _correlation_errors(weight: float, pixels: int) -> Float[np.ndarray, "3 3"]:
+    """Covariance of the mean correlations at `_BLEND_LAGS` of a field that was blended with this weight: the
+    formula of Bartlett, in units of same-colour pixels."""
+    own = _blend(weight)
+    lags = [(0, 0), *((y // 2, x // 2) for group in _BLEND_LAGS for y, x in group)]
+    slopes = np.zeros((3, len(lags)))
+    for k, group in enumerate(_BLEND_LAGS):
+        members = [n for n, (y, x) in enumerate(lags) if (2 * y, 2 * x) in group]
+        slopes[k, members] = 1 / len(members) / own[0, 0]
+        slopes[k, 0] = -np.mean([own[lags[n]] for n in members]) / own[0, 0] ** 2
     spread = np.array(
         [
             [
@@ -103,25 +136,32 @@ def _correlation_error(weight: float, pixels: int) -> float:
             for a in lags
         ]
     )
-    return float(np.sqrt(slopes @ spread @ slopes / pixels))
+    return slopes @ spread @ slopes.T / pixels
 
 
-def lag_covariances(s: FrameStatistics) -> dict[tuple[int, int], tuple[float, float]]:
-    """Temporal covariance of pixels at lags (dy, dx) up to two, DN^2, and its error (Bartlett, with the
-    variance of products measured on the data)."""
-    lags = [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]
+_NEAR = ((0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (2, 0))
+
+
+def lag_covariances(
+    s: FrameStatistics, lags: Sequence[tuple[int, int]] = _NEAR, margin: int = 0
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Temporal covariance of pixels at lags (dy, dx), dy from 0, DN^2, and its error (Bartlett, with the
+    variance of products measured on the data). margin: pixels left out along the edges."""
     totals = dict.fromkeys(lags, 0.0)
     squares = dict.fromkeys(lags, 0.0)
-    height, width = s.recording.size
+    height, width = (n - 2 * margin for n in s.recording.size)
     for rest in _residuals(s):
+        rest = rest[margin : margin + height, margin : margin + width]
         for dy, dx in lags:
-            product = rest[: height - dy, : width - dx] * rest[dy:, dx:]
+            first, second = max(-dx, 0), max(dx, 0)
+            wide = width - abs(dx)
+            product = rest[: height - dy, first : first + wide] * rest[dy:, second : second + wide]
             totals[dy, dx] += float(product.sum())
             squares[dy, dx] += float((product**2).sum())
     out = {}
     frames = s.recording.count
     for dy, dx in lags:
-        pairs = (height - dy) * (width - dx)
+        pairs = (height - dy) * (width - abs(dx))
         mean = totals[dy, dx] / pairs / (frames - 1)
         # A residual holds (T - 1)/T of the variance, its square as much of that again.
         spread = max(squares[dy, dx] / pairs * frames / (frames - 1) ** 2 - mean**2, 0.0)
