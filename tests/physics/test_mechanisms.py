@@ -211,3 +211,37 @@ def test_equations_can_be_set():
     parser = MathTextParser("agg")
     for record in MECHANISMS.values():
         parser.parse(f"${record.equation}$")
+
+
+def _spread_factors(rng, p, size):
+    """Log-normal read noise of which the mean square is kept and the std over mean is the spread."""
+    width = np.sqrt(np.log1p(p["spread"] ** 2))
+    factors = rng.lognormal(0.0, width, size)
+    return factors / np.sqrt(np.exp(2 * width**2))
+
+
+MAPS = {
+    "prnu": ("field", lambda rng, p, size: rng.normal(size=size)),
+    "dsnu": ("field", lambda rng, p, size: rng.normal(size=size)),
+    "column_gain": ("field", lambda rng, p, size: rng.normal(size=(1, size[1]))),
+    "row_fpn": ("field", lambda rng, p, size: rng.normal(size=(size[0], 1))),
+    "dead_pixels": ("dead", lambda rng, p, size: rng.binomial(1, p["fraction"], size)),
+    "hot_pixels": (
+        "heat",
+        lambda rng, p, size: rng.binomial(1, p["fraction"], size) * -np.log(1 - rng.random(size)),
+    ),
+    "pixel_read_noise_map": ("factor", _spread_factors),
+}
+
+
+@pytest.mark.parametrize("id", MAPS)
+def test_frozen_maps_are_distributed_like_a_naive_draw(id):
+    """The naive frames are given the maps of the fast code: here the maps themselves are drawn twice."""
+    size, (name, draw) = (256, 256), MAPS[id]
+    _, (values,), (maps,) = prepared(camera(id), size)
+    p = {n: float(np.mean(v)) for n, v in values.items()}
+    ours = np.asarray(maps[name], np.float64)[0]
+    theirs = draw(np.random.default_rng(zlib.crc32(id.encode())), p, size)
+    assert ours.shape == theirs.shape
+    assert abs(np.mean(ours == 0) - np.mean(theirs == 0)) < 0.01
+    assert stats.ks_2samp(ours[ours != 0], theirs[theirs != 0]).pvalue > 1e-3
