@@ -83,11 +83,17 @@ def frame_log_prob(
     frames: Float[np.ndarray, "t h w"],
     clean: Float[np.ndarray, "h w"],
     settings: Settings,
+    form: Form | None = None,
 ) -> Float[Array, "t"]:
     """Log-probability of each frame, nats: differentiable in the model's numbers and the clean mosaic, works
-    under jit. Raises ValueError for a mechanism without likelihood."""
+    under jit.
+
+    form: default that of `pixel_form`; under jit and grad it cannot see the light, and the form of a law that
+      is not traced saves time: `pixel_form(pixel_law(model, clean, settings))`.
+    Raises ValueError for a mechanism without likelihood.
+    """
     law = pixel_law(model, clean, settings)
-    form, shared, law = pixel_form(law), law.shared, law._replace(shared=None)
+    form, shared, law = form or pixel_form(law), law.shared, law._replace(shared=None)
     codes = jnp.asarray(frames, jnp.float32)
     height, width = codes.shape[1:]
     has_light = shared.light is not None
