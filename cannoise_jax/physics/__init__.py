@@ -1,1 +1,45 @@
-"""Camera physics: mechanisms of noise, the sensor model, its estimators, likelihood and photon transfer."""
+"""Camera physics: mechanisms of noise, the sensor model, its estimators, likelihood and photon transfer.
+
+The names below are its public face for the likelihood, imported when first used; the sensor model itself is
+in `cannoise_jax`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cannoise_jax.physics.likelihood import CodeGrid, gaussian_log_prob
+    from cannoise_jax.physics.likelihood_choice import CodeStepWarning, Score, compare, score
+    from cannoise_jax.physics.likelihood_model import frame_log_prob
+
+_HOMES = {
+    "CodeGrid": "likelihood",
+    "CodeStepWarning": "likelihood_choice",
+    "Score": "likelihood_choice",
+    "compare": "likelihood_choice",
+    "frame_log_prob": "likelihood_model",
+    "gaussian_log_prob": "likelihood",
+    "score": "likelihood_choice",
+}
+
+__all__ = [
+    "CodeGrid",
+    "CodeStepWarning",
+    "Score",
+    "compare",
+    "frame_log_prob",
+    "gaussian_log_prob",
+    "score",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

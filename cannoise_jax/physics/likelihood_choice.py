@@ -12,27 +12,38 @@ The weakest likelihood among the mechanisms decides:
   for T = 8 and r = 0.1.
 - "none": the composite score of `likelihood_composite`, learned from frames that the model simulates.
 
+A lattice of codes coarser than the model's is said in a `CodeStepWarning`.
 Scores of different kinds cannot be compared. `compare` judges two models by the kind that serves both.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+import warnings
 from collections.abc import Iterable
 from typing import NamedTuple, get_args
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.physics.chain import altered_noise
 from cannoise_jax.physics.likelihood_composite import Ruler, composite_score, profile, ruler
 from cannoise_jax.physics.likelihood_model import frame_log_prob, pixel_law
 from cannoise_jax.physics.mechanism import Likelihood
 from cannoise_jax.physics.registry import mechanism
 from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.settings import context_of, resolve
+from cannoise_jax.recordings.codes import detect_code_step
 
 _ORDER: tuple[Likelihood, ...] = get_args(Likelihood)
 _SIMULATED = 4  # frames simulated for the composite score, per frame scored
+
+
+class CodeStepWarning(UserWarning):
+    """Frames are on a coarser lattice of codes than the model that scores them."""
 
 
 class Score(NamedTuple):
@@ -72,8 +83,14 @@ def score(
     kind: a weaker one than the model has, to compare it with a model that has no better.
     key, by: for the composite score: of the simulated frames, and what is compared; default: residuals of the
       model's baseline, which are the same whatever mechanisms it has.
+    Warns with a `CodeStepWarning` where the codes lie on a coarser lattice than the model's.
     Raises ValueError for a kind that is stronger than the model allows.
     """
+    _check_step((model,), frames, clean, settings)
+    return _score(model, frames, clean, settings, key, kind, by)
+
+
+def _score(model, frames, clean, settings, key, kind, by) -> Score:
     own = likelihood_of_model(model)
     kind = own if kind is None else kind
     if _ORDER.index(kind) < _ORDER.index(own):
@@ -98,12 +115,34 @@ def compare(
     key: jax.Array,
 ) -> tuple[Score, Score]:
     """Scores of two models of one camera by the one kind, and the one ruler, that serve both."""
+    _check_step((before, after), frames, clean, settings)
     kind = _weakest((likelihood_of_model(before), likelihood_of_model(after)))
     by = _baseline_ruler(before, clean, settings) if kind == "none" else None
     return (
-        score(before, frames, clean, settings, key, kind=kind, by=by),
-        score(after, frames, clean, settings, key, kind=kind, by=by),
+        _score(before, frames, clean, settings, key, kind, by),
+        _score(after, frames, clean, settings, key, kind, by),
     )
+
+
+def _check_step(models: tuple[SensorModel, ...], frames, clean, settings: Settings) -> None:
+    """One `CodeStepWarning` where every model has finer codes than the frames."""
+    codes = np.asarray(frames)
+    if not ((codes >= 0) & (codes < 65536) & (codes == np.floor(codes))).all():
+        return  # processed values, on no lattice that can be detected
+    found = detect_code_step(codes.astype(np.uint16))
+    own = max(_step_of(model, clean, settings) for model in models)
+    if found > 1.5 * own:
+        warnings.warn(
+            f"{models[0].camera}: the codes are {found:g} DN apart, the model's {own:g}: its log-likelihood "
+            f"is too low by up to {math.log(found / own):.2f} nats per pixel; use code_step={found:g}",
+            CodeStepWarning,
+            stacklevel=3,
+        )
+
+
+def _step_of(model: SensorModel, clean, settings: Settings) -> float:
+    context = context_of(model, jnp.asarray(clean, jnp.float32)[None], settings)
+    return max(float(np.mean(altered_noise(model, context, resolve(model, context)).code_step)), 1.0)
 
 
 def _baseline_ruler(model: SensorModel, clean: Float[np.ndarray, "h w"], settings: Settings) -> Ruler:

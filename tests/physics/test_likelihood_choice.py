@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 import zlib
 
 import jax
@@ -11,7 +12,13 @@ import pytest
 
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.likelihood import code_entropy
-from cannoise_jax.physics.likelihood_choice import compare, likelihood_of, likelihood_of_model, score
+from cannoise_jax.physics.likelihood_choice import (
+    CodeStepWarning,
+    compare,
+    likelihood_of,
+    likelihood_of_model,
+    score,
+)
 from cannoise_jax.physics.likelihood_model import pixel_form, pixel_law, pixel_log_prob
 from cannoise_jax.physics.registry import MECHANISMS
 from cannoise_jax.physics.sensor import SensorModel, Settings
@@ -129,6 +136,22 @@ def test_the_weakest_member_decides():
     frames = np.zeros((1, *SIZE))
     with pytest.raises(ValueError, match="cannot be scored as exact"):
         score(with_it("row_noise"), frames, scene(), SETTINGS, jax.random.key(0), kind="exact")
+
+
+def test_a_coarser_lattice_than_the_model_has_is_said_once():
+    fine = SensorModel.poisson_gaussian(2.0, 40.0, 640, 65535)
+    coarse, quantized = dataclasses.replace(fine, code_step=np.float32(16)), with_it("quantization")
+    clean = np.zeros(SIZE, np.float32)
+    frames = np.asarray(coarse.sample(jax.random.key(1), clean, SETTINGS), np.float32)
+    with pytest.warns(CodeStepWarning, match="16 DN apart, the model's 1: .* code_step=16") as said:
+        lost = score(fine, frames, clean, SETTINGS, jax.random.key(0)).total
+    assert len(said) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CodeStepWarning)
+        right = score(coarse, frames, clean, SETTINGS, jax.random.key(0)).total
+        # That the codes are coarser may be what the second model says.
+        compare(BASE, quantized, taken(quantized, scene()), scene(), SETTINGS, jax.random.key(0))
+    assert right - lost == pytest.approx(np.log(16), abs=0.02)
 
 
 def test_without_a_likelihood_one_composite_score_serves_both_models():
