@@ -81,6 +81,36 @@ def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Arr
     return lags
 
 
+def site_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Array]:
+    """Covariance at lags up to two, right and down: `power` where both pixels share a number."""
+    count = int(np.prod(site_shape(point, size)))
+    # Numbers of sites are exact in float32 up to 2^24.
+    index = spread(jnp.arange(count, dtype=jnp.float32).reshape(1, *site_shape(point, size)), point, size)[0]
+    lags = {}
+    for dy, dx in _NEAR:
+        alike = (
+            jnp.zeros(size)
+            .at[: size[0] - dy, : size[1] - dx]
+            .set(index[: size[0] - dy, : size[1] - dx] == index[dy:, dx:])
+        )
+        lags[dy, dx] = power * alike
+    return lags
+
+
+def kernel_correlations(kernel) -> dict[tuple[int, int], float]:
+    """Correlation of white noise filtered by a square kernel at lags up to two, right and down."""
+    side = int(len(kernel) ** 0.5)
+    values = np.reshape(np.asarray(kernel, np.float64), (side, side))
+    padded = np.pad(values, ((0, 2), (0, 2)))
+    total = np.sum(values**2)
+    return {
+        (dy, dx): float(np.sum(values * padded[dy : dy + side, dx : dx + side]) / total) for dy, dx in _NEAR
+    }
+
+
+_NEAR = ((0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2))
+
+
 def neighbours(key: Key[Array, ""], frames: int, size: tuple[int, int], kernel) -> Float[Array, "t h w"]:
     """White noise filtered by a square kernel (its values row by row, unit norm for unit variance), around
     the edges."""
@@ -103,6 +133,11 @@ def numbers(key: Key[Array, ""], shape: tuple[int, ...], distribution: str, valu
     where, height = jax.random.split(key)
     heights = -jnp.log1p(-jax.random.uniform(height, shape)) / jnp.sqrt(2.0)  # exponential of unit rms
     return sparse_sites(where, shape, values["fraction"]) * heights
+
+
+def numbers_mean(distribution: str, values) -> Array | float:
+    """Mean of the numbers of `numbers`: sparse heights are positive."""
+    return jnp.sqrt(jnp.asarray(values["fraction"], jnp.float32) / 2) if distribution == "sparse" else 0.0
 
 
 def sparse_sites(key: Key[Array, ""], shape: tuple[int, ...], fraction) -> Float[Array, "..."]:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import jax.numpy as jnp
 from jaxtyping import Array
 
 from cannoise_jax.physics import fields
+from cannoise_jax.physics.grammar_effects import effect_of, signal_factor
 from cannoise_jax.physics.mechanism import (
     ActsOn,
     Context,
-    Effect,
     Mechanism,
     Parameter,
     Scaling,
@@ -71,6 +70,24 @@ class Point:
         return self.group == 1 and self.interleave == 1
 
 
+def contradiction(point: Point) -> str | None:
+    """What does not go together in a point, as one clause; None where all of it does."""
+    spectrum, over, time, distribution = point.spectrum, point.over, point.time, point.distribution
+    if not point.plain and (over not in ("row", "column") or spectrum != "white"):
+        return "only rows and columns with a white spectrum come in groups"
+    if spectrum in ("power_law", "sinusoid") and over not in ("row", "column", "raster"):
+        return f"a {spectrum} spectrum runs over rows, columns or the raster, not over {over}"
+    if spectrum == "kernel" and over != "pixel":
+        return f"a kernel filters pixels, not {over}"
+    if spectrum != "white" and distribution != "gaussian":
+        return f"a {spectrum} spectrum has no {distribution} distribution, it is gaussian"
+    if time == "telegraph" and (spectrum != "white" or distribution == "tukey_lambda"):
+        return f"a telegraph has two levels at sites of its own, no {spectrum} {distribution} field"
+    if spectrum == "sinusoid" and time == "drifting":
+        return "a sinusoid has a new phase in every frame or the same in all, it does not drift"
+    return None
+
+
 def amplitude_name(point: Point) -> str:
     """Name of the parameter that sets the strength: sigma_dn, sigma_e or sigma, amplitude for a sinusoid."""
     kind = "amplitude" if point.spectrum == "sinusoid" else "sigma"
@@ -110,7 +127,8 @@ def _fields(key, frames: int, point: Point, values: Values, context: Context) ->
     size = context.size
     sites = fields.site_shape(point, size)
     if point.spectrum == "kernel":
-        return fields.neighbours(key, frames, size, point.kernel)
+        drawn = fields.neighbours(key, frames, size, point.kernel)
+        return fields.remember(drawn, values["memory_frames"]) if point.time == "drifting" else drawn
     if point.spectrum == "sinusoid":
         drawn = fields.sinusoid(key, frames, sites, values["frequency"], redrawn=point.time != "frozen")
     elif point.time == "telegraph":
@@ -122,7 +140,11 @@ def _fields(key, frames: int, point: Point, values: Values, context: Context) ->
         raw = fields.numbers(key, (frames, *sites), point.distribution, values)
         if coloured:
             raw = fields.colour(raw, values["exponent"])
-        drawn = fields.remember(raw, values["memory_frames"]) if point.time == "drifting" else raw
+        if point.time == "drifting":  # about its mean, which a sparse field has
+            mean = fields.numbers_mean(point.distribution, values)
+            drawn = mean + fields.remember(raw - mean, values["memory_frames"])
+        else:
+            drawn = raw
     return fields.spread(drawn, point, size)
 
 
@@ -145,83 +167,22 @@ def _strength(point: Point, name: str, values: Values, context: Context) -> Any:
     return strength / context.gain_dn_per_e if in_dn else strength
 
 
-def _signal_factor(point: Point, context: Context) -> Any:
-    if not point.signal:
-        return 1.0
-    return (jnp.maximum(context.mean_dn, 0.0) / context.span_dn) ** point.signal
-
-
 def _sample(point: Point, name: str):
     def sample(key, x, values, maps, context):
         if point.time == "frozen":
             unit = maps["field"]
         elif point.time == "telegraph":
-            unit = maps["field"] * fields.telegraph(key, x.shape[0], maps["field"].shape[1:], values["rate"])
+            levels = fields.telegraph(key, x.shape[0], fields.site_shape(point, context.size), values["rate"])
+            unit = maps["field"] * fields.spread(levels, point, context.size)
         else:
             unit = _fields(key, x.shape[0], point, values, context)
-        change = _strength(point, name, values, context) * unit * _signal_factor(point, context)
+        change = _strength(point, name, values, context) * unit * signal_factor(point, context)
         if point.combine == "add":
             return x + change
         level = context.black_level if point.acts_on in ("signal", "code") else 0.0
         return x + (x - level) * change
 
     return sample
-
-
-def _effect(point: Point, name: str):
-    """Closed form of a grammar point, in DN."""
-
-    def effect(values, maps, context):
-        gain, base = context.gain_dn_per_e, context.mean_dn
-        strength = values[name] * _signal_factor(point, context)
-        # `reach`: DN by which one unit of the field moves the pixel.
-        if point.combine == "multiply":
-            reach = strength * base
-        else:
-            reach = strength * gain if point.acts_on == "mean" else strength
-        if point.time == "frozen":
-            mean = reach * maps["field"][0]
-            changes = {"mean": mean}
-            if point.acts_on == "mean":
-                changes["variance"] = gain * mean  # the added charge brings its shot noise
-            elif point.combine == "multiply":
-                own = gain * base + (gain * context.read_noise_e) ** 2 * (point.acts_on == "signal")
-                factor = strength * maps["field"][0]
-                changes["variance"] = own * (2 * factor + factor**2)
-            return Effect(**changes)
-        square = 0.5 if point.spectrum == "sinusoid" else 1.0
-        if point.time == "telegraph":
-            square = maps["field"][0] ** 2
-        power = reach**2 * square
-        changes = {"variance": power}
-        shared = {"row": "row", "column": "column", "whole": "frame"}.get(point.over)
-        if shared and point.interleave == 1:
-            changes[shared] = power
-        if point.spectrum == "power_law" and point.over in ("row", "column", "raster"):
-            width = context.size[1]
-            steps = fields.correlations(values["exponent"], point.over, context.size)
-            changes["lags"] = {fields.lag(point.over, k, width): power * r for k, r in steps.items()}
-        if not point.plain:
-            changes["lags"] = fields.group_lags(point, context.size, power)
-        if point.spectrum == "sinusoid":
-            changes["lags"] = {
-                fields.lag(point.over, k, context.size[1]): power
-                * jnp.cos(2 * jnp.pi * values["frequency"] * k)
-                for k in fields.lag_steps(point.over, context.size)
-            }
-        if point.time == "telegraph":
-            memory = 1 - 2 * values["rate"]
-            changes["temporal"] = {n: power * memory**n for n in (1, 2)}
-            changes["fourth"] = -2 * power**2
-        elif point.time == "drifting":
-            changes["temporal"] = {n: power * jnp.exp(-n / values["memory_frames"]) for n in (1, 2)}
-        elif point.distribution == "tukey_lambda":
-            changes["fourth"] = power**2 * fields.excess_kurtosis(values["tukey_lambda"])
-        return Effect(**changes)
-
-    # A random factor on the mean also modulates the shot noise, and a sparse field is not Gaussian per site:
-    # to first order in the strength nothing else changes.
-    return effect
 
 
 def mechanism_from_grammar(
@@ -241,15 +202,16 @@ def mechanism_from_grammar(
     strength: str | None = None,
 ) -> Mechanism:
     """The mechanism at a point of the grammar. What is not given follows from the point. Raises ValueError
-    for groups of anything but rows or columns with a white spectrum.
+    for axes that do not go together, see `contradiction`.
 
     scaling: default: a field in DN follows the gain, for it arises before the amplifier.
     likelihood: default: frozen maps shift the mean, so "exact"; Gaussian fields of rows, columns or
       frames are integrated, "approximate"; anything else "none".
     strength: name of the parameter that sets the strength, when `parameters` name it otherwise.
     """
-    if not point.plain and (point.over not in ("row", "column") or point.spectrum != "white"):
-        raise ValueError(f"{id}: only rows and columns with a white spectrum come in groups")
+    wrong = contradiction(point)
+    if wrong:
+        raise ValueError(f"{id}: grammar: {wrong}")
     if parameters is None:
         parameters = point_parameters(point, default if default is not None else 0.01)
     name = strength or amplitude_name(point)
@@ -279,7 +241,7 @@ def mechanism_from_grammar(
         amplitude=amplitude or (lambda values, context: values[name]),
         sample=_sample(point, name),
         draw_maps=_draw_maps(point),
-        effect=_effect(point, name),
+        effect=effect_of(point, name),
         scaling=scaling,
         scales=name,
     )

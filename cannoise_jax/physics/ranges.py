@@ -14,7 +14,7 @@ from typing import Any, get_args, get_type_hints
 import jax
 import numpy as np
 
-from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.grammar import Point, contradiction
 from cannoise_jax.physics.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.settings import Fitted, IsoTable, Settings
 from cannoise_jax.recordings.recording import CFA_PATTERNS
@@ -128,8 +128,8 @@ def check_maps(model: Any, fitted: Fitted) -> None:
 
 
 def check_point(id: str, point: Point) -> None:
-    """A place in the grammar: words of its axes, whole numbers that fit together, a kernel where it needs
-    one."""
+    """A place in the grammar: words of its axes that go together, whole numbers that fit, a kernel where it
+    needs one."""
     side = round(len(point.kernel) ** 0.5)
     if side**2 != len(point.kernel) or side % 2 == (point.spectrum != "kernel") or side > 65:
         raise ValueError(
@@ -147,6 +147,9 @@ def check_point(id: str, point: Point) -> None:
     counts = (point.group, point.phase, point.interleave)
     if not all(is_whole(v, 4096) for v in counts) or not (point.phase < point.group and point.interleave):
         raise ValueError(f"{id}: grammar group, phase, interleave are {counts}: phase is below group")
+    wrong = contradiction(point)
+    if wrong:
+        raise ValueError(f"{id}: grammar: {wrong}")
 
 
 def is_whole(value: Any, highest: int) -> bool:
