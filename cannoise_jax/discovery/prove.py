@@ -212,12 +212,14 @@ def held_out_gain(found: Score, again: Score) -> float:
     """Log-likelihood gain on the frames held back at the parameters of the others, nats."""
     power = found.power
     a, b = found.amplitude**power, again.amplitude**power
-    error = max(power * max(again.amplitude, again.shift) ** (power - 1) * again.error, 1e-30)
     if not _same_place(found, again):
         return 0.0
+    if not again.error > 0:  # a shape without a strength: less what its free parameters gain by chance
+        return float(again.gain - again.penalty)
+    error = max(power * max(again.amplitude, again.shift) ** (power - 1) * again.error, 1e-30)
     if not np.isfinite(error):
         return float(again.gain)
-    return float(again.gain - 0.5 * min((a - b) / error, 50.0) ** 2)
+    return float(again.gain - 0.5 * np.clip((a - b) / error, -50.0, 50.0) ** 2)
 
 
 def jackknife_interval(

@@ -12,7 +12,8 @@ from cannoise_jax.discovery.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fields import frame_fields
 from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
-from cannoise_jax.discovery.prove import frame_interval
+from cannoise_jax.discovery.prove import frame_interval, held_out_gain
+from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
 
@@ -139,3 +140,17 @@ def test_too_few_frames_confirm_nothing():
     found = diagnose(capture_set(37, row_offsets(6.0), kinds="d", frames=2), compare=False)
     for proof in found.proofs:
         assert not proof.confirmed
+
+
+@pytest.mark.parametrize("found", [0.2, 0.9, 1.0, 1.1, 5.0])
+@pytest.mark.parametrize("error", [0.0, 1e-40, 0.1, np.inf])
+def test_held_out_gain_is_never_more_than_the_best_and_never_absurd(found, error):
+    again = Score("p", -20.0, 40.0, 7.0, 1.0, error, 0.5, 2, {}, {})
+    gain = held_out_gain(again._replace(amplitude=found), again)
+    assert 40.0 - 0.5 * 50**2 <= gain <= 40.0
+    if found == 1.0 and error > 0:
+        assert gain == 40.0
+    if error == 0.1:  # variances 0.2 apart in the amplitude's square per error of 2 * 1 * 0.1
+        assert gain == pytest.approx(40 - 0.5 * np.clip((found**2 - 1) / 0.2, -50, 50) ** 2)
+    if error == 0.0:
+        assert gain == 33.0
