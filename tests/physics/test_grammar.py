@@ -80,7 +80,15 @@ def close(products: np.ndarray, expected, what: str, slack: float):
     assert abs(blocks.mean() - want) <= 6 * error + slack, f"{what}: {blocks.mean():.4g}, claimed {want:.4g}"
 
 
-@pytest.mark.parametrize("point", grid(), ids=name_of)
+def slices() -> list:
+    """Every third point; the others take the slow tests."""
+    return [
+        pytest.param(p, id=name_of(p), marks=() if n % 3 == 0 else pytest.mark.slow)
+        for n, p in enumerate(grid())
+    ]
+
+
+@pytest.mark.parametrize("point", slices())
 def test_every_allowed_point_does_what_it_claims(point):
     # So bright that shot noise is nothing beside the field.
     base = SensorModel.poisson_gaussian(1e-3, 0.0, 200, 16383, "MONO")
