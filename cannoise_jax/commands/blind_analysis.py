@@ -13,7 +13,7 @@ import numpy as np
 
 import cannoise_jax
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import prepare, prepare_split, split_recordings
+from cannoise_jax.discovery.battery import all_frames, prepare, prepare_split, split_recordings
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fields import Fields, channel_index
 from cannoise_jax.discovery.fit import SPENT, Step, charge, second_look
@@ -53,17 +53,18 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
         for s in first.significant(math.log(ALPHA * SPENT[0]))
     ]
     if not rejected:
-        late, log_p = second_look(
+        late = second_look(
             [],
             first,
-            lambda: prepare(capture, [sorted(a + b) for a, b in splits], False).fields,
+            lambda: prepare(capture, all_frames(splits), False).fields,
             prepared.probes,
             frozenset(ids),
             first.tests,
             math.log(ALPHA),
         )
-        if late is not None and log_p is not None:
-            rejected = [(late.mechanism, late.probe.name, log_p)]
+        if late is not None:
+            named, log_p = late
+            rejected = [(named.mechanism, named.probe.name, log_p)]
     findings = [
         {
             "mechanism": name,

@@ -70,6 +70,11 @@ def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
     return out
 
 
+def all_frames(splits: list[tuple[list[int], list[int]]]) -> list[list[int]]:
+    """Frames of every recording that look or prove, in order."""
+    return [sorted(look + show) for look, show in splits]
+
+
 def prepare_split(
     capture: CaptureSet,
     splits: list[tuple[list[int], list[int]]],

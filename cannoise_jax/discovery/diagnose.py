@@ -17,6 +17,7 @@ from scipy import stats
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import (
     Prepared,
+    all_frames,
     prepare,
     prepare_split,
     split_recordings,
@@ -117,7 +118,7 @@ def diagnose(
 
     @cache
     def every() -> Prepared:
-        return _without(prepare(capture, [sorted(a + b) for a, b in splits], judged, drawn), own)
+        return _without(prepare(capture, all_frames(splits), judged, drawn), own)
 
     log_alpha = float(np.log(alpha))
     again = (lambda: every().fields) if any(chosen) else None

@@ -82,13 +82,14 @@ def stepwise(
         final = _in_final_model(steps, first.tests)
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > level]
         if not weak:
-            named = log_p = None
+            late = None
             if every and len(steps) < MOST_STEPS:
                 active = _active(probes, steps, given_up)
-                named, log_p = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
-            if named is None or log_p is None:
+                late = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
+            if late is None:
                 charged = (s if s.late else s._replace(log_p=charge(s.log_p, shares[0])) for s in final)
                 return Fitted(tuple(charged), fields, last, first)
+            named, log_p = late
             tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.probe.name})")
             steps.append(Step(named, fields, log_p, late=True))
             fields = refit(named.probe.absorb(fields, named.score), fields)
@@ -114,11 +115,11 @@ def second_look(
     allowed: frozenset[str],
     tests: float,
     log_alpha: float,
-) -> tuple[Named, float] | tuple[None, None]:
+) -> tuple[Named, float] | None:
     """What all frames together reject of that which the frames that look suspect, with the score of the
     latter and the family-wise log p of the former; None where there is no suspicion or it does not hold."""
     if not last.log_p or min(last.log_p.values()) > np.log(SUSPECT):
-        return None, None
+        return None
     doubtful = tuple(
         p for p in probes if p.name in last.scores and last.scores[p.name].log_p < np.log(_CANDIDATE)
     )
@@ -126,7 +127,7 @@ def second_look(
     together = locate(fields, doubtful, tests)
     named = name(together, doubtful, allowed, log_alpha + float(np.log(SPENT[1])))
     if named is None:
-        return None, None
+        return None
     log_p = charge(together.log_p[named.probe.name], SPENT[1])
     return named._replace(score=last.scores[named.probe.name]), log_p
 
