@@ -6,8 +6,9 @@ wait for JAX.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from cannoise_jax.lazy import on_first_use
 
 if TYPE_CHECKING:
     from cannoise_jax.physics.sensor import SensorModel, Settings
@@ -42,9 +43,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return on_first_use(__name__, _HOMES, name)
 
 
 def __dir__() -> list[str]:
