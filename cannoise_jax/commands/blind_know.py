@@ -12,7 +12,7 @@ from typing import Any
 
 from cannoise_jax.blind.seal import write_atomically
 from cannoise_jax.commands.blind_analysis import fingerprint, true_gain, unrefitted_p, unweighted_p
-from cannoise_jax.discovery.diagnose import mde
+from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.report import plain
 from cannoise_jax.recordings.load import load_capture_set
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -25,6 +24,7 @@ from cannoise_jax.discovery.battery import (
 )
 from cannoise_jax.discovery.fields import refit
 from cannoise_jax.discovery.fit import Fitted, Step, stepwise
+from cannoise_jax.discovery.limits import NO_STRENGTH
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
@@ -34,8 +34,6 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
 
 SIMULATORS = ("poisson-gaussian", "nlf")
-_NO_STRENGTH = ("saturation", "black_clipping", "quantization", "missing_codes")
-"""Mechanisms whose amplitude says where, not how strongly, they act."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +187,7 @@ def _without(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
 def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
     """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for
     one whose amplitude is no strength but a level or a period."""
-    if mechanism in _NO_STRENGTH:
+    if mechanism in NO_STRENGTH:
         return None
     log_alpha = np.log(diagnosis.alpha / diagnosis.fitted.first.tests)
     threshold = float(stats.norm.isf(np.exp(log_alpha)))
@@ -199,20 +197,3 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
         if probe.mechanism == mechanism and score is not None and np.isfinite(score.shift):
             best = min(best, score.shift * threshold ** (1 / score.power))
     return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
-
-
-def mde(mechanism: str, capture: CaptureSet) -> Any:
-    """Minimum detectable effect of a capture set: the amplitude whose score statistic, black level, gain and
-    read noise unknown, is shifted by five null standard deviations over all frames together.
-
-    In closed form from the fitted baseline: shift = amplitude ** power / one-sigma amplitude ** power. None
-    where no probe of the mechanism applies or its amplitude is no strength (a period, a level).
-    """
-    prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
-    best = np.inf
-    for probe in prepared.probes:
-        if probe.mechanism == mechanism:
-            score = probe.score(prepared.fields)
-            if score is not None and np.isfinite(score.mde):
-                best = min(best, score.mde)
-    return float(best) if np.isfinite(best) else None

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.diagnose import diagnose, mde
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
 from cannoise_jax.physics.sensor import SensorModel
