@@ -154,15 +154,22 @@ def read_share(camera: Camera, r: Exposed) -> np.ndarray:
     return (camera.gain * camera.read_e) ** 2 / r.variance(camera)
 
 
-def shot_share(camera: Camera, r: Exposed) -> np.ndarray:
-    return camera.gain**2 * r.electrons / r.variance(camera)
+def neighbours(camera: Camera, r: Exposed) -> np.ndarray:
+    """Shot noise shared with the neighbours right and below: each of two gives a quarter of a to the other,
+    so the darker one of two colours is the more correlated with the brighter."""
+    given, v = camera.gain**2 * r.electrons / 4, r.variance(camera)
+    out = np.zeros_like(v)
+    out[:, :-1] = (given[:, :-1] + given[:, 1:]) ** 2 / (v[:, :-1] * v[:, 1:])
+    out[:-1] += (given[:-1] + given[1:]) ** 2 / (v[:-1] * v[1:])
+    return out
 
 
 def read_map(camera: Camera, sets: Sequence[Exposed]) -> Strength:
-    """Spread of read noise over pixels, relative variance 2 a: frames show the same pixels noisier again."""
+    """Spread of read noise over pixels, relative variance 2 a: frames show the same pixels noisier again, and
+    every single one has the heavier tails of a mixture."""
     information = sum(r.frames * read_share(camera, r) ** 2 / 2 for r in sets)
-    single = sum(r.frames * read_share(camera, r) ** 4 / 4 for r in sets)
-    return Strength(float(np.sqrt(np.sum(np.square(information) - single) / 2)) * 4, 2)
+    single = sum(r.frames * read_share(camera, r) ** 4 / 2 for r in sets)
+    return Strength(float(np.sqrt(np.sum(np.square(information) + single) / 2)) * 4, 2)
 
 
 def row_pink(camera: Camera, sets: Sequence[Exposed]) -> Strength:

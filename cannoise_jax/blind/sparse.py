@@ -82,29 +82,33 @@ def hot(information: float, pixels: int) -> Tabulated:
 @cache
 def _telegraph_table(frames: int, pixels: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
-    number = 1000
-    noise = rng.standard_normal((2 * number, frames))
-    jumps = rng.choice((-1, 0, 0, 1), size=(number, frames)) * rng.exponential(size=(number, 1))
+    number, weights = 100, _weights()
+    # As many draws of every height, four times as many of none: rare high jumps decide, and drawn as often as
+    # they occur they would make the table scatter by a quarter.
+    kinds = np.repeat(np.arange(_NODES.size + 1), [4 * number] + [number] * _NODES.size)
+    noise = rng.standard_normal((kinds.size, frames))
+    jumps = rng.choice((-1, 0, 0, 1), noise.shape) * np.insert(_NODES, 0, 0.0)[kinds][:, None]
+    share = np.bincount(kinds) / kinds.size
     f = TELEGRAPH_FRACTION
 
     def per_pixel(height: float) -> tuple[float, float]:
-        z = noise.copy()
-        z[:number] += height * jumps
-        parts = []
-        for h, w in zip(height * _NODES, _weights(), strict=True):
+        z = noise + height * jumps
+        logs = [np.zeros(kinds.size)]
+        for h in height * _NODES:
             bumps = np.logaddexp(0, np.logaddexp(-h * (h / 2 - z), -h * (h / 2 + z)) - np.log(2))
-            parts.append(np.log(w) + (bumps - np.log(2)).sum(1))
-        hit = np.exp(np.minimum(np.logaddexp.reduce(parts, axis=0), 600.0))
-        ratio = np.log1p(f * (hit - 1))
-        # Half of the draws are of each kind; weights turn the pool into either kind, tails included.
-        quiet, loud = 1 / (0.5 + 0.5 * hit), hit / (0.5 + 0.5 * hit)
+            logs.append((bumps - np.log(2)).sum(1))
+        pooled = np.logaddexp.reduce([np.log(p) + log for p, log in zip(share, logs, strict=True)])
+        hit = np.logaddexp.reduce([np.log(w) + log for w, log in zip(weights, logs[1:], strict=True)])
+        ratio = np.logaddexp(np.log1p(-f), np.log(f) + hit)
+        # Weights turn the pool into either kind, tails included.
+        quiet, loud = np.exp(-pooled), np.exp(hit - pooled)
+        quiet, loud = quiet / quiet.sum(), loud / loud.sum()
         excess = (z**2).sum(1) - frames
-        mean = np.mean(quiet * ratio)
+        mean = quiet @ ratio
         # The read noise is refitted: what follows the mean variance is projected off.
-        slope = np.mean(quiet * (ratio - mean) * excess) / (2 * frames)
-        change = f * np.mean(loud * (ratio - mean - slope * excess))
-        variance = np.mean(quiet * (ratio - mean) ** 2) - 2 * frames * slope**2
-        return float(change), float(np.sqrt(max(variance, 1e-30)))
+        slope = quiet @ ((ratio - mean) * excess) / (2 * frames)
+        rest = ratio - mean - slope * excess
+        return float(f * ((loud - quiet) @ rest)), float(np.sqrt(quiet @ rest**2))
 
     return _table(per_pixel, pixels)
 

@@ -66,11 +66,11 @@ def strength(mechanism: str, camera: Camera, sets: Sequence[Exposed]) -> Law | N
             moving = [r for r in lit if r.frames > 1]
             return shifts.pooled(camera, moving, lambda c, r: shifts.signal(c, r) ** 2 / r.variance(c), 1)
         case "nonlinearity":
-            return shifts.template(camera, lit, lambda c, r: shifts.signal(c, r) * r.electrons / full)
+            return shifts.template(camera, sets, lambda c, r: shifts.signal(c, r) * r.electrons / full)
         case "lens_shading":
-            return shifts.template(camera, lit, lambda c, r: shifts.signal(c, r) * radius)
+            return shifts.template(camera, sets, lambda c, r: shifts.signal(c, r) * radius)
         case "green_imbalance":
-            return shifts.template(camera, lit, lambda c, r: shifts.signal(c, r) * greens)
+            return shifts.template(camera, sets, lambda c, r: shifts.signal(c, r) * greens)
         case "amp_glow":
             return shifts.template(camera, sets, shifts.corner)
         case "amplifier_mismatch":
@@ -86,7 +86,7 @@ def strength(mechanism: str, camera: Camera, sets: Sequence[Exposed]) -> Law | N
         case "pixel_read_noise_map":
             return shifts.read_map(camera, sets)
         case "crosstalk":
-            return shifts.pooled(camera, lit, lambda c, r: 2 * (shifts.shot_share(c, r) / 2) ** 2, 1)
+            return shifts.pooled(camera, lit, shifts.neighbours, 1)
         case "in_camera_denoising":
             return shifts.pooled(camera, sets, lambda c, r: np.full_like(r.electrons, 2 * 0.5**2), 1)
         case _:
