@@ -23,7 +23,9 @@ from cannoise_jax.discovery.stacks import (
     plane_blur,
     reference,
     robust_mean,
+    row_noise,
     smooth_mean,
+    without_flicker,
 )
 from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map
 
@@ -76,6 +78,7 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         shortest = min(dark, key=lambda s: s.recording.exposure_s or 0.0)
         channel = channel_index(shortest.mean.shape)
         black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
+    stacks = [without_flicker(s, black, _shared_by_rows(dark)) for s in stacks]
     model: tuple[np.ndarray, np.ndarray] | None = None
     for _ in range(2):
         levels = [p for s in stacks if len(s.contrasts) for p in _levels(s, black, model)]
@@ -85,6 +88,12 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         model = gain, read
         levels = _mark_full(levels, gain, read, stacks[0].step)
     return Baseline(iso, black, gain, read, gain_error, read_error, tuple(levels))
+
+
+def _shared_by_rows(dark: list[Stack]) -> np.ndarray:
+    """Variance that the rows of the darks share, mean of all darks, per channel, DN^2."""
+    shared = [row_noise(s) for s in dark if len(s.contrasts)]
+    return np.maximum(np.mean(shared, axis=0), 0.0) if shared else np.zeros(4)
 
 
 def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:

@@ -131,6 +131,8 @@ def _add(model: SensorModel, step: Step, prepared: Prepared, rng: np.random.Gene
     if mechanism == "hot_pixels":
         heat = np.zeros(fields[0].mean.shape) if field is None else field
         return _hot(model, heat / gain / seconds, probe, score, seconds)
+    if mechanism == "missing_codes" and (score.parameters["shortfall"][0] < 0.7 or value % 1):
+        return model  # codes that are only rarer, or doubled: the camera model knows of none
     if mechanism == "saturation":
         return with_found(model, "saturation", full_well_e=value * prepared.span / gain)
     if mechanism == "amp_glow" and field is not None:

@@ -81,21 +81,68 @@ def stack(
 
 
 def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Mean square of the contrasts once what a whole frame shares, an offset and a factor per channel, is
-    taken out: neither drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
+    """Mean square of the contrasts once what a whole frame shares is taken out."""
     total = np.zeros(mean.shape, np.float32)
-    channel = channel_index(mean.shape)
     for c in range(4):
-        chosen = channel == c
-        level = mean[chosen].astype(np.float64)
-        basis = np.stack([np.ones_like(level), level - level.mean()], 1)
-        if np.ptp(level) < 1e-6:
-            basis = basis[:, :1]
+        at = _site(c)
         for contrast in contrasts:
-            values = contrast[chosen].astype(np.float64)
-            rest = values - np.einsum("nk,k->n", basis, least_squares(basis, values))
-            total[chosen] += (rest**2).astype(np.float32)
+            total[at] += _steady(contrast[at], mean[at]) ** 2
     return total / max(len(contrasts), 1)
+
+
+def _site(c: int) -> tuple[slice, slice]:
+    """The pixels of mosaic site c."""
+    return np.s_[c // 2 :: 2, c % 2 :: 2]
+
+
+def _steady(contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"]) -> Float[np.ndarray, "*at"]:
+    """What is left of a contrast of one channel without an offset and a factor of the whole frame: neither
+    drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
+    level, values = mean.ravel().astype(np.float64), contrast.ravel().astype(np.float64)
+    basis = np.stack([np.ones_like(level), level - level.mean()], 1)
+    if np.ptp(level) < 1e-6:
+        basis = basis[:, :1]
+    rest = values - np.einsum("nk,k->n", basis, least_squares(basis, values))
+    return rest.reshape(mean.shape).astype(np.float32)
+
+
+FLICKER = 0.02
+"""Share of the variance from which on what rows of light share is taken out of the photon-transfer curve."""
+
+
+def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> Stack:
+    """The stack with what whole rows share beyond `additive` (variance per channel, DN^2: that of the darks)
+    taken out of its variance, where that is more than `FLICKER` of it: mains light through a rolling shutter
+    is no noise of a pixel, and would be taken for shot noise."""
+    if not len(stacked.contrasts) or stacked.recording.kind not in ("flat", "scene"):
+        return stacked
+    variance, found = stacked.variance.copy(), False
+    for c in range(4):
+        at = _site(c)
+        rest, shared = row_variance(stacked.contrasts[:, *at], stacked.mean[at] - black[c])
+        if shared - additive[c] > FLICKER * float(np.mean(rest)):
+            variance[at], found = rest + additive[c], True
+    return stacked._replace(variance=variance) if found else stacked
+
+
+def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
+    """Variance of the contrasts that whole rows share, per channel, DN^2."""
+    flat = np.ones(stacked.mean[_site(0)].shape)
+    return np.array([row_variance(stacked.contrasts[:, *_site(c)], flat)[1] for c in range(4)])
+
+
+def row_variance(
+    contrasts: Float[np.ndarray, "n h w"], light: Float[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "h w"], float]:
+    """Mean square of the contrasts of one channel once an offset and a factor of the light of every row are
+    taken out, and the variance of the row means beyond what that explains, drift of whole frames left out."""
+    columns, means = light.shape[1], contrasts.mean(2)
+    slope = light - light.mean(1, keepdims=True)
+    power = np.maximum(np.sum(slope**2, 1), 1e-9)
+    lean = np.einsum("nij,ij->ni", contrasts, slope) / power
+    rest = np.mean((contrasts - means[:, :, None] - lean[:, :, None] * slope) ** 2, 0) / (1 - 2 / columns)
+    drift = np.stack([_steady(m, light.mean(1)) for m in means])
+    return rest.astype(np.float32), float(np.mean(drift**2) - np.mean(rest) / columns)
 
 
 def code_step(capture: CaptureSet) -> float:

@@ -8,7 +8,16 @@ from scipy import stats
 
 from cannoise_jax.discovery.fields import Fields, frame_fields, helmert
 from cannoise_jax.discovery.stacks import detected_step
-from cannoise_jax.discovery.statistics import covariance, lines, patterns, pixels, shape, spectra, waves
+from cannoise_jax.discovery.statistics import (
+    covariance,
+    flicker,
+    lines,
+    patterns,
+    pixels,
+    shape,
+    spectra,
+    waves,
+)
 from cannoise_jax.discovery.statistics.score import chi2_log_sf, quadratic_log_p, sidak, variance_component
 from tests.discovery.capture import capture_set
 
@@ -120,6 +129,7 @@ def test_null_p_values_are_not_too_small(name):
             *patterns.probes(),
             *spectra.probes(),
             *waves.probes(),
+            *flicker.probes(),
             *covariance.probes(),
             *shape.probes(),
             *pixels.probes(),

@@ -11,6 +11,8 @@ from scipy import stats
 from cannoise_jax.discovery.statistics.score import Probe, Score, chi2_log_sf, sidak, unchanged
 
 _PERIODS = range(2, 129)
+_SURE = 4.0
+"""Standard errors by which a code must differ from its neighbours to be one of a comb."""
 
 
 class Codes(NamedTuple):
@@ -54,29 +56,55 @@ def comb_score(fields, *, probe: str, codes: Codes) -> Score | None:
         found.append((log_p, period, chi2, dof))
     if not tried:
         return None
-    strongest = max(found, key=lambda f: f[2] - 2 * f[3])
-    log_p = min(f[0] for f in found)
-    # A multiple of the period has the same harmonics and more: the smallest that has nearly all of the power.
-    bar = strongest[2] - 2 * strongest[3]
-    _, period, chi2, dof = next(f for f in found if f[2] - 2 * f[3] >= min(0.9 * bar, bar))
-    folded = np.bincount(index % period, weights=counts, minlength=period)
-    phase = int(np.argmin(folded))
-    shortfall = 1 - folded[phase] / max(total / period, 1)
+    smallest = min(f[0] for f in found)
+    _, _, chi2, dof = max(found, key=lambda f: f[2] - 2 * f[3])
+    comb = _comb(index, counts)
+    distance, phase, shortfall = comb or (0.0, 0, 0.0)
     return Score(
         probe,
-        sidak(log_p, tried),
-        0.5 * max(chi2 - dof, 0.0),
+        sidak(smallest, tried) if comb else 0.0,
+        0.5 * max(chi2 - dof, 0.0) if comb else 0.0,
         float(np.log(tried) + dof / 2),
-        float(period),
+        distance,
         0.0,
         float("inf"),
         1,
         {
-            "period": (float(period), "code steps", 0.0),
-            "shortfall": (float(shortfall), "1", float(np.sqrt(period / total))),
+            "period": (distance, "code steps", 0.0),
+            "shortfall": (shortfall, "1", float(np.sqrt(distance / total))),
         },
-        {"axis": "code", "period": period, "phase": phase},
+        {"axis": "code", "period": distance, "phase": phase},
     )
+
+
+def _comb(index: np.ndarray, counts: np.ndarray) -> tuple[float, int, float] | None:
+    """Period, phase and shortfall (beside the next codes) of the comb that explains most.
+
+    Codes are seen against what a cubic through their neighbours expects, so that the shape of the histogram
+    is none of it. A comb that digital scaling leaves need not repeat after a whole number of codes: its
+    period is the mean distance. None for a histogram whose own codes are uneven: no other code of the comb
+    differs as the one that weighs most does.
+    """
+    expected = np.convolve(counts, np.ones(5) / 5, "same")
+    lost = np.convolve(counts, np.array([-1, 4, 0, 4, -1]) / 6, "same") - counts
+    best, period, phase = 0.0, 0, 0
+    for p in range(_PERIODS[0], min(_PERIODS[-1], index.size // 3) + 1):
+        share = np.bincount(index % p, lost, p) / np.sqrt(np.bincount(index % p, expected, p) + 1)
+        gain = np.where(share > 0, 1.2, 1.0) * share**2  # the code that gets what another lacks is its twin
+        if gain.max() > best:
+            best, period, phase = float(gain.max()), p, int(np.argmax(gain))
+    mine = np.flatnonzero((index % max(period, 1) == phase) & (expected > 0))
+    if mine.size < 3:
+        return None
+    others = mine[mine != mine[np.argmax(expected[mine])]]
+    share, again = lost[mine].sum() / expected[mine].sum(), lost[others].sum() / expected[others].sum()
+    if again * np.sign(share) < max(0.3 * abs(share), _SURE / np.sqrt(expected[others].sum())):
+        return None
+    room = np.maximum(np.bincount(index % period, expected, period), 1.0)
+    apart = np.bincount(index % period, lost, period) / room * np.sign(share)
+    alike = max(int(np.sum(apart > np.maximum(0.7 * apart[phase], _SURE / np.sqrt(room)))), 1)
+    beside = np.convolve(counts, [0.5, 0.0, 0.5], "same")
+    return period / alike, phase, float(1 - counts[mine].sum() / beside[mine].sum())
 
 
 def step_score(fields, *, probe: str, codes: Codes) -> Score | None:

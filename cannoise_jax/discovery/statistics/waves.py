@@ -1,4 +1,4 @@
-"""Lines in the spectrum: interference and mains flicker, on the unpacked mosaic."""
+"""Lines in the spectrum: interference, on the unpacked mosaic."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from jaxtyping import Float
 from scipy import fft, optimize, special
 
 from cannoise_jax.discovery.fields import Fields, frame_fields, map_contrasts
-from cannoise_jax.discovery.statistics.lines import line_sums, response
 from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
 _PAD = 2
@@ -71,7 +70,7 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
     turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
     own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen])
     weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen])
-    fit = _rician_fit(float(power[where]), own, weights)
+    fit = rician_fit(float(power[where]), own, weights)
     direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
     along = np.hypot(fx, fy)
     return Score(
@@ -114,7 +113,7 @@ class _Rician(NamedTuple):
     shift: float
 
 
-def _rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rician:
+def rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rician:
     """Likelihood of amplitude A when the power of field k, of information I_k, is that of a phasor of mean
     power A^2 I_k / 4 in complex noise of power 1. peak: sum of I_k power_k over sum of I_k."""
     share = information / information.sum()
@@ -145,7 +144,7 @@ def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
     return ((vectors[:, kept] / np.sqrt(values[kept])).T @ basis).astype(np.float32)
 
 
-def _without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
+def without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
     """The field with what the rows of `basis` span projected out."""
     q = orthonormal(basis)
     return map_contrasts(field, lambda v: v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape))
@@ -164,75 +163,7 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
             for dx in (-0.5 / w, 0.0, 0.5 / w):
                 phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
                 basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
-        out.append(_without(f, np.array(basis)))
-    return tuple(out)
-
-
-def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """Half the chi-square of both phases of each field at every frequency k / 4h, their correlation accounted
-    for."""
-    h = information.size
-    u = fft.rfft(score, 4 * h, axis=1)
-    double = fft.fft(information, 4 * h)[(2 * np.arange(2 * h + 1)) % (4 * h)]
-    total = information.sum()
-    aa, bb, ab = (total + double.real) / 2, (total - double.real) / 2, double.imag / 2
-    determinant = np.maximum(aa * bb - ab**2, 1e-3 * total**2)
-    chi2 = (bb * u.real**2 + aa * u.imag**2 - 2 * ab * u.real * u.imag) / determinant
-    return chi2 / 2
-
-
-def flicker_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
-    """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings, counted
-    by their information."""
-    powers, information = [], []
-    for f in fields:
-        if not f.lit or not len(f.contrasts):
-            continue
-        values = redrawn(f)
-        sums = line_sums(f, values, "row", "relative")
-        if sums.information.size > 1 and sums.information.sum() > 0:
-            powers.append(_wave_power(sums.score, sums.information))
-            information.append(np.full(len(values), sums.information.sum()))
-    if not powers:
-        return None
-    own, weights = np.concatenate(powers), np.concatenate(information)
-    power = np.einsum("nk,n->k", own, weights / weights.sum())
-    power[:4] = 0  # less than one period in the frame: its two phases are not independent
-    k, h = int(np.argmax(power)), fields[0].mean.shape[0]
-    trials = 2 * h  # every point of the padded grid
-    fit = _rician_fit(float(power[k]), own[:, k], weights)
-    frequency = k / (4 * h)
-    return Score(
-        probe,
-        sidak(fit.log_p, trials),
-        fit.gain,
-        float(np.log(trials)),
-        fit.amplitude,
-        fit.error,
-        fit.shift,
-        2,
-        {"amplitude": (fit.amplitude, "1", fit.error), "frequency": (frequency, "1/row", 0.3 / h)},
-        {"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
-        frequency,
-    )
-
-
-def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Projects the row sinusoid, times the signal, out of every lit field."""
-    out = []
-    for f in fields:
-        if not f.lit:
-            out.append(f)
-            continue
-        h = f.mean.shape[0]
-        rows = np.arange(h)[:, None]
-        r = response(f, "relative")
-        basis = [
-            (g(2 * np.pi * (score.payload + d) * rows) * r).ravel()
-            for d in (-0.5 / h, 0, 0.5 / h)
-            for g in (np.cos, np.sin)
-        ]
-        out.append(_without(f, np.array(basis)))
+        out.append(without(f, np.array(basis)))
     return tuple(out)
 
 
@@ -253,18 +184,5 @@ def probes() -> tuple[Probe, ...]:
             {**line, "time": "frozen"},
             partial(wave_score, probe="wave_frozen", time="frozen"),
             wave_absorb,
-        ),
-        Probe(
-            "flicker",
-            "flicker",
-            {
-                "enters": "photons",
-                "varies_over": "row",
-                "time": "redrawn",
-                "scales": "relative",
-                "law": "sinusoid",
-            },
-            partial(flicker_score, probe="flicker"),
-            flicker_absorb,
         ),
     )

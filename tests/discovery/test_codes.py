@@ -1,0 +1,51 @@
+"""The lattice of codes: combs of every kind, and histograms that are uneven without one."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.statistics.codes import Codes, comb_score
+
+LEVELS = ((500, 5.0), (900, 22.0), (1500, 31.0))
+
+
+def values(seed):
+    rng = np.random.default_rng(seed)
+    drawn = np.concatenate([rng.normal(mean, sigma, 60_000) for mean, sigma in LEVELS])
+    return np.rint(drawn).astype(int), rng
+
+
+def score(codes):
+    counts = np.bincount(codes, minlength=4096).astype(float)
+    return comb_score(None, probe="comb", codes=Codes(counts, 4.9, (), (), 1.0, 1.0, None))
+
+
+@pytest.mark.parametrize("period, share", [(2, 1.0), (2, 0.05), (5, 1.0), (12, 0.5), (33, 0.5), (100, 1.0)])
+def test_period_of_codes_that_the_converter_skips(period, share):
+    codes, rng = values(period)
+    skipped = (codes % period == 1) & (rng.random(codes.size) < share)
+    found = score(codes - skipped)
+    assert found.log_p < -20
+    assert found.amplitude == period
+    assert found.where["phase"] == 1
+    # The code below has what is missing; every second code has one such on either side.
+    beside = 1 + share / (1 if period == 2 else 2)
+    assert found.parameters["shortfall"][0] == pytest.approx(1 - (1 - share) / beside, abs=0.2 * share)
+
+
+def test_codes_that_digital_scaling_doubles_repeat_after_no_whole_number():
+    codes, _ = values(3)
+    found = score(np.floor(codes * 26 / 29).astype(int))  # three of 29 fall together with their neighbour
+    assert found.log_p < -100
+    assert found.amplitude == pytest.approx(26 / 3, rel=0.01)
+    assert found.parameters["shortfall"][0] < -0.5
+
+
+def test_one_uneven_code_is_no_comb():
+    codes, rng = values(4)
+    moved = (codes == 500) & (rng.random(codes.size) < 0.1)
+    assert score(codes - moved).log_p == 0.0
+
+
+def test_null_is_not_too_small():
+    p = np.exp([score(values(seed)[0]).log_p for seed in range(40)])
+    assert p.min() > 1e-3

@@ -1,0 +1,63 @@
+"""Mains light through a rolling shutter, from just above the noise to a hundred times it."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.declare import registered
+from cannoise_jax.discovery.fit import stepwise
+from tests.discovery.capture import capture_set
+
+SIZE = (192, 128)
+PERIOD = 41.3
+
+
+def flickering(strength, colours=(1.0, 1.0, 1.0, 1.0)):
+    """A sinusoid of the light along the rows, its phase new in every frame; strength by mosaic site."""
+    site = 2 * (np.arange(SIZE[0])[:, None] % 2) + np.arange(SIZE[1])[None] % 2
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            wave = np.cos(2 * np.pi * (np.arange(SIZE[0]) / PERIOD + rng.random()))[:, None]
+            wave = wave + 0.1 * wave**2
+            share = strength * np.asarray(colours)[site] * wave
+            return dn + signal * share
+
+        return change
+
+    return alter
+
+
+def looked_at(capture):
+    first = prepare_split(capture, split_recordings(capture))
+    return first, stepwise(first.fields, first.probes, frozenset(registered(())), np.log(0.01))
+
+
+@pytest.mark.parametrize("kinds", ["df", "sdf"])
+def test_strong_flicker_is_named_and_does_not_bend_the_photon_transfer_curve(kinds):
+    capture = capture_set(3, flickering(0.2, (1.0, 0.95, 0.95, 0.85)), kinds=kinds, size=SIZE)
+    first, fitted = looked_at(capture)
+    np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.03)
+    np.testing.assert_allclose(first.baselines[0].read_dn, 4.5, rtol=0.05)
+    found = fitted.steps[0].named
+    assert found.mechanism == "flicker"
+    assert found.score.amplitude == pytest.approx(0.2 * 0.94, rel=0.1)
+    assert found.score.where["period_px"] == pytest.approx(PERIOD, rel=0.05)
+
+
+def test_white_offsets_of_rows_of_light_are_no_flicker():
+    def alter(rng):
+        return lambda dn, signal, kind, t: dn + 0.05 * signal * rng.standard_normal((dn.shape[0], 1))
+
+    first, fitted = looked_at(capture_set(5, alter, kinds="df", size=SIZE))
+    assert [(s.named.mechanism, s.named.probe.name) for s in fitted.steps] == [
+        ("unknown", "row_relative_temporal")
+    ]
+    np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.03)
+
+
+def test_steady_light_leaves_the_curve_as_it_is():
+    capture = capture_set(6, kinds="sdf", size=SIZE)
+    first, fitted = looked_at(capture)
+    assert not fitted.steps
+    np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.02)
