@@ -23,12 +23,16 @@ from cannoise_jax.discovery.battery import (
     stated_parameters,
 )
 from cannoise_jax.discovery.fields import refit
-from cannoise_jax.discovery.fit import Fitted, Step, stepwise
+from cannoise_jax.discovery.fit import SPENT, Fitted, Step, stepwise
 from cannoise_jax.discovery.limits import NO_STRENGTH
+from cannoise_jax.discovery.locate import weight
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
+from cannoise_jax.discovery.sparse import hot_found, telegraph_found
+from cannoise_jax.discovery.statistics.patterns import pixel_sums
+from cannoise_jax.discovery.statistics.shape import DARK, darks
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.vocabulary import VOCABULARY
@@ -190,6 +194,9 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     if mechanism in NO_STRENGTH:
         return None
     log_alpha = np.log(diagnosis.alpha / diagnosis.fitted.first.tests)
+    if mechanism in ("hot_pixels", "rts"):
+        best = _sparse_detectable(diagnosis, mechanism, log_alpha)
+        return (best, VOCABULARY[mechanism].unit) if np.isfinite(best) else None
     threshold = float(stats.norm.isf(np.exp(log_alpha)))
     best = np.inf
     for probe in diagnosis.first.probes:
@@ -197,3 +204,27 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
         if probe.mechanism == mechanism and score is not None and np.isfinite(score.shift):
             best = min(best, score.shift * threshold ** (1 / score.power))
     return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
+
+
+def _sparse_detectable(diagnosis: Diagnosis, mechanism: str, log_alpha: float) -> float:
+    """Of a few far pixels no shift in standard deviations tells how often they are found: their probe's own
+    p-value does, of all frames where those held back get a second look."""
+    looks = [diagnosis.first.fields, *([diagnosis.second.fields] if diagnosis.second else [])]
+    probes = [p for p in diagnosis.first.probes if p.mechanism == mechanism]
+    if not probes:
+        return float("inf")
+    log_p = float(log_alpha + np.log(weight(probes[0]) * (SPENT[1] if diagnosis.second else 1.0)))
+    if mechanism == "rts":
+        frames: dict[int, int] = {}
+        for f in (f for fields in looks for f in darks(fields)):
+            frames[f.number] = frames.get(f.number, 0) + f.frames
+        seen = darks(looks[0])
+        sigma = float(np.mean([np.median(f.sigma) for f in seen])) if seen else 0.0
+        return telegraph_found(tuple(frames.values()), sigma, looks[0][0].mean.size, log_p)
+    # Their charge grows with the exposure where the files state one.
+    longest = max((f.exposure_s or 0.0 for f in looks[0] if not f.lit), default=0.0)
+    scaling = "thermal" if longest else "additive"
+    sums = [s for s in (pixel_sums(fields, scaling, DARK) for fields in looks) if s is not None]
+    if not sums:
+        return float("inf")
+    return hot_found(np.sum([s.information for s in sums], axis=0), log_p) * (longest or 1.0)

@@ -1,4 +1,5 @@
-"""Effects in a few pixels at unknown places: the amplitude that shifts their likelihood ratio.
+"""Effects in a few pixels at unknown places: the amplitude that shifts their likelihood ratio, and the one
+that their probe finds.
 
 The likelihood-ratio test knows which share of the pixels is affected and the law of their heights, not where
 they are: the sum over pixels of log(1 - f + f L), L the ratio of the densities of a pixel's data with and
@@ -14,13 +15,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize, special, stats
 
-from cannoise_jax.discovery.statistics.hot import log_ratio_of
+from cannoise_jax.discovery.statistics.hot import HEATS, log_ratio_of, sparse_log_p
+from cannoise_jax.discovery.statistics.pixels import FAR_JUMPS, jump_log_ratio
 
 HOT_SHARE = 5e-4
 TELEGRAPH_SHARE = 0.01
 """Shares of the pixels within what sensors show: hot 1e-4 to 1e-3, telegraph one in a hundred or more."""
 _REACH = (0.05, 40.0)
 _DRAWS = 120
+_CAMERAS = 25
 
 
 def hot_amplitude(information: Float[np.ndarray, "h w"], shift: float) -> float:
@@ -99,3 +102,67 @@ def _where(reached: Callable[[float], float], shift: float) -> float:
     if reached(float(np.exp(high))) < shift:
         return float("inf")
     return float(np.exp(optimize.brentq(lambda m: reached(float(np.exp(m))) - shift, low, high, xtol=2e-3)))
+
+
+def hot_found(information: Float[np.ndarray, "h w"], log_p: float) -> float:
+    """Rms amplitude, DN, of hot pixels of which every other camera falls below this log p of their probe."""
+    seen = information[information > 0]
+    if not seen.size:
+        return float("inf")
+    edges = np.linspace(-20, 400, 8401)
+    centre = (edges[1:] + edges[:-1]) / 2
+    ratios = [log_ratio_of(centre, mean) for mean in HEATS]
+    quiet = np.diff(stats.norm.cdf(edges))
+    cameras = []
+    for rng in np.random.default_rng(0).spawn(_CAMERAS):
+        height = rng.exponential(size=max(rng.binomial(seen.size, HOT_SHARE), 1))
+        height /= np.sqrt(np.sum(height**2) / seen.size)
+        cameras.append((height, rng.standard_normal(height.size)))
+
+    def typical(amplitude: float) -> float:
+        found = []
+        for height, noise in cameras:
+            u = np.clip(amplitude * height + noise, -20, 400)
+            counts = (seen.size - height.size) * quiet + np.histogram(u, edges)[0]
+            found.append(sparse_log_p(counts, ratios))
+        return float(np.median(found))
+
+    return _found(typical, log_p) / float(np.sqrt(np.median(seen)))
+
+
+def telegraph_found(frames: Sequence[int], sigma: float, pixels: int, log_p: float) -> float:
+    """Rms amplitude, DN, of telegraph pixels of which every other camera falls below this log p of their
+    probe. frames: of every dark; sigma: of a quiet pixel in one, DN."""
+    n = sum(frames) - len(frames)
+    if n < 2:
+        return float("inf")
+    edges = np.linspace(np.log(1e-3), np.log(1e6), 1201)
+    centre = np.exp((edges[1:] + edges[:-1]) / 2)
+    ratios = [jump_log_ratio(centre, n, mean) for mean in FAR_JUMPS]
+    quiet = np.diff(stats.chi2.cdf(np.exp(edges), n))
+    cameras = []
+    for rng in np.random.default_rng(0).spawn(_CAMERAS):
+        height = rng.exponential(size=max(rng.binomial(pixels, TELEGRAPH_SHARE), 1))
+        height /= np.sqrt(np.sum(height**2) / 2 / pixels)
+        parts = [(height.size, t) for t in frames]
+        jumps = [height[:, None] * rng.choice((-1.0, 0.0, 0.0, 1.0), size) for size in parts]
+        cameras.append((jumps, [rng.standard_normal(size) for size in parts]))
+
+    def typical(amplitude: float) -> float:
+        found = []
+        for jumps, noise in cameras:
+            values = [amplitude * j + z for j, z in zip(jumps, noise, strict=True)]
+            squares = sum(np.sum((v - v.mean(1, keepdims=True)) ** 2, axis=1) for v in values)
+            seen = np.histogram(np.log(squares), edges)[0]
+            found.append(sparse_log_p((pixels - len(values[0])) * quiet + seen, ratios))
+        return float(np.median(found))
+
+    return _found(typical, log_p) * sigma
+
+
+def _found(typical: Callable[[float], float], log_p: float) -> float:
+    """Amplitude, in standard deviations of a pixel, whose typical log p is this one; infinite beyond ten."""
+    low, high = np.log(1e-3), np.log(10.0)
+    if typical(float(np.exp(high))) > log_p:
+        return float("inf")
+    return float(np.exp(optimize.brentq(lambda a: typical(float(np.exp(a))) - log_p, low, high, xtol=1e-2)))

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from cannoise_jax.discovery.battery import prepare
+from cannoise_jax.discovery.diagnose import detectable, diagnose
+from cannoise_jax.discovery.fit import SPENT
 from cannoise_jax.discovery.limits import mde
+from cannoise_jax.discovery.locate import RARE
 from cannoise_jax.discovery.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set
@@ -460,3 +464,52 @@ def test_a_level_or_a_period_has_no_strength_and_what_nothing_shows_no_limit():
     assert mde("prnu", capture_set(5, size=SIZE, kinds="d")) is None
     flats = capture_set(5, size=SIZE, kinds="f")
     assert mde("green_imbalance", flats) is None and mde("lens_shading", flats) is None
+
+
+def few_hot(amplitude):
+    """Hot pixels, exponential in strength, growing with the exposure; rms DN at the longest."""
+
+    def alter(rng):
+        heat = (rng.random((96, 128)) < HOT_SHARE) * rng.exponential(size=(96, 128))
+        heat *= amplitude / np.sqrt(np.mean(heat**2))
+        return lambda dn, signal, kind, t: dn + heat * t / LONGEST
+
+    return alter
+
+
+def few_telegraph(amplitude):
+    """Pixels that jump up, down or not at all; rms DN."""
+
+    def alter(rng):
+        height = (rng.random((96, 128)) < TELEGRAPH_SHARE) * rng.exponential(size=(96, 128))
+        height *= amplitude / np.sqrt(np.mean(height**2) / 2)
+        return lambda dn, signal, kind, t: dn + height * rng.choice((-1, 0, 0, 1), dn.shape)
+
+    return alter
+
+
+@cache
+def nothing_found():
+    return diagnose(capture_set(0, kinds="d"), compare=False)
+
+
+@pytest.mark.parametrize(("mechanism", "effect"), [("hot_pixels", few_hot), ("rts", few_telegraph)])
+def test_the_smallest_detectable_sparse_effect_is_found_half_of_the_time(mechanism, effect):
+    quiet = nothing_found()
+    found = detectable(quiet, mechanism)
+    assert found is not None
+    # All frames together, at the share of the error rate that they have.
+    level = np.log(quiet.alpha * SPENT[1] * RARE / quiet.fitted.first.tests)
+
+    def share(amplitude, sets=12):
+        seen = 0
+        for seed in range(sets):
+            capture = capture_set(seed, effect(amplitude), kinds="d")
+            prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
+            probes = [p for p in prepared.probes if p.mechanism == mechanism]
+            seen += min(p.score(prepared.fields).log_p for p in probes) < level
+        return seen / sets
+
+    assert share(0.6 * found[0]) <= 0.25
+    assert 0.2 <= share(found[0]) <= 0.8
+    assert share(1.6 * found[0]) >= 0.85

@@ -14,6 +14,8 @@ from cannoise_jax.discovery.statistics.score import Probe, Score
 from cannoise_jax.discovery.statistics.shape import DARK
 
 _SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
+HEATS = tuple(np.exp(np.linspace(np.log(1.5), np.log(200), 14)))
+"""Mean heights that are tried, in standard deviations of a pixel's level."""
 
 
 class Heat(NamedTuple):
@@ -138,7 +140,7 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     used = counts > 0
     counts, centre = counts[used], ((edges[1:] + edges[:-1]) / 2)[used]
     root /= spread
-    for mean in np.exp(np.linspace(np.log(1.5), np.log(200), 14)):
+    for mean in HEATS:
         log_ratio = log_ratio_of(centre, mean)
         ratios.append(log_ratio)
         f = 1e-3

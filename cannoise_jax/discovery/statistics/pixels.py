@@ -16,6 +16,20 @@ _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 
 
 
 _JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
+_MEAN_JUMPS = tuple(np.exp(np.linspace(np.log(0.7), np.log(30), 12)))
+FAR_JUMPS = tuple(j for j in _MEAN_JUMPS if j > 2)
+"""Mean jumps that count as a few far pixels: smaller ones change the bulk, which rounding changes too."""
+
+
+def jump_log_ratio(squares: np.ndarray, n: int, mean: float) -> np.ndarray:
+    """Log density of a pixel's sum of squares, n degrees of freedom, with jumps spread exponentially about
+    this mean over that without."""
+    extra = 1 + _JUMPS**2 / 4
+    single = -n / 2 * np.log(extra) + 0.5 * squares[:, None] * (1 - 1 / extra)
+    weight = np.exp(-_JUMPS / mean) * np.gradient(_JUMPS)
+    top = single.max(1, keepdims=True)
+    mixed = top[:, 0] + np.log(np.exp(single - top) @ (weight / weight.sum()))
+    return mixed.clip(-50, 600)
 
 
 def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
@@ -128,16 +142,11 @@ def telegraph_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         return None
     squares, n = found
     counts, centre = _histogram(squares)
-    extra = 1 + _JUMPS**2 / 4
-    single = -n / 2 * np.log(extra) + 0.5 * centre[:, None] * (1 - 1 / extra)
     best, at, share = 0.0, 1.0, 0.0
     ratios = []
-    widths = np.gradient(_JUMPS)
-    for mean in np.exp(np.linspace(np.log(0.7), np.log(30), 12)):
-        weight = np.exp(-_JUMPS / mean) * widths
-        top = single.max(1, keepdims=True)
-        mixed = (top[:, 0] + np.log(np.exp(single - top) @ (weight / weight.sum()))).clip(-50, 600)
-        if mean > 2:  # smaller ones change the bulk, which rounding changes too
+    for mean in _MEAN_JUMPS:
+        mixed = jump_log_ratio(centre, n, mean)
+        if mean in FAR_JUMPS:
             ratios.append(mixed)
         f = 0.005
         for _ in range(40):
