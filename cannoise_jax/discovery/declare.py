@@ -40,7 +40,7 @@ NEEDS = {
     "quantization": "files that state code_step",
     "missing_codes": "flats or scenes whose noise spans three codes or more",
     "in_camera_denoising": "two frames or more at one setting",
-    "poisson_skew": "a simulator whose shot noise is Gaussian: here the baseline is Poisson already",
+    "poisson_skew": "a simulator whose shot noise is Gaussian (that of the baseline is Poisson)",
     "excess_noise": "flats at five levels and the gain from another source, such as single-photon peaks",
     "clock_induced_charge": "several hundred short darks of an electron-multiplying sensor",
     "dual_gain": "flats and darks at five ISO values or more",
@@ -48,7 +48,7 @@ NEEDS = {
     "lens_shading": "flats with a reference of the light falling on the sensor (clean)",
     "dead_pixels": "flats at two levels, with a hundred dead pixels or more in the frame",
     "cosmic_rays": "long darks, ten frames or more",
-    "temperature_drift": "darks with the temperature of every frame",
+    "temperature_drift": "darks with the temperature of every frame stated",
     "image_lag": "a burst with a change from bright to dark",
     "smear": "a scene with a saturated light source, two frames or more",
     "lossy_compression": "flats at ten levels up to the white level",
@@ -62,6 +62,24 @@ NEEDS = {
     "scene_motion": "ten frames or more of a scene with an independent reference",
     "bookkeeping": "darks, and a stated black level",
 }
+
+
+UNTESTED = (
+    "poisson_skew",
+    "excess_noise",
+    "clock_induced_charge",
+    "dual_gain",
+    "dead_pixels",
+    "cosmic_rays",
+    "temperature_drift",
+    "image_lag",
+    "smear",
+    "lossy_compression",
+    "defect_correction",
+    "hot_pixel_suppression",
+    "scene_motion",
+)
+"""Ids that no statistic looks for, whatever is recorded."""
 
 
 def registered(without: tuple[str, ...] = (), mechanisms: tuple[str, ...] | None = None) -> tuple[str, ...]:
@@ -79,7 +97,12 @@ def testable(
     """Ids that some probe could test on these recordings, and the others with what to record."""
     tested = {p.mechanism for p in probes if p.name in located.scores}
     yes = tuple(id for id in ids if id in tested)
-    return yes, tuple((id, NEEDS[id]) for id in ids if id not in tested)
+    return yes, tuple((id, needs(id)) for id in ids if id not in tested)
+
+
+def needs(id: str) -> str:
+    """What to record for a mechanism; said so where no recording helps yet."""
+    return f"nothing looks for it yet; it would show in {NEEDS[id]}" if id in UNTESTED else NEEDS[id]
 
 
 def kinds(capture: CaptureSet) -> list[dict]:

@@ -9,6 +9,7 @@ import jinja2
 import numpy as np
 
 from cannoise_jax.discovery.card import lines as card_lines
+from cannoise_jax.discovery.declare import UNTESTED
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
 from cannoise_jax.vocabulary import VOCABULARY
@@ -87,8 +88,14 @@ def advice(report: dict[str, Any]) -> list[tuple[str, str]]:
     """What to record next, and the mechanisms it would decide, the most decisive first."""
     needs: dict[str, list[str]] = {}
     for entry in report["not_testable"]:
-        needs.setdefault(entry["needs"], []).append(_name(entry["mechanism"]))
+        if entry["mechanism"] not in UNTESTED:
+            needs.setdefault(entry["needs"], []).append(_name(entry["mechanism"]))
     return sorted(((n, ", ".join(m)) for n, m in needs.items()), key=lambda e: -e[1].count(","))
+
+
+def not_looked_for(report: dict[str, Any]) -> str:
+    """The mechanisms that no recording lets this version test."""
+    return ", ".join(_name(e["mechanism"]) for e in report["not_testable"] if e["mechanism"] in UNTESTED)
 
 
 def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
@@ -105,6 +112,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(
         card_lines=card_lines,
+        not_looked_for=not_looked_for(report),
         camera=diagnosis.capture.camera,
         r=report,
         verdict=verdict(report),

@@ -258,8 +258,9 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
     else:
         grows = " (growing with the exposure)" if step.named.probe.axes.get("scales") == "thermal" else ""
         start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}{grows}: {amount}"
-        if "shortfall" in entry["parameters"]:
-            start += f", where codes hold {1 - entry['parameters']['shortfall']['value']:.3g} of their share"
+        if "shortfall" in entry.get("parameters", {}):
+            held = 1 - entry["parameters"]["shortfall"]["value"]
+            start += f", where codes hold {held:.3g} of what those beside them hold"
     frozen = step.named.probe.axes.get("time") == "frozen"
     whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
     if step.late:

@@ -90,7 +90,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     for f in fields:
         narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
         # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
-        if f.static is None or np.sqrt(np.median(f.sigma**2 * (1 - f.shot))) < narrow:
+        if f.static is None or np.median(f.sigma**2 * (1 - f.shot)) < narrow**2:
             continue
         base, share = known_kurtosis(f)
         w = (share * f.usable * (np.abs(f.static) < 7)).astype(np.float64)
