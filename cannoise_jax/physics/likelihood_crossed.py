@@ -21,6 +21,8 @@ from jaxtyping import Array, Float
 from cannoise_jax.physics.likelihood import UNIT_STEP, CodeGrid, gaussian_log_prob
 
 _LOG_2PI = 1.8378770664093453
+_SHARES = (1.0, 0.4, 0.1, 0.02, 0.0)
+"""Of a Newton step, tried in turn: the best is taken."""
 
 
 class SharedTerms(NamedTuple):
@@ -134,8 +136,8 @@ def crossed_laplace(
     of
       this package, censored at the rails or not.
     Exact for normal pixels. Error against exact integrals, nats per pixel: below 3e-5 on frames of 32 x 32
-    for
-    noise of a third of a step or more; on tiny frames of 12 x 3, 1e-4 at one step and 1e-3 at half a step.
+    for noise of a third of a step or more; on tiny frames of 12 x 3, 1e-4 at one step and 1e-3 at half a
+    step; no larger where an offset is 100 sigma.
     The gradient follows the mode: one implicit Newton step at the end is differentiated.
     """
     pixels, hoisted = jax.closure_convert(log_prob, jnp.zeros(size, jnp.float32))
@@ -146,11 +148,18 @@ def crossed_laplace(
         first, second = jax.jvp(slope, (offset,), (jnp.ones_like(offset),))
         return first, jnp.maximum(-second, 0.0)
 
+    def height(unit):
+        return jnp.sum(pixels(_spread(fixed_terms, unit), *fixed)) - jnp.sum(unit**2) / 2
+
     def step(unit, _):
+        # Normal pixels reach their mode, however far, in one step; shorter ones are for codes coarser than
+        # the noise, and for tails.
         first, weight = derivatives(_spread(fixed_terms, unit), fixed)
         small = _small_matrix(fixed_terms, weight + 1e-3 * jnp.mean(weight))
         move = jnp.linalg.solve(small, _gather(fixed_terms, first) - unit)
-        return unit + jnp.clip(move, -2.0, 2.0), None
+        shares = jnp.asarray(_SHARES)
+        heights = jax.lax.map(lambda share: height(unit + share * move), shares)
+        return unit + shares[jnp.argmax(heights)] * move, None
 
     unit = jnp.zeros(terms.row.shape[1] + terms.column.shape[1] + 1)
     unit = jax.lax.scan(step, unit, None, length=newton_steps)[0]

@@ -189,21 +189,40 @@ def test_one_shared_term_agrees_with_brute_force_and_finite_differences():
         assert abs(float(slope[k] - by_difference)) < 5e-3 * max(1, abs(float(by_difference)))
 
 
+def _rows_by_brute_force(codes, noise: float, sigma: float) -> np.ndarray:
+    """Log-probability of rows of whole codes with an offset each, wherever it lies; float64."""
+    unit = np.linspace(-9, np.abs(codes).max() / sigma + 9, 20001)
+
+    def inside(row):
+        a = np.abs((row[:, None] - sigma * unit) / noise)
+        low, high = (stats.norm.logsf(a + s * 0.5 / noise) for s in (-1, 1))
+        return (low + np.log1p(-np.exp(high - low))).sum(0) + stats.norm.logpdf(unit)
+
+    return np.array([special.logsumexp(inside(row)) for row in codes]) + np.log(unit[1] - unit[0])
+
+
 @pytest.mark.parametrize("noise", [0.25, 1.0])
 def test_an_offset_far_beyond_its_sigma_is_found(noise):
     rng, sigma = np.random.default_rng(9), 0.5
     for far, tolerance in ((10, 1e-6), (20, 1e-6), (50, 5e-6)):
         codes = np.round(far * sigma + noise * rng.normal(size=(6, 48)))
-        unit = np.linspace(-9, far + 9, 20001)
-
-        def inside(row, unit=unit):
-            a = np.abs((row[:, None] - sigma * unit) / noise)
-            low, high = (stats.norm.logsf(a + s * 0.5 / noise) for s in (-1, 1))
-            return (low + np.log1p(-np.exp(high - low))).sum(0) + stats.norm.logpdf(unit)
-
-        known = [special.logsumexp(inside(row)) + np.log(unit[1] - unit[0]) for row in codes]
+        known = _rows_by_brute_force(codes, noise, sigma)
         found = accuracy._nested(codes.astype(np.float32), np.zeros((6, 48), np.float32), noise, sigma)
         np.testing.assert_allclose(found, known, atol=tolerance * 48)
+
+
+def test_among_crossed_offsets_one_far_beyond_its_sigma_is_found():
+    rng, noise, sigma = np.random.default_rng(9), 0.5, 0.5
+    terms = white_terms((6, 48), sigma)
+
+    @jax.jit
+    def found(codes):
+        return crossed_laplace(lambda o: gaussian_log_prob(codes, o, noise**2), terms, (6, 48))
+
+    for far in (10, 30, 60, 100):
+        codes = np.round(far * sigma * (np.arange(6) == 2)[:, None] + noise * rng.normal(size=(6, 48)))
+        known = _rows_by_brute_force(codes, noise, sigma).sum()
+        assert float(found(codes.astype(np.float32))) == pytest.approx(known, abs=1e-5 * codes.size)
 
 
 def test_groups_share_rows_columns_and_frames():
