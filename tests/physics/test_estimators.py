@@ -10,7 +10,15 @@ from cannoise_jax.physics.estimate import NotMeasurable, root, variance_differen
 from cannoise_jax.physics.estimators import ESTIMATORS
 from cannoise_jax.physics.estimators.circle import circle
 from cannoise_jax.physics.estimators.codes import black_level_errors
-from cannoise_jax.physics.estimators.coverage import CASES, Row, assumed_baseline, coverage, format_rows
+from cannoise_jax.physics.estimators.coverage import (
+    CASES,
+    Case,
+    Row,
+    Shot,
+    assumed_baseline,
+    coverage,
+    format_rows,
+)
 from cannoise_jax.physics.estimators.spectra import _expected_rows, power_law_correlation
 from cannoise_jax.physics.transfer_frames import frame_statistics
 from cannoise_jax.recordings import Recording
@@ -60,6 +68,12 @@ def test_strong_mechanisms_are_measured_without_bias(case):
     for row in coverage(case, 12):
         assert row.coverage >= 7 / 12, row
         assert abs(row.mean - row.truth) < 4 * row.spread / np.sqrt(12) + 0.005 * row.truth, row
+
+
+def test_a_wave_too_weak_to_find_may_have_any_frequency():
+    weak = Case("banding", {"amplitude_dn": 0.3, "frequency": 0.12345}, (Shot("dark"),))
+    _, frequency = coverage(weak, 24)
+    assert frequency.parameter == "frequency" and frequency.coverage >= 0.75
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ _EXPONENTS = np.linspace(0.0, 2.0, 41)
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
 _DROP = float(stats.chi2.ppf(0.9, 1)) / 2
 _HALF_90 = 1.6449
+_BY_CHANCE = 0.05
 
 
 def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -84,7 +85,8 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     estimators of row noise. The frequency is refined until the power at it is largest; its error is the
     Cramer-Rao bound of a sinusoid of unknown phase (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974). The
     largest of many powers is biased upwards, so its interval may leave out zero in white noise; the chance of
-    that is the amplitude's.
+    that is the amplitude's. Where chance alone shows such a line in one of twenty recordings the interval of
+    the frequency is all that was looked at.
     """
     dark = darkest(statistics)
     if dark is None:
@@ -100,14 +102,22 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     points = _coefficients(dark, np.array([frequency]), residual=False)[:, 0] * 2 / count / (1 - lost)
     amplitude, stderr = circle(points, np.sqrt(2 * floor / count / (1 - lost)))
     strength = max(amplitude, stderr) ** 2
-    by_bound = np.sqrt(24 * floor / (strength * count**3 * frames)) / (2 * np.pi)
+    # Powers of frames are summed without their phases: noise beats with itself where a frame shows little.
+    beats = 1 + 4 * floor / (strength * count)
+    by_bound = np.sqrt(24 * floor * beats / (strength * count**3 * max(frames - 1, 1))) / (2 * np.pi)
     top = float(np.sum(np.abs(_coefficients(dark, np.array([frequency]))) ** 2)) / count
     found = normal_estimate(amplitude, stderr)
     chance = of_largest(top / max(floor, pooled_variance(dark)[0]), frames - 1, count)
     return {
         "amplitude_dn": Estimate(found.value, found.stderr, found.ci90, chance),
-        "frequency": normal_estimate(frequency, float(by_bound)),
+        "frequency": _frequency(frequency, float(by_bound), chance, slowest / count),
     }
+
+
+def _frequency(value: float, stderr: float, chance: float, slowest: float) -> Estimate:
+    if chance <= _BY_CHANCE:
+        return normal_estimate(value, stderr)
+    return Estimate(value, (0.5 - slowest) / np.sqrt(12), (slowest, 0.5))
 
 
 def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
