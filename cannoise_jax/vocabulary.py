@@ -146,6 +146,8 @@ _TERMS = (
     # Capture.
     Term("flicker", "Mains-driven light read by a rolling shutter: rows brighten and darken in turn.", 16,
          "capture", True, "1", "peak, as a fraction of the signal"),
+    # The catalogue has a lamp that drifts as what others are confused with; a frame and its reference that
+    # differ by a factor are its nearest entry.
     Term("illumination_drift", "The brightness of the light moves from frame to frame.", 18,
          "capture", True, "1", _FRACTION),
     Term("reference_error", "The reference image is not the true mean: noisy, blurred, shifted or scaled.",
