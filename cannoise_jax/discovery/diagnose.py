@@ -197,6 +197,8 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     if mechanism in ("hot_pixels", "rts"):
         best = _sparse_detectable(diagnosis, mechanism, log_alpha)
         return (best, VOCABULARY[mechanism].unit) if np.isfinite(best) else None
+    if mechanism == "banding" and "wave_redrawn" in diagnosis.fitted.first.scores:
+        return _wave_detectable(diagnosis, log_alpha), VOCABULARY[mechanism].unit
     threshold = float(stats.norm.isf(np.exp(log_alpha)))
     best = np.inf
     for probe in diagnosis.first.probes:
@@ -228,3 +230,20 @@ def _sparse_detectable(diagnosis: Diagnosis, mechanism: str, log_alpha: float) -
     if not sums:
         return float("inf")
     return hot_found(np.sum([s.information for s in sums], axis=0), log_p) * (longest or 1.0)
+
+
+def _wave_detectable(diagnosis: Diagnosis, log_alpha: float) -> float:
+    """A wave whose phase is new in every frame is found where the mean power of all frames, by their
+    information, exceeds what the strongest of all frequencies tried has by chance: a gamma law."""
+    looks = [diagnosis.first.fields, *([diagnosis.second.fields] if diagnosis.second else [])]
+    each = [
+        (float(np.sum(f.weight.astype(np.float64) ** 2)), f.contrasts) for fields in looks for f in fields
+    ]
+    # Between two points of the padded grid of frequencies a wave shows less of its power.
+    shown = float(np.mean(np.sinc(np.linspace(0, 0.25, 101)) ** 2)) ** 2
+    information = np.array([i * shown for i, contrasts in each for _ in contrasts])
+    tried = 2 * looks[0][0].mean.size
+    p = np.exp(log_alpha) * (SPENT[1] if diagnosis.second else 1.0) / tried
+    shape = float(np.sum(information) ** 2 / np.sum(information**2))
+    excess = (float(stats.gamma.isf(p, shape)) - shape) / np.sqrt(shape)
+    return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))

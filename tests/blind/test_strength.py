@@ -91,6 +91,56 @@ def test_few_hot_pixels_shift_their_likelihood_ratio_as_tabulated():
     assert abs(shift - 5) < 4 * (hot.std() / null.std() / 17 + 0.3), shift
 
 
+def test_few_telegraph_pixels_shift_their_likelihood_ratio_as_tabulated():
+    frames, pixels = 8, 12000
+    law = sparse.telegraph(1.0, frames, pixels)
+    amplitude = law.amplitude_at(1.0)
+    mean_height = amplitude / np.sqrt(sparse.TELEGRAPH_FRACTION)
+    heights = np.linspace(0.1, 13.9, 70) * mean_height
+    weights = np.exp(-heights / mean_height)
+    weights /= weights.sum()
+    rng = np.random.default_rng(3)
+
+    def log_ratio(z):
+        up_down = np.cosh(heights[:, None, None] * z) * np.exp(-(heights[:, None, None] ** 2) / 2)
+        each = np.log(0.5 + 0.5 * up_down).sum(2)
+        return np.log(weights @ np.exp(each)), each
+
+    def change_and_spread(batches):
+        """Pixels of every height, and of none, alike often; weights make them quiet or affected ones."""
+        rows = []
+        for _ in range(batches):
+            height = np.concatenate([np.zeros(200), heights])
+            z = rng.standard_normal((270, frames)) + height[:, None] * rng.choice(
+                (-1, 0, 0, 1), (270, frames)
+            )
+            log, each = log_ratio(z)
+            drawn = (200 + np.exp(each).sum(0)) / 270
+            value = np.log1p(sparse.TELEGRAPH_FRACTION * np.expm1(log))
+            rows.append(np.stack([1 / drawn, np.exp(log) / drawn, value, (z**2 - 1).sum(1)]))
+        quiet, loud, value, squares = np.concatenate(rows, axis=1)
+        value = value - np.average(value, weights=quiet)
+        value -= squares * np.average(value * squares, weights=quiet) / np.average(squares**2, weights=quiet)
+        value -= np.average(value, weights=quiet)
+        return np.average(value, weights=loud), np.sqrt(np.average(value**2, weights=quiet))
+
+    change, spread = change_and_spread(160)
+    shift = sparse.TELEGRAPH_FRACTION * np.sqrt(pixels) * change / spread
+    assert shift == pytest.approx(5, abs=0.3)
+    assert sparse.telegraph(1.0, 2 * frames, pixels).amplitude_at(1.0) < 0.9 * amplitude
+
+
+@pytest.mark.parametrize("mechanism", ["nonlinearity", "green_imbalance", "lens_shading"])
+def test_darks_fix_the_black_level_that_lit_frames_are_seen_against(mechanism):
+    plan = design()
+    scene = Shot("s", "scene", 0.01 + 0.5 * np.random.default_rng(1).random(SIZE), 4, 1.0)
+    lit, dark = replace(plan, shots=(scene,)).exposed(), plan.exposed()[:1]
+    alone = strength(mechanism, plan.camera, lit).amplitude_at(1.0)
+    together = strength(mechanism, plan.camera, lit + dark).amplitude_at(1.0)
+    assert together < alone
+    assert mechanism != "nonlinearity" or together < 0.9 * alone
+
+
 @pytest.mark.parametrize("reference", ["independent", "burst_mean"])
 def test_what_no_recording_shows_has_no_strength(reference):
     camera = draw_camera(np.random.default_rng(0))
