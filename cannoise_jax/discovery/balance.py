@@ -10,12 +10,22 @@ import numpy as np
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import own_variance
 from cannoise_jax.discovery.fields import channel_index
+from cannoise_jax.discovery.stacks import FLICKER
 from cannoise_jax.physics.chain import closed_form
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.settings import context_of, resolve
 
-_WHOLE = ("offset_drift", "temperature_drift", "unknown_site_redrawn", "unknown_frame_additive")
+_WHOLE = (
+    "offset_drift",
+    "temperature_drift",
+    "illumination_drift",
+    "unknown_site_redrawn",
+    "unknown_frame_additive",
+    "unknown_frame_relative",
+)
 """What a whole frame, or channel of it, shares."""
+_ROWS = ("flicker", "unknown_flicker", "unknown_row_relative_temporal")
+"""What rows of light share: out of the fitted baseline where it is strong, see `stacks.without_flicker`."""
 
 
 def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> SensorModel:
@@ -64,9 +74,19 @@ def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) 
 
 
 def _variance(model: SensorModel, level: float, settings: Settings, channel: np.ndarray) -> np.ndarray:
-    """Median over the pixels of each channel of the temporal variance before rounding, DN^2, but for what
-    whole frames share: that of the recordings is without it, too."""
-    kept = tuple(f for f in model.mechanisms if f.mechanism not in _WHOLE)
+    """Median over the pixels of each channel of the temporal variance before rounding, DN^2, but for what the
+    fitted baseline is without: what whole frames share, and rows of light where that is strong."""
+    steady = _closed_variance(model, (*_WHOLE, *_ROWS), level, settings, channel)
+    if not any(f.mechanism in _ROWS for f in model.mechanisms):
+        return steady
+    whole = _closed_variance(model, _WHOLE, level, settings, channel)
+    return np.where(whole - steady > FLICKER * steady, steady, whole)
+
+
+def _closed_variance(
+    model: SensorModel, without: tuple[str, ...], level: float, settings: Settings, channel: np.ndarray
+) -> np.ndarray:
+    kept = tuple(f for f in model.mechanisms if f.mechanism not in without)
     model = dataclasses.replace(model, mechanisms=kept)
     context = context_of(model, jnp.full((1, *channel.shape), level, jnp.float32), settings)
     _, variance = closed_form(model, context, resolve(model, context))

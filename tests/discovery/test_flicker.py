@@ -1,11 +1,14 @@
 """Mains light through a rolling shutter, from just above the noise to a hundred times it."""
 
+import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.discovery.model import extended_model
+from cannoise_jax.physics.sensor import Settings
 from tests.discovery.capture import capture_set
 
 SIZE = (192, 128)
@@ -43,6 +46,20 @@ def test_strong_flicker_is_named_and_does_not_bend_the_photon_transfer_curve(kin
     assert found.mechanism == "flicker"
     assert found.score.amplitude == pytest.approx(0.2 * 0.94, rel=0.1)
     assert found.score.where["period_px"] == pytest.approx(PERIOD, rel=0.05)
+
+
+def test_the_extended_model_flickers_at_the_gain_of_the_camera():
+    capture = capture_set(3, flickering(0.2), kinds="df", size=SIZE)
+    first, fitted = looked_at(capture)
+    model = extended_model(capture, first, fitted.steps)
+    np.testing.assert_allclose(model.gain_dn_per_e, 1.5, rtol=0.04)
+    drawn = np.asarray(
+        model.sample(jax.random.key(0), np.full(SIZE, 0.5, np.float32), Settings(100.0, 0.01, None, 8)), float
+    )
+    rows = drawn.mean(2) - 200
+    assert np.std(rows / rows.mean()) == pytest.approx(0.2 / np.sqrt(2), rel=0.15)
+    within = drawn - drawn.mean(2, keepdims=True)
+    assert within.var() == pytest.approx(1.5 * rows.mean() + 4.5**2, rel=0.06)
 
 
 def test_white_offsets_of_rows_of_light_are_no_flicker():
