@@ -27,7 +27,7 @@ from cannoise_jax.physics.estimators.loudness import LOUD, explanation
 from cannoise_jax.physics.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.estimators.noise import telegraph_sites
 from cannoise_jax.physics.estimators.pick import darkest, darks_by_exposure, row_offsets
-from cannoise_jax.physics.estimators.spectra import power_law_correlation
+from cannoise_jax.physics.estimators.spectra import chance_beside_half, power_law_correlation
 from cannoise_jax.physics.grammar import Point
 from cannoise_jax.physics.ranges import clipped
 from cannoise_jax.physics.sensor import SensorModel
@@ -97,6 +97,7 @@ def find_mechanisms(statistics: Sequence[FrameStatistics], baseline: Baseline) -
         found |= _causes({id: found[id] for id in LOUD}, dark, statistics)
         if found["row_noise"].verdict == "in the model":
             found["row_noise"] = placed(found["row_noise"], dark)
+            found["banding"] = _beside_rows(found["banding"], found["row_noise"].point, dark)
     return tuple(found.values())
 
 
@@ -126,6 +127,15 @@ def _causes(
                     estimates = pixel_read_noise_map(statistics, without=telegraph_sites(dark, **jumps) > 0)
             out[id] = finding._replace(estimates=estimates, because=f"({together} together)")
     return out
+
+
+def _beside_rows(wave: Finding, rows: Point | None, dark: FrameStatistics) -> Finding:
+    """A line, unless rows whose even and odd columns differ make such lines themselves."""
+    apart = rows is not None and rows.interleave == 2
+    if not apart or wave.verdict != "in the model" or isinstance(wave.estimates, NotMeasurable):
+        return wave
+    chance = chance_beside_half(dark, wave.estimates["frequency"].value, rows.group)  # type: ignore[union-attr]
+    return wave._replace(verdict="explained by", because="row_noise") if chance > _CHANCE else wave
 
 
 def placed(finding: Finding, dark: FrameStatistics) -> Finding:

@@ -150,3 +150,13 @@ def test_the_model_gives_back_the_noise_that_was_measured():
         sigma = [np.asarray(r.frames, float).std(0, ddof=1) for r in (shots[kind], again)]
         assert np.median(sigma[1]) == pytest.approx(np.median(sigma[0]), rel=0.02)
         assert np.mean(sigma[1]) == pytest.approx(np.mean(sigma[0]), rel=0.04)
+
+
+def test_rows_of_alternate_columns_are_no_wave():
+    point = Point("readout", "signal", "row", "redrawn", group=2, interleave=2)
+    camera = BASE.with_mechanism("pairs", point=point, sigma_dn=5.0)
+    shots = recorded(camera, "dark", seed=1), recorded(camera, "flat", 0.5, seed=2)
+    transfer = transfer_at([frame_statistics(r) for r in shots])
+    found = {f.mechanism: f for f in find_mechanisms(transfer.statistics, transfer.baseline)}
+    assert found["row_noise"].point is not None and found["row_noise"].point.interleave == 2
+    assert found["banding"].verdict != "in the model"

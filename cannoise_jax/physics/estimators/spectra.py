@@ -120,6 +120,19 @@ def _frequency(value: float, stderr: float, chance: float, slowest: float) -> Es
     return Estimate(value, (0.5 - slowest) / np.sqrt(12), (slowest, 0.5))
 
 
+def chance_beside_half(dark: FrameStatistics, frequency: float, group: int = 1) -> float:
+    """The chance of the strongest line where row noise that even and odd columns do not share shows, next to
+    half a cycle per pixel; 0 for a frequency elsewhere. group: rows that share an offset."""
+    height, width = dark.recording.size
+    frames = dark.recording.count - 1
+    if abs(frequency - 0.5) > 0.5 / width:
+        return 0.0
+    near = scan_power(dark)[-(height // 2) :]
+    # Offsets that rows share have their power at few frequencies.
+    floor = group * float(np.median(near)) / median_quotient(2.0 * frames)
+    return of_largest(float(near.max()) * frames / floor, frames, height)
+
+
 def scan_power(s: FrameStatistics) -> Float[np.ndarray, "n/2"]:
     """Periodogram |FFT|^2 / n of the raster scan without its average over frames and its row means, DN^2,
     mean over frames by T - 1; frequencies 1/n to 1/2. White noise of variance v gives v."""
