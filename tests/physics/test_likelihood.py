@@ -170,9 +170,13 @@ def test_tukey_lambda_plus_shot_noise_matches_a_convolution():
 
 
 def test_one_shared_term_agrees_with_brute_force_and_finite_differences():
-    for sigma in (0.35, 0.69):
-        assert accuracy.shared_errors(sigma, 0.5).nested < 1e-6
     rng = np.random.default_rng(3)
+    level = np.float32(rng.uniform(0, 1, (6, 48)))
+    for sigma in (0.35, 0.69):
+        drawn = np.round(level + 0.5 * rng.normal(size=(6, 1)) + sigma * rng.normal(size=level.shape))
+        exact = accuracy.brute_force_rows(drawn, level.astype(float), float(np.float32(sigma)), 0.5)
+        found = accuracy._nested(drawn.astype(np.float32), level, sigma, 0.5)
+        np.testing.assert_allclose(found, exact, atol=1e-6 * 48)
     mean = np.float32(rng.uniform(0, 1, (8, 40)))
     codes = np.round(mean + rng.normal(size=(8, 1)) + 0.8 * rng.normal(size=(8, 40))).astype(np.float32)
 

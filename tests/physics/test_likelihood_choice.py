@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.likelihood import code_entropy
 from cannoise_jax.physics.likelihood_choice import (
     CodeStepWarning,
     compare,
@@ -19,7 +18,6 @@ from cannoise_jax.physics.likelihood_choice import (
     likelihood_of_model,
     score,
 )
-from cannoise_jax.physics.likelihood_model import pixel_form, pixel_law, pixel_log_prob
 from cannoise_jax.physics.registry import MECHANISMS
 from cannoise_jax.physics.sensor import SensorModel, Settings
 
@@ -96,19 +94,6 @@ def test_every_declared_likelihood_prefers_what_made_the_data(id):
     assert right.total == pytest.approx(right.per_frame.mean()) and right.per_frame.shape == (count,)
     assert np.isfinite(right.per_frame).all()
     assert (right.total - plain.total) * frames.size > 10  # odds of e^10
-
-
-@pytest.mark.parametrize("id", ["black_clipping", "pixel_read_noise_map"])
-def test_mean_log_likelihood_is_minus_the_entropy(id):
-    model, clean = with_it(id), scene()[:6, :8] * np.float32(0.1 if id == "black_clipping" else 1.0)
-    found = score(model, taken(model, clean, frames=400), clean, SETTINGS, jax.random.key(0))
-    law = pixel_law(model, clean, SETTINGS)
-    codes = np.arange(1061, dtype=np.float32)[:, None, None]
-    log_prob = np.array(pixel_log_prob(law, codes, pixel_form(law)))
-    log_prob[codes < np.asarray(law.grid.low)] = -100.0  # all below the rail is in the code at the rail
-    np.testing.assert_allclose(np.exp(log_prob).sum(0), 1, atol=1e-4)
-    entropy = float(code_entropy(np.moveaxis(log_prob, 0, -1)).mean())
-    assert found.total == pytest.approx(-entropy, abs=4 * found.per_frame.std() / np.sqrt(400))
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,7 +81,7 @@ def test_drifting_light_does_not_move_the_dark_charge():
     @jax.jit
     def total(sigma):
         drifting = model.with_mechanism("illumination_drift", sigma=sigma)
-        return frame_log_prob(drifting, codes, clean, SETTINGS).sum()
+        return frame_log_prob(drifting, codes, clean, SETTINGS, "skewed").sum()
 
     tried = np.array([0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.12])
     best = tried[np.argmax([float(total(s)) for s in tried])]
@@ -102,20 +104,21 @@ def test_gradients_of_frames_are_finite_differences_and_jit_agrees():
     assert form == "skewed"
 
     @jax.jit
-    def each(parameters, frames):
-        return frame_log_prob(model_of(**parameters), frames, clean, SETTINGS, form)
+    @partial(jax.value_and_grad, has_aux=True)
+    def total(parameters):
+        each = frame_log_prob(model_of(**parameters), frames, clean, SETTINGS, form)
+        return each.sum(), each
 
     start = {name: jnp.float32(v) for name, v in PARAMETERS.items()}
-    eager = frame_log_prob(model, frames, clean, SETTINGS)
-    np.testing.assert_allclose(each(start, frames), eager, rtol=2e-5)
-    slopes = jax.jit(jax.grad(lambda p: each(p, frames).sum()))(start)
+    (middle, each), slopes = total(start)
+    np.testing.assert_allclose(each, frame_log_prob(model, frames, clean, SETTINGS), rtol=2e-5)
     for name, value in PARAMETERS.items():
         # Long enough that float32 sums do not tell, short enough for the curvature.
         step = 0.02 * value
         above, below = (
-            np.asarray(each({**start, name: jnp.float32(value + s)}, frames), np.float64).sum()
+            np.asarray(total({**start, name: jnp.float32(value + s)})[0][1], np.float64).sum()
             for s in (step, -step)
         )
         slope = (above - below) / (2 * step)
-        scale = abs(above + below - 2 * float(each(start, frames).sum())) / step**2 * step
+        scale = abs(above + below - 2 * float(middle)) / step**2 * step
         assert float(slopes[name]) == pytest.approx(slope, rel=0.02, abs=0.1 * scale + 0.02 / step)

@@ -145,7 +145,7 @@ def test_initial_noise_by_name_of_a_preset_or_a_file(tmp_path):
     clean = pack(np.stack([FLAT]), "RGGB")
     shot, read = jnp.full((1, 4), 1e-3), jnp.full((1, 4), 3e-5)
     names = ("preset:imx686", f"sensor:{tmp_path / 'sensor.json'}")
-    one, two = (initial_noise(name)(KEY, clean, shot, read) for name in names)
+    one, two = (jax.jit(initial_noise(name))(KEY, clean, shot, read) for name in names)
     for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
     with pytest.raises(BadInput, match="no such preset"):
@@ -226,7 +226,7 @@ def test_initial_noise_sees_no_ghost_of_another_patch():
     clean = np.zeros((3, 16, 16, 4), np.float32)
     clean[1] = 0.5
     shot, read = np.full((3, 4), 1e-4, np.float32), np.full((3, 4), 1e-10, np.float32)
-    noise, _ = model.n_init()(jax.random.key(0), jnp.asarray(clean), jnp.asarray(shot), jnp.asarray(read))
+    noise, _ = jax.jit(model.n_init())(jax.random.key(0), clean, shot, read)
     np.testing.assert_allclose(np.asarray(noise).mean(axis=(1, 2, 3)), 0, atol=2e-3)
 
 
