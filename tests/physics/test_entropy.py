@@ -102,7 +102,11 @@ def test_mean_log_likelihood_of_lone_pixels_is_minus_their_entropy(id):
     assert seen.mean() == pytest.approx(-entropy, abs=4 * error + stated)
 
 
-@pytest.mark.parametrize("id", SHARED)
+# Columns and frames go the way of rows; each has to be compiled by itself.
+TRIED = [pytest.param(id, marks=pytest.mark.slow if id in SHARED[1::2] else ()) for id in SHARED]
+
+
+@pytest.mark.parametrize("id", TRIED)
 def test_mean_log_likelihood_of_pixels_with_a_shared_term_is_minus_their_entropy(id):
     model, count = camera(id), 300
     codes = drawn(model, id, FRAMES)[:count].astype(np.float32)  # drawn in the shapes of the harness
