@@ -26,7 +26,9 @@ _NEAR = 2
 """Lags up to which the correlations of neighbours are listed."""
 
 
-def card(step: Step, probes: tuple[Probe, ...], ids: frozenset[str]) -> dict[str, Any]:
+def card(
+    step: Step, probes: tuple[Probe, ...], ids: frozenset[str], others: tuple[Step, ...] = ()
+) -> dict[str, Any]:
     """What is known of a structure that no registered mechanism explains.
 
     axes: where it enters, what it varies over, its behaviour in time, its scaling (additive, signal or
@@ -34,13 +36,15 @@ def card(step: Step, probes: tuple[Probe, ...], ids: frozenset[str]) -> dict[str
     the power of x that fits best (None: fewer than two points). static_share: of its variance. row_spectrum,
     column_spectrum: exponent of 1/f^a and the frequency of the largest power, cycles per pixel. covariance:
     correlation with the pixel (dy, dx) away. excess_kurtosis: of single pixels. nearest: of the mechanisms
-    `ids` that may be named, the one with the next best evidence, and by how many nats it is worse.
+    `ids` that may be named, and that are not among the `others` found, the one with the next best evidence,
+    and by how many nats it is worse.
     """
     probe, score, fields = step.named.probe, step.named.score, step.before
     axes = {k: _SCALES.get(v, v) if k == "scales" else v for k, v in probe.axes.items()}
     by_name = {p.name: p for p in probes}
     additive = by_name.get(probe.name.replace("relative", "additive").replace("thermal", "additive"), probe)
-    nearest, gap = _nearest(step, tuple(p for p in probes if p.mechanism in ids))
+    told = {n for o in others if o is not step for n in (o.named.probe.name, *o.named.probe.covers)}
+    nearest, gap = _nearest(step, tuple(p for p in probes if p.mechanism in ids and p.name not in told))
     return {
         "axes": axes,
         "probe": probe.name,

@@ -27,22 +27,33 @@ def _png(figure) -> str:
     return base64.b64encode(buffer.getvalue()).decode()
 
 
-def _pooled(fields: tuple[Fields, ...], redrawn: bool) -> np.ndarray:
-    """Blocks of the static field of the darks (of everything where there are none), or of one difference
-    between two frames, in standard errors."""
+def _maps(before: tuple[Fields, ...], after: tuple[Fields, ...], redrawn: bool) -> tuple[list, str]:
+    """What the finding changes most, without and with it, `[H, W]` in standard errors, and what that is: one
+    difference between two frames, or the frozen residual of the darks or of what is lit."""
     if redrawn:
-        moving = [f for f in fields if len(f.contrasts)]
-        dark = [f for f in moving if not f.lit] or moving
-        return _blocks(dark[0].contrasts[0]) if dark else _blocks(np.zeros(fields[0].mean.shape))
-    chosen = [f for f in fields if f.static is not None and not f.lit]
-    chosen = chosen or [f for f in fields if f.static is not None] or list(fields)
-    maps = []
-    for f in chosen:
-        flat = np.zeros(f.mean.shape) if not len(f.contrasts) else f.contrasts.mean(0)
-        maps.append(flat if f.static is None else f.static)
-    shape = maps[0].shape
-    maps = [m for m in maps if m.shape == shape]
-    return _blocks(np.mean(maps, axis=0) * np.sqrt(len(maps)))
+        pairs = [(f, g, n) for f, g in _same(before, after) for n in range(min(len(f.contrasts), 4))]
+        if pairs:
+            f, g, n = max(
+                pairs, key=lambda p: float(np.mean((p[0].contrasts[p[2]] - p[1].contrasts[p[2]]) ** 2))
+            )
+            return [f.contrasts[n], g.contrasts[n]], f"difference of two frames ({f.kind})"
+    still = [
+        (f.lit, np.stack([f.static, g.static]))
+        for f, g in _same(before, after)
+        if f.static is not None and g.static is not None
+    ]
+    if not still:
+        return [np.zeros(before[0].mean.shape)] * 2, "nothing to show"
+    groups = [[pair for lit, pair in still if lit == group] for group in (False, True)]
+    moved = [float(np.mean([np.mean((f - g) ** 2) for f, g in group])) if group else -1.0 for group in groups]
+    chosen = int(np.argmax(moved))
+    alike = [p for p in groups[chosen] if p.shape == groups[chosen][0].shape]
+    return list(np.mean(alike, axis=0) * np.sqrt(len(alike))), f"what stays ({('darks', 'lit')[chosen]})"
+
+
+def _same(before: tuple[Fields, ...], after: tuple[Fields, ...]) -> list[tuple[Fields, Fields]]:
+    later = {f.number: f for f in after}
+    return [(f, later[f.number]) for f in before if f.number in later]
 
 
 def _blocks(mean: np.ndarray) -> np.ndarray:
@@ -53,15 +64,16 @@ def _blocks(mean: np.ndarray) -> np.ndarray:
 
 
 def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool) -> str:
-    """Where: the frozen map, or the difference of two frames for what is redrawn in each, and the power of
-    the line offsets, without and with the finding in the model."""
+    """Where: the frozen map, or the difference of two frames for what is redrawn in each, and what the axis
+    of the finding shows (power of lines, spectrum, offsets of frames, distribution of pixels), without and
+    with the finding in the model."""
     figure, axes = plt.subplots(1, 3, figsize=(11, 2.7), layout="constrained")
-    maps = [_pooled(fields, redrawn) for fields in (before, after)]
+    whole, what = _maps(before, after, redrawn)
+    maps = [_blocks(m) for m in whole]
     top = float(np.clip(np.quantile(np.abs(maps[0]), 0.995), 4, 400))
     norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
     for panel, image, title in zip(axes, maps, ("without it in the model", "with it"), strict=False):
         shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
-        what = "difference of two frames" if redrawn else "frozen residual"
         panel.set_title(f"{what}, {title}", fontsize=9)
         panel.set_xticks([])
         panel.set_yticks([])
@@ -69,18 +81,62 @@ def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: s
     bar = figure.colorbar(shown, ax=axes[1], ticks=ticks)
     bar.ax.set_yticklabels([str(v) for v in ticks], fontsize=7)
     bar.set_label("standard errors", fontsize=8)
-    line = "column" if axis == "column" else "row"
-    for fields, label, colour in ((before, "without", _BEFORE), (after, "with", _AFTER)):
-        values, width = _profile(fields, line)
-        if values.size:
-            axes[2].semilogy(np.arange(values.size) * width, values, lw=1, label=label, color=colour)
-    axes[2].axhline(1, color="0.5", lw=0.7)
-    axes[2].set_title(f"power of {line} offsets between frames (white noise: 1)", fontsize=9)
-    axes[2].set_xlabel(line, fontsize=8)
+    sides = ((before, whole[0], "without", _BEFORE), (after, whole[1], "with", _AFTER))
+    if axis in ("row", "column") and redrawn:
+        _lines(axes[2], sides, axis)
+    elif axis in ("row", "column", "frequency"):
+        _spectra(axes[2], sides, "column" if axis == "column" else "row")
+    elif axis == "frame":
+        _frames(axes[2], sides)
+    else:
+        _distributions(axes[2], sides, what)
     axes[2].tick_params(labelsize=8)
-    if axes[2].lines[:-1]:
+    if axes[2].get_legend_handles_labels()[0]:
         axes[2].legend(fontsize=8, frameon=False)
     return _png(figure)
+
+
+def _lines(panel, sides, line: str) -> None:
+    for fields, _, label, colour in sides:
+        values, width = _profile(fields, line)
+        if values.size:
+            panel.semilogy(np.arange(values.size) * width, values, lw=1, label=label, color=colour)
+    panel.axhline(1, color="0.5", lw=0.7)
+    panel.set_title(f"power of {line} offsets between frames (white noise: 1)", fontsize=9)
+    panel.set_xlabel(line, fontsize=8)
+
+
+def _spectra(panel, sides, line: str) -> None:
+    for _, image, label, colour in sides:
+        means = image.mean(1 if line == "row" else 0) * np.sqrt(image.shape[1 if line == "row" else 0])
+        power = np.abs(np.fft.rfft(means - means.mean()))[1:] ** 2 / means.size
+        panel.loglog(np.arange(1, power.size + 1), np.maximum(power, 1e-3), lw=1, label=label, color=colour)
+    panel.axhline(1, color="0.5", lw=0.7)
+    panel.set_ylim(bottom=0.03)
+    panel.set_title(f"spectrum of {line} means on the left (white noise: 1)", fontsize=9)
+    panel.set_xlabel("cycles per frame", fontsize=8)
+
+
+def _frames(panel, sides) -> None:
+    for fields, _, label, colour in sides:
+        offsets = [x.sum() / np.sqrt(f.usable.sum()) for f in fields for x in f.contrasts]
+        panel.plot(offsets, ".", ms=4, label=label, color=colour)
+    panel.axhline(0, color="0.5", lw=0.7)
+    panel.set_yscale("symlog", linthresh=3)
+    panel.set_title("offsets between whole frames, standard errors", fontsize=9)
+    panel.set_xlabel("differences of frames, all recordings", fontsize=8)
+
+
+def _distributions(panel, sides, what: str) -> None:
+    edges = np.linspace(-10, 10, 81)
+    middle = (edges[1:] + edges[:-1]) / 2
+    for _, image, label, colour in sides:
+        counts, _ = np.histogram(np.clip(image, -9.99, 9.99), edges)
+        panel.semilogy(middle, np.maximum(counts / image.size / 0.25, 1e-7), lw=1, label=label, color=colour)
+    panel.semilogy(middle, np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi), color="0.5", lw=0.7, label="normal")
+    panel.set_ylim(1e-7, 1)
+    panel.set_title("distribution of the pixels on the left (beyond 10: at 10)", fontsize=9)
+    panel.set_xlabel(f"{what}, standard errors", fontsize=8)
 
 
 def _profile(fields: tuple[Fields, ...], line: str) -> tuple[np.ndarray, int]:

@@ -220,7 +220,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         "heldout_gain_nats_per_pixel": per_pixel,
     }
     if mechanism == "unknown":
-        out["card"] = card(step, diagnosis.first.probes, frozenset(diagnosis.ids))
+        out["card"] = card(step, diagnosis.first.probes, frozenset(diagnosis.ids), diagnosis.fitted.steps)
     out["sentence"] = sentence(out, step, proof)
     return out
 
