@@ -59,6 +59,9 @@ def run(
     if not all((out / f"{name}.json").exists() for name in names):
         return None
     commitment = hash_of(out, names)
+    committed = out / "claims.sha256"
+    if committed.exists() and committed.read_text().strip() != commitment:
+        raise BadInput(f"{out}: the claims differ from their commitment: run bin/blind run into a new folder")
     write_atomically(out / "claims.sha256", commitment + "\n")
     return commitment
 
@@ -95,4 +98,8 @@ def read_truth(truth: Path, manifest: dict[str, Any]) -> dict[str, dict[str, Any
         raise BadInput(f"{truth}: cannot read the truth: {error.strerror}") from error
     if hashlib.sha256(content).hexdigest() != manifest["truth_sha256"]:
         raise BadInput(f"{truth}: not the truth these sets were sealed with (its SHA-256 differs)")
-    return {entry["set"]: entry for entry in json.loads(content)["sets"]}
+    entries = {entry["set"]: entry for entry in json.loads(content)["sets"]}
+    if set(entries) != set(manifest["sets"]):
+        odd = sorted(set(entries) ^ set(manifest["sets"]))[0]
+        raise BadInput(f"{truth}: {odd} is in the truth or in the manifest only: sets were added or removed")
+    return entries

@@ -56,6 +56,8 @@ def seal(
     specs = compose(rng, sets, nulls, kinds)
     entries, manifest = [], {}
     out.mkdir(parents=True, exist_ok=True)
+    write_atomically(truth, "")  # found out now, not after all sets, where it cannot be written
+    truth.unlink()
     for i, spec in enumerate(specs):
         recordings, entry = make(spec, np.random.default_rng([seed, i]))
         write_set(out / spec.name, recordings)

@@ -48,9 +48,12 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         arguments.step(arguments)
-    except (BadInput, ValueError) as error:
+    except (BadInput, ValueError, OSError) as error:
         print(f"bin/blind: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("bin/blind: interrupted; what is done is kept", file=sys.stderr)
+        return 130
     return 0
 
 

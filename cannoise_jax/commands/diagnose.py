@@ -13,6 +13,7 @@ from pathlib import Path
 
 import jax
 
+from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
@@ -32,12 +33,13 @@ def main(argv: list[str] | None = None) -> int:
     try:
         capture = load_capture_set(arguments.recordings)
         _check_output(arguments.out)
+        arguments.out.mkdir(parents=True, exist_ok=True)
         found = diagnose(
             capture,
             arguments.simulator,
             jax.random.key(arguments.key),
             alpha=arguments.alpha,
-            without=tuple(id for id in arguments.without.split(",") if id),
+            without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
             tell=tell,
         )
         report = document(
@@ -47,13 +49,15 @@ def main(argv: list[str] | None = None) -> int:
             seconds=time.monotonic() - started,
             peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         )
-        arguments.out.mkdir(parents=True, exist_ok=True)
         _write(arguments.out / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
         _write(arguments.out / "report.html", page(found, report))
         write_sensor(arguments.out / "sensor.json", found.model)
-    except (BadInput, ValueError) as error:
+    except (BadInput, ValueError, OSError, OverflowError) as error:
         print(f"bin/diagnose: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("bin/diagnose: interrupted; nothing was written", file=sys.stderr)
+        return 130
     print(f"{capture.camera}: {report['verdict']}")
     for finding in report["findings"]:
         print(f"- {finding['mechanism']}: {finding['sentence']}")
@@ -69,6 +73,9 @@ def _check_output(out: Path) -> None:
         raise BadInput(f"{out}: is a file: name a folder for the report")
     if not out.parent.is_dir() and not out.parent.parent.exists():
         raise BadInput(f"{out}: no such folder {out.parent}")
+    for name in ("report.json", "report.html", "sensor.json"):
+        if (out / name).is_dir():
+            raise BadInput(f"{out / name}: is a folder: name another one for the report")
 
 
 def _write(path: Path, text: str) -> None:
@@ -78,7 +85,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="bin/diagnose", description=__doc__)
+    parser = OneLineParser(prog="bin/diagnose", description=__doc__)
     parser.add_argument("--recordings", type=Path, required=True, help="folder of recordings of one camera")
     parser.add_argument(
         "--simulator",

@@ -111,6 +111,12 @@ def prepare(
             raise BadInput(
                 f"{r.path or 'recording'}: {height}x{width} pixels: give {LEAST_SIDE}x{LEAST_SIDE} or more"
             )
+        first = capture.recordings[0]
+        if r.size != first.size:
+            raise BadInput(
+                f"{r.path or 'recording'}: {height}x{width} pixels, {first.path or 'the first'} has "
+                f"{first.size[0]}x{first.size[1]}: give recordings of one size"
+            )
     step = code_step(capture)
     known = before or [[] for _ in chosen]
     stacks = tuple(
@@ -118,6 +124,7 @@ def prepare(
         for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
         if c
     )
+    _check_noise(stacks)
     isos = gain_groups(capture)
     groups = [[s for s in stacks if s.recording.iso == iso] for iso in isos]
     baselines = tuple(fit_baseline(g, iso) for g, iso in zip(groups, isos, strict=True) if g)
@@ -140,6 +147,20 @@ def prepare(
         step,
         span,
     )
+
+
+def _check_noise(stacks: tuple[Stack, ...]) -> None:
+    for s in stacks:
+        if len(s.contrasts) and s.usable.any() and not s.contrasts.any():
+            what = "holds one value only" if s.low == s.high else "repeats one frame"
+            raise BadInput(
+                f"{s.recording.path or 'recording'}: {what}: there is no noise to judge; leave it out"
+            )
+    if not any(s.usable.any() for s in stacks):
+        raise BadInput(
+            f"{stacks[0].recording.path or 'recordings'}: every pixel is at a rail, and so in all others: "
+            "record darker or brighter frames"
+        )
 
 
 def build_probes(

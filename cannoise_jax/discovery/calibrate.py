@@ -294,6 +294,7 @@ def own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean
     for c in range(4):
         v = values[channel == c]
         limit = stats.chi2.isf(1e-6, n) / n * max(np.median(v) * n / stats.chi2.median(n), 1e-9)
-        kept = v[v < limit]
+        # Of noise far below a step most pixels never move: one that changes by a code is no outlier.
+        kept = v[v < max(limit, stacked.step**2)]
         out[channel == c] = max(float(kept.mean()) if kept.size else 0.0, 1e-6)
     return out

@@ -149,7 +149,7 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
             chosen = (channel == c) & f.usable
             if chosen.any():
                 values = f.contrasts[:, chosen]
-                inner = np.abs(values) < 5
+                inner = np.abs(values) < 5 * max(1.0, float(np.median(np.abs(values))))
                 factor[channel == c] = 1 / np.sqrt(np.mean(values[inner] ** 2))
         out.append(
             f._replace(

@@ -63,14 +63,18 @@ def _generator(path: Path, capture: CaptureSet) -> Draw:
     lit = capture.of_kind("scene", "flat")
     if not lit:
         raise BadInput(f"{path}: a trained generator is judged on scenes and flats: record some")
-    references = jnp.stack([jnp.asarray(_packed_frame(r)) for r in lit if r.size == lit[0].size][:4])
+    looking = [r for r, (a, _) in zip(capture.recordings, split_recordings(capture), strict=True) if a]
+    shown = [r for r in looking if r.kind in ("scene", "flat") and r.size == lit[0].size] or lit[:1]
+    references = jnp.stack([jnp.asarray(_packed_frame(r)) for r in shown[:4]])
     cfa = lit[0].cfa
 
     def draw(key, clean, settings: Settings):
-        span = lit[0].white_level - np.mean(lit[0].black_level)
+        black = np.mean(lit[0].black_level)
+        span = lit[0].white_level - black
         packed = jnp.broadcast_to(pack(jnp.asarray(clean), cfa), (settings.frames, *pack(clean, cfa).shape))
         noise = sample_noise(model, key, packed, references)
-        return np.mean(lit[0].black_level) + span * np.asarray(unpack(jnp.clip(packed + noise, 0, 1), cfa))
+        # What lies below black is kept, as a sensor keeps it.
+        return black + span * np.asarray(unpack(jnp.clip(packed + noise, -black / span, 1), cfa))
 
     return draw
 

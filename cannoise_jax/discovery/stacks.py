@@ -127,8 +127,8 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
 
 def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
     """Variance of the contrasts that whole rows share, per channel, DN^2."""
-    flat = np.ones(stacked.mean[_site(0)].shape)
-    return np.array([row_variance(stacked.contrasts[:, *_site(c)], flat)[1] for c in range(4)])
+    flat = np.ones(stacked.mean.shape)
+    return np.array([row_variance(stacked.contrasts[:, *_site(c)], flat[_site(c)])[1] for c in range(4)])
 
 
 def row_variance(

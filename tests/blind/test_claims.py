@@ -52,6 +52,11 @@ def test_changed_claims_and_another_truth_are_refused(sealed, tmp_path):
     (tmp_path / "claims" / f"{names[0]}.json").write_text(json.dumps({"findings": ["better"]}))
     with pytest.raises(BadInput, match="differ from their commitment"):
         read_claims(tmp_path / "claims", names)
+    with pytest.raises(BadInput, match="differ from their commitment"):
+        run(sealed / "sets", tmp_path / "claims", report, (1, 1), quiet)
+    fewer = {**manifest, "sets": {n: manifest["sets"][n] for n in names[1:]}}
+    with pytest.raises(BadInput, match=f"{names[0]} is in the truth or in the manifest only"):
+        read_truth(sealed / "truth.json", fewer)
     other = tmp_path / "truth.json"
     other.write_text((sealed / "truth.json").read_text().replace("null", "nulL", 1) + " ")
     with pytest.raises(BadInput, match="not the truth"):

@@ -25,7 +25,7 @@ def green_score(fields: tuple[Fields, ...], *, probe: str, described: Described)
     a, b = described.greens
     u = i = 0.0
     for f in fields:
-        if f.static is None or not f.lit:
+        if f.static is None or not f.lit or not f.usable.any():
             continue
         channel = channel_index(f.mean.shape)
         level, variance = [], []

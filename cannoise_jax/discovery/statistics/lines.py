@@ -69,7 +69,8 @@ def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: b
     r = response(field, scaling).astype(np.float32)
     total = float(np.sum(r.astype(np.float64) ** 2))
     if total == 0:
-        return LineSums(np.zeros((len(values), 1)), np.zeros(1))
+        lines = r.shape[0 if axis == "row" else 1]
+        return LineSums(np.zeros((len(values), lines)), np.zeros(lines))
     frame = np.einsum("nij,ij->n", values, r) / total
     score = np.einsum("nij,ij->ni" if axis == "row" else "nij,ij->nj", values, r).astype(np.float64)
     information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from scipy import stats
 
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.statistics.lines import (
@@ -77,11 +78,14 @@ def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...])
 def pixel_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score | None:
     """Frozen white pattern of pixels, the same in every recording."""
     sums = pixel_sums(fields, scaling, ALL_KINDS)
-    if sums is None:
+    if sums is None or (scaling == "relative" and not any(f.lit and f.static is not None for f in fields)):
         return None
     power = np.ravel(sums.score**2 / np.maximum(sums.information, 1e-30))
-    # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map.
-    limit = 30.0
+    # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map. A
+    # map far above the noise puts every pixel out.
+    seen = power[np.ravel(sums.information) > 0]
+    bulk = float(np.median(seen)) / stats.chi2.median(1) if seen.size else 1.0
+    limit = 30.0 * (bulk if bulk > 2 else 1.0)
     information = np.where(power < limit, np.ravel(sums.information), 0.0)
     score = component_score(
         probe,

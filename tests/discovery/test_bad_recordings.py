@@ -1,0 +1,83 @@
+"""Recordings that are odd, or strong beyond what is met: a report, or one clear line."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.declare import registered
+from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from tests.discovery.capture import capture_set, offset_map, response_map
+
+SIZE = (64, 64)
+
+
+def found(capture):
+    first = prepare_split(capture, split_recordings(capture))
+    fitted = stepwise(first.fields, first.probes, frozenset(registered(())), float(np.log(0.01)))
+    return {s.named.mechanism: s.named.score.amplitude for s in fitted.steps}
+
+
+def with_frames(capture, number, change):
+    """The set with the frames of one recording replaced."""
+    recordings = list(capture.recordings)
+    r = recordings[number]
+    recordings[number] = dataclasses.replace(r, frames=change(np.asarray(r.frames)))
+    return CaptureSet(capture.camera, tuple(recordings))
+
+
+def test_a_flat_of_full_pixels_is_left_aside():
+    capture = capture_set(13, kinds="df", size=SIZE)
+    full = with_frames(capture, len(capture.recordings) - 1, lambda x: np.full_like(x, 16383))
+    assert found(full) == {}
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (lambda x: np.zeros_like(x), "one value"),
+        (lambda x: np.repeat(x[:1], len(x), 0), "repeats one frame"),
+        (lambda x: x[:, :48], "give recordings of one size"),
+    ],
+)
+def test_recordings_without_noise_or_of_another_size_are_refused_in_one_line(change, says):
+    capture = with_frames(capture_set(13, kinds="df", size=SIZE), 1, change)
+    with pytest.raises(BadInput, match=says) as refused:
+        prepare_split(capture, split_recordings(capture))
+    assert "\n" not in str(refused.value)
+
+
+def test_recordings_that_are_all_at_a_rail_are_refused():
+    capture = capture_set(13, kinds="f", size=SIZE)
+    for n in range(len(capture.recordings)):
+        capture = with_frames(capture, n, lambda x: np.full_like(x, 16383))
+    with pytest.raises(BadInput, match="at a rail"):
+        prepare_split(capture, split_recordings(capture))
+
+
+def test_odd_sizes_are_judged():
+    assert found(capture_set(14, kinds="df", size=(47, 63))) == {}
+
+
+def test_read_noise_far_below_a_code_is_no_finding():
+    assert found(capture_set(7, kinds="df", size=SIZE, gain=0.1)) == {}
+
+
+@pytest.mark.parametrize("drift", [0.2])
+def test_strong_drift_of_the_lamp_is_named(drift):
+    def alter(rng):
+        return lambda dn, signal, kind, t: dn + signal * drift * rng.standard_normal()
+
+    assert list(found(capture_set(15, alter, kinds="df", size=SIZE)))[0] == "illumination_drift"
+
+
+@pytest.mark.parametrize(
+    "mechanism, alter, strength", [("dsnu", offset_map, 50.0), ("prnu", response_map, 0.05)]
+)
+def test_maps_far_above_the_noise_are_measured(mechanism, alter, strength, monkeypatch):
+    monkeypatch.setattr("tests.discovery.capture.SIZE", SIZE)
+    amplitudes = found(capture_set(16, alter(strength), kinds="df", size=SIZE))
+    assert list(amplitudes)[0] == mechanism
+    assert amplitudes[mechanism] == pytest.approx(strength, rel=0.05)
