@@ -110,9 +110,9 @@ CASES: tuple[Case, ...] = (
     Case("quantization", {"step_dn": 4.0}, _DARK, exact=True),
     Case("missing_codes", {"period": 8.0}, _FLAT, exact=True),
     Case("in_camera_denoising", {"weight": 0.15}, _DARK),
-    # Blends with a weight of 1/2 lie on eighths of a code, where rounding happens to be white and intervals
-    # that allow for other weights are too wide.
     Case("in_camera_denoising", {"weight": 0.45}, _DARK, note="strong"),
+    # On eighths of a code rounding happens to be white: intervals that allow for other weights are too wide.
+    Case("in_camera_denoising", {"weight": 0.5}, _DARK, note="eighths of a code"),
     Case("flicker", {"amplitude": 0.02, "frequency": 0.06}, _FLAT),
     Case("illumination_drift", {"sigma": 0.01}, _FLAT),
     Case(
