@@ -105,13 +105,13 @@ def prepare(
     frames per recording whose mean the chosen ones are seen against as well. Raises BadInput for recordings
     of fewer than `LEAST_SIDE` rows or columns.
     """
+    first = capture.recordings[0]
     for r in capture.recordings:
         height, width = r.frames.shape[1:]
         if min(height, width) < LEAST_SIDE:
             raise BadInput(
                 f"{r.path or 'recording'}: {height}x{width} pixels: give {LEAST_SIDE}x{LEAST_SIDE} or more"
             )
-        first = capture.recordings[0]
         if r.size != first.size:
             raise BadInput(
                 f"{r.path or 'recording'}: {height}x{width} pixels, {first.path or 'the first'} has "

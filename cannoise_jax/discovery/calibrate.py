@@ -78,7 +78,8 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         shortest = min(dark, key=lambda s: s.recording.exposure_s or 0.0)
         channel = channel_index(shortest.mean.shape)
         black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
-    stacks = [without_flicker(s, black, _shared_by_rows(dark)) for s in stacks]
+    shared = _shared_by_rows(dark)
+    stacks = [without_flicker(s, black, shared) for s in stacks]
     model: tuple[np.ndarray, np.ndarray] | None = None
     for _ in range(2):
         levels = [p for s in stacks if len(s.contrasts) for p in _levels(s, black, model)]

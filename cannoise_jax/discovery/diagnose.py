@@ -22,7 +22,7 @@ from cannoise_jax.discovery.battery import (
     split_recordings,
     stated_parameters,
 )
-from cannoise_jax.discovery.fields import refit
+from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.fit import SPENT, Fitted, Step, stepwise
 from cannoise_jax.discovery.limits import NO_STRENGTH
 from cannoise_jax.discovery.locate import weight
@@ -208,10 +208,15 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
 
 
+def _looks(diagnosis: Diagnosis) -> list[tuple[Fields, ...]]:
+    """The fields of the frames that looked, and of those held back where there are any."""
+    return [p.fields for p in (diagnosis.first, diagnosis.second) if p is not None]
+
+
 def _sparse_detectable(diagnosis: Diagnosis, mechanism: str, log_alpha: float) -> float:
     """Of a few far pixels no shift in standard deviations tells how often they are found: their probe's own
     p-value does, of all frames where those held back get a second look."""
-    looks = [diagnosis.first.fields, *([diagnosis.second.fields] if diagnosis.second else [])]
+    looks = _looks(diagnosis)
     probes = [p for p in diagnosis.first.probes if p.mechanism == mechanism]
     if not probes:
         return float("inf")
@@ -235,7 +240,7 @@ def _sparse_detectable(diagnosis: Diagnosis, mechanism: str, log_alpha: float) -
 def _wave_detectable(diagnosis: Diagnosis, log_alpha: float) -> float:
     """A wave whose phase is new in every frame is found where the mean power of all frames, by their
     information, exceeds what the strongest of all frequencies tried has by chance: a gamma law."""
-    looks = [diagnosis.first.fields, *([diagnosis.second.fields] if diagnosis.second else [])]
+    looks = _looks(diagnosis)
     each = [
         (float(np.sum(f.weight.astype(np.float64) ** 2)), f.contrasts) for fields in looks for f in fields
     ]

@@ -31,7 +31,6 @@ from cannoise_jax.recordings.recording import CaptureSet, Recording
 NO_STRENGTH = ("saturation", "black_clipping", "quantization", "missing_codes")
 """Mechanisms whose amplitude says where, not how strongly, they act."""
 _SURFACE = 4
-_DARK = ("dark", "bias")
 
 
 class Seen(NamedTuple):

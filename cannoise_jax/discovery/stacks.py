@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.fields import channel_index, contrast_matrix, least_squares
+from cannoise_jax.discovery.fields import channel_index, contrast_matrix, least_squares, site
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 MOST_FRAMES = 16
@@ -84,15 +84,10 @@ def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Mean square of the contrasts once what a whole frame shares is taken out."""
     total = np.zeros(mean.shape, np.float32)
     for c in range(4):
-        at = _site(c)
+        at = site(c)
         for contrast in contrasts:
             total[at] += _steady(contrast[at], mean[at]) ** 2
     return total / max(len(contrasts), 1)
-
-
-def _site(c: int) -> tuple[slice, slice]:
-    """The pixels of mosaic site c."""
-    return np.s_[c // 2 :: 2, c % 2 :: 2]
 
 
 def _steady(contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"]) -> Float[np.ndarray, "*at"]:
@@ -118,7 +113,7 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
         return stacked
     variance, found = stacked.variance.copy(), False
     for c in range(4):
-        at = _site(c)
+        at = site(c)
         rest, shared = row_variance(stacked.contrasts[:, *at], stacked.mean[at] - black[c])
         if shared - additive[c] > FLICKER * float(np.mean(rest)):
             variance[at], found = rest + additive[c], True
@@ -128,7 +123,7 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
 def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
     """Variance of the contrasts that whole rows share, per channel, DN^2."""
     flat = np.ones(stacked.mean.shape)
-    return np.array([row_variance(stacked.contrasts[:, *_site(c)], flat[_site(c)])[1] for c in range(4)])
+    return np.array([row_variance(stacked.contrasts[:, *site(c)], flat[site(c)])[1] for c in range(4)])
 
 
 def row_variance(

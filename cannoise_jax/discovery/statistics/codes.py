@@ -39,7 +39,7 @@ def comb_score(fields, *, probe: str, codes: Codes) -> Score | None:
     lowest = np.sqrt(np.log(np.sqrt(total) / 0.02) / (2 * np.pi**2)) / codes.narrowest
     index = np.flatnonzero(codes.broad)
     index, counts = index[0] + np.arange(index[-1] - index[0] + 1), codes.broad[index[0] : index[-1] + 1]
-    found: list[tuple[float, int, float, int]] = []
+    found: list[tuple[float, float, int]] = []
     tried = 0
     for period in _PERIODS:
         folded = np.bincount(index % period, weights=counts, minlength=period)
@@ -53,11 +53,11 @@ def comb_score(fields, *, probe: str, codes: Codes) -> Score | None:
         chi2 = 2 * float(power[used].sum()) - (float(power[-1]) if nyquist else 0.0)
         dof = 2 * int(used.sum()) - (1 if nyquist else 0)
         log_p = chi2_log_sf(chi2, dof)
-        found.append((log_p, period, chi2, dof))
+        found.append((log_p, chi2, dof))
     if not tried:
         return None
     smallest = min(f[0] for f in found)
-    _, _, chi2, dof = max(found, key=lambda f: f[2] - 2 * f[3])
+    _, chi2, dof = max(found, key=lambda f: f[1] - 2 * f[2])
     comb = _comb(index, counts)
     distance, phase, shortfall = comb or (0.0, 0, 0.0)
     return Score(

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-from cannoise_jax.discovery.fields import Fields, frame_fields, map_contrasts
-from cannoise_jax.discovery.statistics.lines import line_sums, response
+from cannoise_jax.discovery.fields import Fields, frame_fields, map_contrasts, site
+from cannoise_jax.discovery.statistics.lines import LineSums, line_sums, response
 from cannoise_jax.discovery.statistics.score import Probe, Score, sidak, variance_component
-from cannoise_jax.discovery.statistics.waves import orthonormal, redrawn, rician_fit, without
+from cannoise_jax.discovery.statistics.waves import orthonormal, projected_out, redrawn, rician_fit, without
 
 _NEARLY = 0.1
 """Share of what rows share beyond chance that may be left for a sinusoid to explain nearly all of it."""
@@ -49,7 +49,7 @@ def flicker_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         values = redrawn(f)
         sums = line_sums(f, values, "row", "relative")
         if sums.information.size > 1 and sums.information.sum() > 0:
-            seen.append((f, values))
+            seen.append((f, values, sums))
             powers.append(_wave_power(sums.score, sums.information))
             information.append(np.full(len(values), sums.information.sum()))
     if not powers:
@@ -98,15 +98,15 @@ class _Strong(NamedTuple):
     error: float
 
 
-def _with_remainder(seen: list[tuple[Fields, np.ndarray]], frequency: float) -> _Strong | None:
+def _with_remainder(seen: list[tuple[Fields, np.ndarray, LineSums]], frequency: float) -> _Strong | None:
     """The sinusoid with its harmonic, both of each colour's own strength, and a white remainder, for rows of
     which it explains nearly all; None for any others.
 
     Sums scaled to the noise of their own pixels bend a sinusoid that is far above it: both laws are compared
     on those that are not, and the difference is put on what white rows gain on those that are.
     """
-    whole, rest, saved, left_over, squares = [], [], 0.0, 0.0, []
-    for field, values in seen:
+    whole, rest, saved, left_over = [], [], 0.0, 0.0
+    for field, values, _ in seen:
         sums = line_sums(field, values, "row", "relative", own=False)
         information, h = np.maximum(sums.information, 1e-30), sums.information.size
         white = sums.score / np.sqrt(information)
@@ -121,14 +121,12 @@ def _with_remainder(seen: list[tuple[Fields, np.ndarray]], frequency: float) -> 
         left_over += (float(np.sum(left**2)) / (1 - kept.shape[1] / h)) - white.size
         whole.append((white, information))
         rest.append((left, information))
-        squares.append(_squares(field, values, frequency))
     excess = sum(float(np.sum(w**2)) - w.size for w, _ in whole)
     if left_over > _NEARLY * excess:
         return None
-    scaled = [line_sums(field, values, "row", "relative") for field, values in seen]
-    own = [(s.score / np.sqrt(np.maximum(s.information, 1e-30)), s.information) for s in scaled]
+    own = [(s.score / np.sqrt(np.maximum(s.information, 1e-30)), s.information) for _, _, s in seen]
     gain = _white(own) + saved + _white(rest) - _white(whole)
-    power = np.concatenate(squares)
+    power = np.concatenate([_squares(field, values, frequency) for field, values, _ in seen])
     amplitude = float(np.sqrt(np.mean(power)))
     return _Strong(gain, amplitude, amplitude / (2 * np.sqrt(power.size)))
 
@@ -163,12 +161,9 @@ def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
 
     def function(values: np.ndarray) -> np.ndarray:
         out = values.copy()
-        for y in (0, 1):
-            for x in (0, 1):
-                at = np.s_[y::2, x::2]
-                q = orthonormal(np.array([(b[y::2, None] * r[at]).ravel() for b in basis]))
-                part = values[:, *at].reshape(len(values), q.shape[1])
-                out[:, *at] = (part - (part @ q.T) @ q).reshape(out[:, *at].shape)
+        for at in map(site, range(4)):
+            q = orthonormal(np.array([(b[at[0], None] * r[at]).ravel() for b in basis]))
+            out[:, *at] = projected_out(values[:, *at], q)
         return out
 
     return map_contrasts(field, function)

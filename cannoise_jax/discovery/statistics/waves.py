@@ -146,8 +146,13 @@ def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
 
 def without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
     """The field with what the rows of `basis` span projected out."""
-    q = orthonormal(basis)
-    return map_contrasts(field, lambda v: v - ((v.reshape(len(v), q.shape[1]) @ q.T) @ q).reshape(v.shape))
+    return map_contrasts(field, partial(projected_out, q=orthonormal(basis)))
+
+
+def projected_out(values: Float[np.ndarray, "n h w"], q: Float[np.ndarray, "m p"]) -> np.ndarray:
+    """Images without what orthonormal rows `q` span."""
+    flat = values.reshape(len(values), q.shape[1])
+    return values - ((flat @ q.T) @ q).reshape(values.shape)
 
 
 def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
