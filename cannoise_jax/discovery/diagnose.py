@@ -32,6 +32,7 @@ from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
 from cannoise_jax.discovery.sparse import hot_found, telegraph_found
 from cannoise_jax.discovery.statistics.patterns import pixel_sums
+from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.discovery.statistics.shape import DARK, darks
 from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -204,7 +205,7 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     for probe in diagnosis.first.probes:
         score = diagnosis.fitted.first.scores.get(probe.name)
         if probe.mechanism == mechanism and score is not None and np.isfinite(score.shift):
-            best = min(best, score.shift * threshold ** (1 / score.power))
+            best = min(best, quoted(score, mechanism).shift * threshold ** (1 / score.power))
     return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
 
 

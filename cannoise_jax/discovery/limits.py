@@ -25,6 +25,7 @@ from cannoise_jax.discovery.fields import Fields, channel_index, least_squares
 from cannoise_jax.discovery.sparse import hot_amplitude, telegraph_amplitude
 from cannoise_jax.discovery.stacks import surfaces
 from cannoise_jax.discovery.statistics.light import fall_off
+from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.discovery.statistics.shape import known_kurtosis
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
@@ -287,5 +288,5 @@ def _by_probes(mechanism: str, prepared: Prepared, multiple: float) -> float:
         if probe.mechanism == mechanism:
             score = probe.score(prepared.fields)
             if score is not None and np.isfinite(score.shift):
-                best = min(best, score.shift * (5 * multiple) ** (1 / score.power))
+                best = min(best, quoted(score, mechanism).shift * (5 * multiple) ** (1 / score.power))
     return best

@@ -107,13 +107,13 @@ def reference_score(fields: tuple[Fields, ...], *, probe: str, kind: str, span: 
     chosen = [f for f in fields if f.kind == "scene" and f.static is not None and f.clean is not None]
     if not chosen:
         return None
-    chi2, dof, values, errors = 0.0, 0, [], []
+    chi2, dof, values, errors, changes = 0.0, 0, [], [], []
     shared_u = shared_i = 0.0
     for f in chosen:
         assert f.clean is not None and f.static is not None
-        t = np.array([project(f, g).ravel() for g in reference_templates(f.clean, span, kind)]) * np.sqrt(
-            f.frames
-        )
+        templates = reference_templates(f.clean, span, kind)
+        t = np.array([project(f, g).ravel() for g in templates]) * np.sqrt(f.frames)
+        changes.append(float(np.sqrt(np.mean(np.square(templates)))))
         normal = np.einsum("kn,ln->kl", t, t)
         u = np.einsum("kn,n->k", t, f.static.ravel().astype(np.float64))
         if kind == "crosstalk":
@@ -140,6 +140,7 @@ def reference_score(fields: tuple[Fields, ...], *, probe: str, kind: str, span: 
             1,
             {"fraction": (shared_u / shared_i, "1", error)},
             where,
+            float(np.sqrt(np.mean(np.square(changes)))),
         )
     k = int(np.argmax(values))
     return Score(
@@ -153,7 +154,17 @@ def reference_score(fields: tuple[Fields, ...], *, probe: str, kind: str, span: 
         1,
         {kind: (values[k], unit, errors[k])},
         where,
+        changes[k],
     )
+
+
+def quoted(score: Score, mechanism: str) -> Score:
+    """A blur that is read as an error of the reference in the unit of that: rms change of the reference, DN.
+    As a blur by the camera its amplitude is the share that is given away."""
+    if mechanism != "reference_error" or score.probe not in ("reference_blur", "reference_spread"):
+        return score
+    rms = score.payload
+    return score._replace(amplitude=score.amplitude * rms, error=score.error * rms, shift=score.shift * rms)
 
 
 def drop_scenes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:

@@ -1,0 +1,56 @@
+"""Errors of the reference: their strength is quoted in the unit of the mechanism that they are given to."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.diagnose import detectable, diagnose
+from cannoise_jax.discovery.report import finding
+from cannoise_jax.discovery.statistics.reference import quoted
+from cannoise_jax.recordings.recording import CaptureSet
+from tests.discovery.capture import capture_set
+
+
+def blurred(capture: CaptureSet, share: float) -> CaptureSet:
+    """The set with references that give `share` of every pixel to its four neighbours of the same colour."""
+
+    def blur(clean):
+        p = np.pad(clean, 2, mode="reflect")
+        mean = (p[:-4, 2:-2] + p[4:, 2:-2] + p[2:-2, :-4] + p[2:-2, 4:]) / 4
+        return (clean + share * (mean - clean)).astype(np.float32)
+
+    recordings = (
+        r if r.clean is None else dataclasses.replace(r, clean=blur(r.clean)) for r in capture.recordings
+    )
+    return CaptureSet(capture.camera, tuple(recordings))
+
+
+def test_a_blurred_reference_is_wrong_by_so_many_dn():
+    sharp = capture_set(1, kinds="sd")
+    soft = blurred(sharp, 0.1)
+    span = 16383.0 - 200.0
+    wrong = [
+        span * float(np.sqrt(np.mean((a.clean - b.clean) ** 2)))
+        for a, b in zip(sharp.recordings, soft.recordings, strict=True)
+        if a.clean is not None
+    ]
+    found = diagnose(soft, compare=False, mechanisms=("reference_error", "misregistration"))
+    entries = [finding(found, s, p) for s, p in zip(found.fitted.steps, found.proofs, strict=True)]
+    entry = next(e for e in entries if "blur" in e["parameters"])
+    assert entry["mechanism"] == "reference_error" and entry["amplitude"]["unit"] == "DN"
+    assert entry["amplitude"]["value"] == pytest.approx(max(wrong), rel=0.3)
+    low, high = entry["amplitude"]["ci90"]
+    assert 0 < high - low < entry["amplitude"]["value"]
+    assert abs(entry["parameters"]["blur"]["value"]) == pytest.approx(0.1, abs=0.03)
+
+
+def test_the_smallest_blur_that_is_seen_is_in_dn_too():
+    found = diagnose(capture_set(2, kinds="sd"), compare=False, mechanisms=("reference_error",))
+    score = found.fitted.first.scores["reference_blur"]
+    smallest = detectable(found, "reference_error")
+    assert smallest is not None and smallest[1] == "DN"
+    assert smallest[0] > 5 * score.shift
+    assert quoted(score, "in_camera_denoising") == score
