@@ -56,7 +56,7 @@ NEEDS = {
     "hot_pixel_suppression": "twenty long darks",
     "demosaicing": "two frames or more at one setting",
     "flicker": "two frames or more of a lit scene or flat",
-    "illumination_drift": "two lit recordings of two frames or more",
+    "illumination_drift": "two frames or more of a lit scene or flat, and of a second recording",
     "reference_error": "scenes with an independent reference",
     "misregistration": "scenes with an independent reference",
     "scene_motion": "ten frames or more of a scene with an independent reference",

@@ -212,7 +212,7 @@ def held_out_gain(found: Score, again: Score) -> float:
     """Log-likelihood gain on the frames held back at the parameters of the others, nats."""
     power = found.power
     a, b = found.amplitude**power, again.amplitude**power
-    if not _same_place(found, again):
+    if not same_place(found, again):
         return 0.0
     if not again.error > 0:  # a shape without a strength: less what its free parameters gain by chance
         return float(again.gain - again.penalty)
@@ -245,7 +245,7 @@ def jackknife_interval(
     return gain - half, gain + half
 
 
-def _same_place(found: Score, again: Score) -> bool:
+def same_place(found: Score, again: Score) -> bool:
     """Whether both halves put the effect at the same frequency, boundary, edge or period."""
     for name, tolerance in (
         ("frequency", 2.5),

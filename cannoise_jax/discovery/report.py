@@ -13,7 +13,7 @@ from cannoise_jax.discovery.card import card
 from cannoise_jax.discovery.declare import kinds
 from cannoise_jax.discovery.diagnose import Diagnosis, detectable
 from cannoise_jax.discovery.fit import Step
-from cannoise_jax.discovery.prove import Proof
+from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.vocabulary import VOCABULARY
@@ -184,8 +184,11 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     """
     mechanism = step.named.mechanism
     # A few pixels may not show again in few frames: their strength is then that of the frames that looked.
-    again = proof.score
-    score = quoted(again if again is not None and again.error > 0 else step.named.score, mechanism)
+    # Nor are the numbers of one wave joined to the place of another.
+    found, again = step.named.score, proof.score
+    score = quoted(
+        again if again is not None and again.error > 0 and same_place(found, again) else found, mechanism
+    )
     term = VOCABULARY[mechanism]
     outcome = (
         "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"

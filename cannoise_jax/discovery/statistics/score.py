@@ -114,7 +114,7 @@ def variance_component(
     dof = np.broadcast_to(np.asarray(dof, float), power.shape)
     used = (information > 0) & (dof > 0)
     power, information, dof = power[used], information[used], dof[used]
-    if power.size < 2:
+    if not power.size:
         return Component(0.0, 0.0, 0.0, 0.0, np.inf)
     score_sd = np.sqrt(0.5 * np.sum(dof * information**2))
     excess = 0.5 * np.sum(information * (power - dof))
