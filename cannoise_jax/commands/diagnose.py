@@ -8,6 +8,7 @@ import json
 import os
 import resource
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
-from cannoise_jax.physics.sensor_json import write_sensor
+from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.sensor_json import check_place, write_sensor
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput
 
@@ -33,7 +35,6 @@ def main(argv: list[str] | None = None) -> int:
     try:
         capture = load_capture_set(arguments.recordings)
         _check_output(arguments.out)
-        arguments.out.mkdir(parents=True, exist_ok=True)
         found = diagnose(
             capture,
             arguments.simulator,
@@ -49,9 +50,11 @@ def main(argv: list[str] | None = None) -> int:
             seconds=time.monotonic() - started,
             peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         )
-        _write(arguments.out / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
-        _write(arguments.out / "report.html", page(found, report))
-        write_sensor(arguments.out / "sensor.json", found.model)
+        texts = {
+            "report.json": json.dumps(report, indent=1, allow_nan=False) + "\n",
+            "report.html": page(found, report),
+        }
+        _write(arguments.out, texts, found.model)
     except (BadInput, ValueError, OSError, OverflowError) as error:
         print(f"bin/diagnose: {error}", file=sys.stderr)
         return 2
@@ -69,6 +72,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _check_output(out: Path) -> None:
+    """Makes the folder. Raises BadInput, before minutes are spent, where the results could not be written."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out}: is a file: name a folder for the report")
     if not out.parent.is_dir() and not out.parent.parent.exists():
@@ -76,12 +80,30 @@ def _check_output(out: Path) -> None:
     for name in ("report.json", "report.html", "sensor.json"):
         if (out / name).is_dir():
             raise BadInput(f"{out / name}: is a folder: name another one for the report")
+    check_place(out / "sensor.json")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise BadInput(f"{out}: cannot be written ({error.strerror}): name another folder") from error
 
 
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+def _write(out: Path, texts: dict[str, str], model: SensorModel) -> None:
+    """Puts all results in place once all of them are on the disk, so that a full one keeps what was there."""
+    beside = {out / name: out / f".{name}.{os.getpid()}" for name in texts}
+    try:
+        for (path, temporary), text in zip(beside.items(), texts.values(), strict=True):
+            try:
+                temporary.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise BadInput(f"{path}: cannot be written ({error.strerror}): make room for it") from error
+        write_sensor(out / "sensor.json", model)
+        for path, temporary in beside.items():
+            os.replace(temporary, path)
+    finally:
+        for temporary in beside.values():
+            temporary.unlink(missing_ok=True)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -214,7 +214,8 @@ def drawn_parameters(drawn: CaptureSet, baselines: tuple[Baseline, ...], step: f
 
 
 def stated_parameters(capture: CaptureSet, baselines: tuple[Baseline, ...]) -> tuple:
-    """Gain (DN/e-) and read noise (DN) of the files per gain setting; None where not stated."""
+    """Gain (DN/e-) and read noise (DN) of the files per gain setting; None where not stated. None at all, or
+    less, is taken as next to none, so that it is judged, too."""
     out: list[tuple] = []
     for baseline in baselines:
         chosen = [r for r in capture.recordings if r.iso == baseline.iso and r.shot and r.read]
@@ -223,7 +224,8 @@ def stated_parameters(capture: CaptureSet, baselines: tuple[Baseline, ...]) -> t
             continue
         r = chosen[0]
         span = r.white_level - np.asarray(r.black_level)
-        out.append((np.asarray(r.shot) * span, np.sqrt(np.asarray(r.read)) * span))
+        read = np.sqrt(np.maximum(np.asarray(r.read), 0.0)) * span
+        out.append((np.maximum(np.asarray(r.shot) * span, 1e-6), np.maximum(read, 1e-3)))
     return tuple(out)
 
 

@@ -204,18 +204,17 @@ def _line(levels: list[Level], stacks: list[Stack], c: int) -> tuple[float, floa
     )
     x = np.maximum(x, 0)
     if np.ptp(x) < 2 * step or len(levels) == len(dark):
-        gain = stacks[0].recording.shot
-        slope = (
-            gain[c] * (stacks[0].recording.white_level - np.mean(stacks[0].recording.black_level))
-            if gain
-            else 1.0
-        )
-        return (
-            float(slope),
-            float(np.sqrt(max(np.average(v, weights=n) - step**2 / 12, 1e-4 * step**2))),
-            0.0,
-            0.0,
-        )
+        first = stacks[0].recording
+        rest = float(np.average(v, weights=n) - step**2 / 12)
+        span = first.white_level - np.mean(first.black_level)
+        slope = float(first.shot[c] * span) if first.shot else 1.0
+        if len(levels) > len(dark):
+            # One level of light: shot noise of the stated gain, or else all of it, and the rest.
+            signal = float(np.average(x, weights=n))
+            most = max(rest, 0.0) / signal
+            slope = min(slope, most) if first.shot else most
+            rest -= slope * signal
+        return slope, float(np.sqrt(max(rest, 1e-4 * step**2))), 0.0, 0.0
     relative = e / np.maximum(v, 1e-9)
     fitted = v
     for _ in range(6):

@@ -12,13 +12,14 @@ from cannoise_jax.discovery.card import lines as card_lines
 from cannoise_jax.discovery.declare import UNTESTED
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
+from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.vocabulary import VOCABULARY
 
 _MEASURES = (
     ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),
     ("two_sample_auc_ci90", "its 90 % interval, frames resampled"),
     ("nll_nats_per_pixel", "surprise about new frames, nats per pixel (less is better)"),
-    ("kl", "KL divergence of the noise histograms, nats"),
+    ("kl", "KL divergence of the noise histograms, nats (of the bins that both fill: may be negative)"),
     ("kl_floor", "what two equal samples of this size would show"),
 )
 
@@ -113,7 +114,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     return jinja2.Template(template, autoescape=True).render(
         card_lines=card_lines,
         not_looked_for=not_looked_for(report),
-        camera=diagnosis.capture.camera,
+        camera="Recordings" if diagnosis.capture.camera == Recording.camera else diagnosis.capture.camera,
         r=report,
         verdict=verdict(report),
         pictures=pictures,

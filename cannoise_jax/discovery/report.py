@@ -93,7 +93,9 @@ def document(
     for line, recording, (look, show) in lines:
         used = len(look) + len(show)
         inputs.append({**line, "frames_used": used, "sha256": _digest(recording.path)})
-    verdict = "mismatch" if findings else "match" if diagnosis.testable else "not_testable"
+    # Where nothing may be named, what is left of the battery still looks for structures without a name.
+    tested = diagnosis.testable or diagnosis.fitted.first.scores
+    verdict = "mismatch" if findings else "match" if tested else "not_testable"
     # A name that a probe of another mechanism may give was looked for, too.
     also = [id for id in diagnosis.ids if id in named and id not in diagnosis.testable]
     return plain(

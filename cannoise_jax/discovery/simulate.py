@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import split_recordings
-from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, smooth_mean, stack
+from cannoise_jax.discovery.calibrate import gain_groups
+from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, iso_numbers, smooth_mean, stack
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
@@ -43,7 +44,8 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
     """The simulator of a model, a function, a sensor.json or a training folder. Raises BadInput for what is
     none."""
     if isinstance(simulator, SensorModel):
-        return Simulator(simulator.camera, simulator.sample, True, simulator)
+        label = "sensor model" if simulator.camera == SensorModel.camera else simulator.camera
+        return Simulator(label, simulator.sample, True, simulator)
     if callable(simulator):
         return Simulator(getattr(simulator, "__name__", "function"), simulator, True)
     path = Path(simulator)
@@ -92,7 +94,7 @@ def codes_of(
     frames where it returns one frame a call, rounded to the step and clipped at the rails. None for darks
     unless it draws `dark`.
 
-    Raises BadInput when a frame comes back with another size or values that are not finite.
+    Raises BadInput when frames come back in another size or number, or with values that are not finite.
     """
 
     def codes(number: int, clean: np.ndarray, settings: Settings) -> np.ndarray | None:
@@ -105,11 +107,13 @@ def codes_of(
         if frames.ndim == 2:
             more = [draw(jax.random.fold_in(own, t), given, settings) for t in range(1, settings.frames)]
             frames = np.stack([frames, *(np.asarray(m, np.float64) for m in more)])
-        if frames.shape[1:] != recording.size or not np.isfinite(frames).all():
+        if frames.shape != (settings.frames, *recording.size):
             raise BadInput(
-                f"simulator: drew {frames.shape[1:]} with finite values {np.isfinite(frames).all()}: "
-                f"it must return finite DN of the size of clean, {recording.size}"
+                f"simulator: drew frames of shape {frames.shape}: it must return finite DN of the size of "
+                f"clean, {recording.size}, one frame or all {settings.frames}"
             )
+        if not np.isfinite(frames).all():
+            raise BadInput("simulator: drew values that are not finite: it must return finite DN")
         highest = np.floor(min(recording.white_level, 65535.0) / step) * step
         return np.clip(np.round(frames / step) * step, 0, highest).astype(np.uint16)
 
@@ -120,10 +124,11 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
     """As many frames as every recording has, at its settings and of its clean signal, rounded and clipped.
 
     Recordings whose signal is not known (a scene without a reference) are left out, darks too unless `dark`.
-    Raises BadInput when a frame comes back with another size or values that are not finite.
+    Raises BadInput for what `codes_of` refuses, and for frames without noise.
     """
     step = code_step(capture)
     codes = codes_of(draw, capture, key, step, dark)
+    isos = iso_numbers(gain_groups(capture))
     out = []
     for n, (recording, (look, _)) in enumerate(
         zip(capture.recordings, split_recordings(capture), strict=True)
@@ -132,7 +137,7 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
         if clean is None:
             continue
         settings = Settings(
-            recording.iso if recording.iso is not None else 100.0,
+            isos[recording.iso],
             recording.exposure_s if recording.exposure_s is not None else 0.01,
             recording.temperature_c,
             min(recording.count, MOST_FRAMES),
@@ -140,6 +145,12 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
         frames = codes(n, clean, settings)
         if frames is None:
             continue
+        if len(frames) > 1 and (frames == frames[0]).all():
+            name = recording.path or recording.kind
+            raise BadInput(
+                f"simulator: draws one and the same frame for {name}: there is no noise of it to judge; "
+                "give one that draws noise by its key, in DN"
+            )
         out.append(
             dataclasses.replace(recording, frames=frames, clean=clean.astype(np.float32), code_step=step)
         )

@@ -28,19 +28,19 @@ SCHEMA = "cannoise/sensor/1"
 
 
 def write_sensor(path: str | Path, model: SensorModel) -> None:
-    """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically.
+    """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically; that of the
+    model before goes where there are none now.
 
     Raises BadInput where `path` is a folder, the `.npz` is there and not of the model at `path`, or the model
     (changed with `dataclasses.replace`, say) holds what `read_sensor` would refuse.
     """
     path = Path(path)
-    if path.is_dir():
-        raise BadInput(f"{path}: is a folder: name a file for the sensor model")
     maps: dict[str, Any] = {
         f"{i}/{name}": np.asarray(values, np.float32)
         for i, fitted in enumerate(model.mechanisms)
         for name, values in fitted.maps.items()
     }
+    check_place(path, bool(maps))
     try:
         document = sensor_document(model)
         model_of(document, maps)
@@ -48,16 +48,26 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"{path}: not written, {said}: correct the model") from error
     files: dict[Path, bytes] = {}
+    npz = path.with_suffix(".npz")
     if maps:
         content = io.BytesIO()
         np.savez_compressed(content, **maps)
-        npz = path.with_suffix(".npz")
-        if npz.exists() and not _owns(path, npz):
-            raise BadInput(f"{npz}: is there already and holds no maps of {path.name}: choose another name")
         document["maps"] = {"file": npz.name, "sha256": hashlib.sha256(content.getvalue()).hexdigest()}
         files[npz] = content.getvalue()
     files[path] = (json.dumps(document, indent=1) + "\n").encode()
+    stale = not maps and npz.exists() and _owns(path, npz)
     _replace(files)
+    if stale:
+        npz.unlink()
+
+
+def check_place(path: Path, maps: bool = True) -> None:
+    """Raises BadInput where `write_sensor` would not write a model, with maps or without."""
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder: name a file for the sensor model")
+    npz = path.with_suffix(".npz")
+    if maps and npz.exists() and not _owns(path, npz):
+        raise BadInput(f"{npz}: is there already and holds no maps of {path.name}: choose another name")
 
 
 def _owns(path: Path, npz: Path) -> bool:

@@ -62,7 +62,8 @@ def make_recording(
     """A checked recording from a file's frames and metadata.
 
     known: fields of `Recording` that the file states (None: not stated). overrides: fields that the caller
-    states (None: keep the file's), see `OVERRIDES`. The camera is named after the folder unless stated.
+    states (None: keep the file's), see `OVERRIDES`. The camera is named after the folder unless it is
+    stated.
     Values above the white level are saturation: counted, and logged as one warning; so are a `clean` and a
     `code_step` that do not fit the frames (see `plausible`). scan: False leaves out what takes reading
     pixels, for views that check what they read.
@@ -90,7 +91,7 @@ def make_recording(
         cfa=cfa,
         black_level=black,
         white_level=white,
-        camera=_text(stated.get("camera")) or Path(path).absolute().parent.name or "unknown",
+        camera=_camera(stated.get("camera")) or Path(path).absolute().parent.name or Recording.camera,
         kind=_one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
@@ -201,6 +202,12 @@ def _text(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or "")
+
+
+def _camera(value: Any) -> str:
+    """The stated name; nothing for what a `Recording` says where nobody named it."""
+    name = _text(value)
+    return "" if name == Recording.camera else name
 
 
 def _cfa(path: str | Path, value: Any) -> str:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import errno
 import json
 
+import pytest
+
+from cannoise_jax.commands import diagnose as command
 from cannoise_jax.commands.diagnose import main
+from cannoise_jax.physics.sensor import SensorModel
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
@@ -42,3 +48,58 @@ def test_unknown_simulator_and_mechanism_are_refused(tmp_path, capsys):
     for more in (["--simulator", "x"], ["--without", "nonsense"]):
         assert main(["--recordings", str(folder), "--out", str(tmp_path / "out"), *more]) == 2
         assert "bin/diagnose: " in capsys.readouterr().err
+
+
+def never(*given, **more):
+    raise AssertionError("diagnosed although the results could not be written")
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    folder = write(tmp_path / "in", capture_set(1, kinds="d", size=(64, 64)))
+    out = tmp_path / "out"
+    out.mkdir()
+    monkeypatch.setattr(command, "diagnose", never)
+    arguments = ["--recordings", str(folder), "--out", str(out)]
+    (out / "sensor.npz").write_bytes(b"of something else")
+    assert main(arguments) == 2
+    assert "holds no maps of sensor.json" in capsys.readouterr().err
+    (out / "sensor.npz").unlink()
+
+    def read_only(**more):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(command.tempfile, "TemporaryFile", read_only)
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == (
+        f"bin/diagnose: {out}: cannot be written (Read-only file system): name another folder\n"
+    )
+
+
+@pytest.mark.parametrize("full", [command.Path.write_text, command.write_sensor])
+def test_a_full_disk_keeps_all_that_was_there(full, tmp_path, monkeypatch):
+    model = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 4095.0)
+    command._write(tmp_path, {"report.json": "old", "report.html": "old"}, model)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    assert set(before) == {"report.json", "report.html", "sensor.json"}
+
+    def fails(*given, **more):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if full is command.write_sensor:
+        monkeypatch.setattr(command, "write_sensor", fails)
+    else:
+        kept = command.Path.write_text
+        monkeypatch.setattr(
+            command.Path, "write_text", lambda p, *a, **k: fails() if "html" in p.name else kept(p, *a, **k)
+        )
+    with pytest.raises((OSError, ValueError), match="No space left"):
+        command._write(tmp_path, {"report.json": "new", "report.html": "new"}, model)
+    monkeypatch.undo()
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_recordings_without_a_camera_are_named_after_their_folder(tmp_path):
+    capture = capture_set(1, kinds="d", size=(64, 64))
+    nameless = (dataclasses.replace(r, camera="unknown") for r in capture.recordings)
+    folder = write(tmp_path / "workbench", dataclasses.replace(capture, recordings=tuple(nameless)))
+    assert command.load_capture_set(folder).camera == "workbench"

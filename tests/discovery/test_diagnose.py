@@ -80,6 +80,41 @@ def test_stated_gain_is_judged_only_when_asked():
     assert "gain_error" not in run(wrong).testable
 
 
+def test_a_stated_noise_of_none_is_judged():
+    good = capture_set(3, kinds="df", size=(64, 64))
+    wrong = CaptureSet(
+        good.camera,
+        tuple(dataclasses.replace(r, shot=(0.0,) * 4, read=(-1e-9,) * 4) for r in good.recordings),
+    )
+    assert set(run(wrong, simulator="nlf").findings) == {"gain_error", "read_noise_error"}
+
+
+@pytest.mark.parametrize("isos", [(None, 100.0), (0.0, 0.0), (50.0, None)])
+def test_gain_settings_that_are_not_stated_or_zero_are_modelled(isos):
+    capture = capture_set(3, kinds="df", size=(64, 64))
+    parts = tuple(dataclasses.replace(r, iso=isos[n % 2]) for n, r in enumerate(capture.recordings))
+    model = run(CaptureSet("c", parts)).model
+    assert np.size(model.iso) == len(set(isos)) and np.all(np.diff(model.iso) > 0) and np.min(model.iso) > 0
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_flats_at_one_level_are_judged(stated):
+    capture = capture_set(8, row_offsets(8.0), kinds="f", size=(64, 64))
+    flat = capture.recordings[2]
+    flat = flat if stated else dataclasses.replace(flat, shot=None, read=None, iso=None, exposure_s=None)
+    found = run(CaptureSet("c", (flat,)))
+    field = found.first.fields[0]
+    assert field.usable.all() and found.testable
+    true = np.sqrt(1.5 * 0.3 * 16183 + 4.5**2 + 8.0**2)
+    assert np.median(field.sigma) == pytest.approx(true, rel=0.05)
+
+
+def test_a_run_that_may_name_nothing_still_looks():
+    capture = capture_set(4, kinds="d", size=(64, 64))
+    found = run(capture, mechanisms=())
+    assert document(found, key=0, version="0")["verdict"] == "match"
+
+
 def test_a_wrong_black_level_is_bookkeeping():
     good = capture_set(4)
     wrong = CaptureSet(
@@ -199,8 +234,11 @@ def test_a_function_is_a_simulator_and_its_gain_is_judged():
         return 200.0 + signal + noise
 
     assert "gain_error" in run(capture_set(15), simulator=camera).findings
-    with pytest.raises(BadInput, match="must return"):
-        run(capture_set(15, kinds="d"), simulator=lambda key, clean, settings: clean[1:])
+    for wrong in (lambda key, clean, settings: clean[1:], lambda key, clean, settings: [clean, clean]):
+        with pytest.raises(BadInput, match="must return"):
+            run(capture_set(15, kinds="d"), simulator=wrong)
+    with pytest.raises(BadInput, match="simulator: draws one and the same frame"):
+        run(capture_set(15, kinds="d"), simulator=lambda key, clean, settings: 200 + clean)
 
 
 def test_bad_requests_say_what_is_wrong():

@@ -63,6 +63,8 @@ def test_round_trip_with_tables_scaling_grammar_and_maps(tmp_path):
     key = jax.random.key(3)
     np.testing.assert_array_equal(model.sample(key, clean, settings), again.sample(key, clean, settings))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["sensor.json", "sensor.npz"]
+    write_sensor(path, camera())
+    assert [p.name for p in tmp_path.iterdir()] == ["sensor.json"]  # no maps of a model that is gone
 
 
 @pytest.mark.parametrize("id", MECHANISMS)

@@ -52,6 +52,8 @@ def sidak(log_p: float, count: float) -> float:
 def quadratic_log_p(value: float, weights: np.ndarray, dof: np.ndarray | float = 1.0) -> float:
     """log of the upper tail of sum w chi2(dof), by matching three cumulants (Hall-Buckley-Eagleson)."""
     c1, c2, c3 = (float(np.sum(dof * weights**k)) for k in (1, 2, 3))
+    if c3 == 0:
+        return 0.0  # nothing to see it with
     nu = c2**3 / c3**2
     x = nu + (value - c1) * np.sqrt(nu / c2)
     return float(chi2_log_sf(max(x, 0.0), nu))
