@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.blind.seal import SCHEMA, write_atomically
+from cannoise_jax.blind.seal import SCHEMA, set_hash, write_atomically
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
@@ -39,7 +39,8 @@ def run(
 ) -> str | None:
     """Analyses the sets of a shard (i of n, counted from 1); returns the commitment once every set is there.
 
-    A set whose analysis fails gets a report that holds the error, so that a failure is scored as one.
+    A set whose analysis fails gets a report that holds the error, so that a failure is scored as one. Raises
+    BadInput for sets that are not as they were sealed, and for claims that were made about others.
     """
     manifest = read_manifest(sets)
     names = sorted(manifest["sets"])
@@ -47,14 +48,17 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(mine):
         path = out / f"{name}.json"
-        if not path.exists():
+        if path.exists():
+            _read_claim(path, manifest["sets"][name])
+        else:
+            check_set(sets, name, manifest)
             asked = manifest["sets"][name]
             try:
                 capture_set = load_capture_set(sets / name)
                 report = analyse(capture_set, tuple(asked["without"]), bool(asked["locate_only"]))
             except Exception as error:  # a crash on one set must not hide the others, and must count
                 report = {"error": f"{type(error).__name__}: {error}"}
-            write_atomically(path, json.dumps(report))
+            write_atomically(path, json.dumps({**report, "set_sha256": asked.get("sha256")}))
         progress(i + 1, len(mine))
     if not all((out / f"{name}.json").exists() for name in names):
         return None
@@ -66,6 +70,25 @@ def run(
     return commitment
 
 
+def check_set(sets: Path, name: str, manifest: dict[str, Any]) -> None:
+    """Raises BadInput where the files of a set are not those that were sealed."""
+    sealed = manifest["sets"][name].get("sha256")
+    if sealed is not None and set_hash(sets / name) != sealed:
+        raise BadInput(f"{sets / name}: not the files that were sealed (SHA-256 differs): bring them back")
+
+
+def _read_claim(path: Path, sealed: dict[str, Any]) -> dict[str, Any]:
+    """One report. Raises BadInput for one about another set than the one that was sealed."""
+    try:
+        report = json.loads(path.read_text())
+        about = report.get("set_sha256")
+    except (ValueError, AttributeError) as error:
+        raise BadInput(f"{path}: not a report ({error}): remove it, and run bin/blind run again") from error
+    if about != sealed.get("sha256"):
+        raise BadInput(f"{path}: a claim about another set of this name: run bin/blind run into a new folder")
+    return report
+
+
 def hash_of(out: Path, names: list[str]) -> str:
     """SHA-256 over names and reports."""
     digest = hashlib.sha256()
@@ -74,8 +97,10 @@ def hash_of(out: Path, names: list[str]) -> str:
     return digest.hexdigest()
 
 
-def read_claims(out: Path, names: list[str]) -> dict[str, dict[str, Any]]:
-    """The committed reports by set. Raises BadInput when they are incomplete or not what was committed to."""
+def read_claims(out: Path, manifest: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The committed reports by set. Raises BadInput when they are incomplete, not what was committed to, or
+    about other sets."""
+    names = sorted(manifest["sets"])
     missing = [name for name in names if not (out / f"{name}.json").exists()]
     if missing:
         raise BadInput(
@@ -87,7 +112,7 @@ def read_claims(out: Path, names: list[str]) -> dict[str, dict[str, Any]]:
         raise BadInput(f"{out}: not committed yet: let bin/blind run finish first") from error
     if hash_of(out, names) != committed:
         raise BadInput(f"{out}: the claims differ from their commitment: run bin/blind run into a new folder")
-    return {name: json.loads((out / f"{name}.json").read_text()) for name in names}
+    return {name: _read_claim(out / f"{name}.json", manifest["sets"][name]) for name in names}
 
 
 def read_truth(truth: Path, manifest: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -102,4 +127,7 @@ def read_truth(truth: Path, manifest: dict[str, Any]) -> dict[str, dict[str, Any
     if set(entries) != set(manifest["sets"]):
         odd = sorted(set(entries) ^ set(manifest["sets"]))[0]
         raise BadInput(f"{truth}: {odd} is in the truth or in the manifest only: sets were added or removed")
+    for name, entry in entries.items():
+        if entry.get("sha256") != manifest["sets"][name].get("sha256"):
+            raise BadInput(f"{truth}: {name} in the manifest is not the set that was sealed")
     return entries

@@ -61,8 +61,13 @@ def seal(
     for i, spec in enumerate(specs):
         recordings, entry = make(spec, np.random.default_rng([seed, i]))
         write_set(out / spec.name, recordings)
-        entries.append(entry)
-        manifest[spec.name] = {"without": list(spec.without), "locate_only": spec.category == "locate"}
+        digest = set_hash(out / spec.name)
+        entries.append({**entry, "sha256": digest})
+        manifest[spec.name] = {
+            "without": list(spec.without),
+            "locate_only": spec.category == "locate",
+            "sha256": digest,
+        }
         progress(i + 1, len(specs))
     content = canonical({"schema": SCHEMA, "seed": seed, "salt": secrets.token_hex(16), "sets": entries})
     commitment = hashlib.sha256(content.encode()).hexdigest()
@@ -120,6 +125,17 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
     return recordings, entry
 
 
+def set_hash(folder: Path) -> str:
+    """SHA-256 over the names and contents of a set's files. Raises BadInput for a folder without files."""
+    digest = hashlib.sha256()
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    for path in paths:
+        digest.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    if not paths:
+        raise BadInput(f"{folder}: no such set, or an empty one: bring back what bin/blind seal wrote")
+    return digest.hexdigest()
+
+
 def unlisted_unit(name: str) -> str:
     """Unit of an effect that the vocabulary does not hold."""
     return "1" if CARDS[name].scaling == "signal" else "DN"
@@ -175,6 +191,9 @@ def canonical(value: Any) -> str:
 def write_atomically(path: Path, text: str) -> None:
     """Writes a text file all at once, or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text)
-    os.replace(part, path)
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # shards may end at the same moment
+    try:
+        part.write_text(text)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)

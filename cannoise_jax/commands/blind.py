@@ -86,7 +86,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _score(arguments: argparse.Namespace) -> None:
     manifest = claims.read_manifest(arguments.sets)
-    said = claims.read_claims(arguments.claims, sorted(manifest["sets"]))
+    said = claims.read_claims(arguments.claims, manifest)
     truth = claims.read_truth(arguments.truth, manifest)
     out = arguments.out or arguments.claims
     known = {}

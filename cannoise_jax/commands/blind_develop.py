@@ -44,7 +44,7 @@ def develop(name: str, folder: Path, tell: Callable[[int, int], None]) -> dict[s
 
     claims.run(folder / "sets", folder / "claims", analyse, (1, 1), tell)
     manifest = claims.read_manifest(folder / "sets")
-    said = claims.read_claims(folder / "claims", sorted(manifest["sets"]))
+    said = claims.read_claims(folder / "claims", manifest)
     result = score(claims.read_truth(truth, manifest), said)
     return {
         "named": result["naming"]["top1"]["hits"],

@@ -10,6 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from cannoise_jax.blind.claims import check_set, read_manifest
 from cannoise_jax.blind.seal import write_atomically
 from cannoise_jax.commands.blind_analysis import fingerprint, true_gain, unrefitted_p, unweighted_p
 from cannoise_jax.discovery.limits import mde
@@ -28,9 +29,13 @@ def know(
         kept = json.loads(path.read_text())
     except (OSError, json.JSONDecodeError):
         kept = {}
-    known = kept["sets"] if kept.get("code_sha256") == code else {}
+    manifest = read_manifest(sets)
+    of = {"code_sha256": code, "truth_sha256": manifest["truth_sha256"]}
+    known = kept["sets"] if {k: kept.get(k) for k in of} == of else {}
     asked = [e for e in truth.values() if e["category"] in ("strong", "curve", "null")]
     missing = [e for e in asked if e["set"] not in known]
+    for entry in missing:
+        check_set(sets, entry["set"], manifest)
     with contextlib.ExitStack() as stack:
         each: Iterable[dict[str, Any]] = map(_facts, [sets] * len(missing), missing)
         if jobs > 1:  # processes started afresh: JAX does not survive a fork
@@ -40,7 +45,7 @@ def know(
             each = pool.map(_facts, [sets] * len(missing), missing)
         for n, (entry, facts) in enumerate(zip(missing, each, strict=True)):
             known[entry["set"]] = facts
-            write_atomically(path, json.dumps(plain({"code_sha256": code, "sets": known})))
+            write_atomically(path, json.dumps(plain({**of, "sets": known})))
             tell(n + 1, len(missing))
     return known
 
