@@ -78,3 +78,17 @@ def test_steady_light_leaves_the_curve_as_it_is():
     first, fitted = looked_at(capture)
     assert not fitted.steps
     np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.02)
+
+
+def test_drift_of_the_light_is_not_taken_for_the_level_of_a_weak_sinusoid():
+    """A period and a half to the frame: its phases reach the level of a frame, by far less than the drift."""
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            wave = np.cos(2 * np.pi * (1.5 * np.arange(SIZE[0]) / SIZE[0] + rng.random()))[:, None]
+            return dn + signal * (0.01 * wave + 0.02 * rng.standard_normal())
+
+        return change
+
+    _, fitted = looked_at(capture_set(7, alter, kinds="df", size=SIZE))
+    assert {s.named.mechanism for s in fitted.steps} == {"flicker", "illumination_drift"}

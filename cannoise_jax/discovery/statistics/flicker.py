@@ -150,7 +150,31 @@ def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ..
     """Projects the row sinusoid, times the signal, out of every lit field; with its harmonic, and out of each
     colour by itself, where it is far above the noise."""
     frequency, strong = score.payload
-    return tuple(_taken_out(f, frequency, strong) if f.lit else f for f in fields)
+    return tuple(
+        _with_level(f, _taken_out(f, frequency, strong), frequency, score.amplitude) if f.lit else f
+        for f in fields
+    )
+
+
+def _with_level(field: Fields, left: Fields, frequency: float, amplitude: float) -> Fields:
+    """`left` with the level of every frame as it was but for the part of its variance that a sinusoid of this
+    amplitude gives it: one of a few periods to the frame would take the drift of the light along."""
+    r = response(field, "relative").astype(np.float64)
+    lines = np.sum(r**2, 1)
+    total = max(float(lines.sum()), 1e-30)
+    turn = np.exp(-2j * np.pi * frequency * np.arange(lines.size))
+    share = float(np.abs(np.einsum("h,h->", lines, turn)) / total)
+    kept = 1 / np.sqrt(1 + 0.5 * (amplitude * share) ** 2 * total)
+    unit = r.astype(np.float32)
+
+    def function(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        was, now = (np.einsum("nij,ij->n", x, unit) / np.float32(total) for x in (before, after))
+        return after + (np.float32(kept) * was - now)[:, None, None] * unit
+
+    static = None
+    if field.static is not None and left.static is not None:
+        static = function(field.static[None], left.static[None])[0]
+    return left._replace(contrasts=function(field.contrasts, left.contrasts), static=static)
 
 
 def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
