@@ -15,8 +15,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize, special, stats
 
-from cannoise_jax.discovery.statistics.hot import HEATS, log_ratio_of, sparse_log_p
 from cannoise_jax.discovery.statistics.pixels import FAR_JUMPS, jump_log_ratio
+from cannoise_jax.discovery.statistics.rare import (
+    EDGES,
+    hot_log_p,
+    level_counts,
+    log_mixture,
+    log_ratio_of,
+    sparse_log_p,
+)
 
 HOT_SHARE = 5e-4
 TELEGRAPH_SHARE = 0.01
@@ -109,10 +116,7 @@ def hot_found(information: Float[np.ndarray, "h w"], log_p: float) -> float:
     seen = information[information > 0]
     if not seen.size:
         return float("inf")
-    edges = np.linspace(-20, 400, 8401)
-    centre = (edges[1:] + edges[:-1]) / 2
-    ratios = [log_ratio_of(centre, mean) for mean in HEATS]
-    quiet = np.diff(stats.norm.cdf(edges))
+    quiet = np.diff(stats.norm.cdf(EDGES))
     cameras = []
     for rng in np.random.default_rng(0).spawn(_CAMERAS):
         height = rng.exponential(size=max(rng.binomial(seen.size, HOT_SHARE), 1))
@@ -122,9 +126,8 @@ def hot_found(information: Float[np.ndarray, "h w"], log_p: float) -> float:
     def typical(amplitude: float) -> float:
         found = []
         for height, noise in cameras:
-            u = np.clip(amplitude * height + noise, -20, 400)
-            counts = (seen.size - height.size) * quiet + np.histogram(u, edges)[0]
-            found.append(sparse_log_p(counts, ratios))
+            counts = (seen.size - height.size) * quiet + level_counts(amplitude * height + noise)
+            found.append(hot_log_p(float(log_mixture(counts)), seen.size))
         return float(np.median(found))
 
     return _found(typical, log_p) / float(np.sqrt(np.median(seen)))

@@ -8,6 +8,7 @@ from scipy import integrate, stats
 
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.statistics.hot import Heat, heat_again, hot_score, known_heat
+from cannoise_jax.discovery.statistics.rare import hot_log_p, level_counts, log_mixture, spread_of
 from cannoise_jax.discovery.statistics.score import Score
 
 SIZE = (96, 128)
@@ -91,3 +92,44 @@ def test_where_nothing_is_known_nothing_is_said():
     _, first, _ = split(rng, 0.0, 1.0)
     score = Score("hot_additive", 0.0, 0.0, 1.0, 0.1, 0.1, 0.1, 2, {}, {}, Heat(1e-4, 1.0, "additive"))
     assert heat_again(score, (first,), (first._replace(static=None),)) is None
+
+
+def test_p_of_hot_pixels_is_uniform_under_noise():
+    rng = np.random.default_rng(4)
+    p = []
+    for _ in range(600):
+        value = float(log_mixture(level_counts(rng.standard_normal(SIZE).ravel())))
+        p.append(np.exp(hot_log_p(value, SIZE[0] * SIZE[1])))
+    for level in (0.3, 0.1, 0.02):  # neither too small nor, as the inverse ratio is, far too large
+        low, high = stats.binom.ppf([1e-4, 0.9999], 600, level)
+        assert low <= np.sum(np.array(p) <= level) <= high
+
+
+def test_p_falls_with_the_ratio_and_stays_below_its_inverse():
+    values = np.array([-3.0, -1.0, 0.0, 2.0, 8.0, 30.0, 60.0, 5000.0])
+    p = [hot_log_p(float(v), 49152) for v in values]
+    assert np.all(np.diff(p) < 0) or p[0] == 0.0
+    assert np.all(np.array(p)[2:] < -values[2:] - 3)  # the inverse alone gives three nats away
+    assert p[-1] > -values[-1] - 15
+
+
+@pytest.mark.parametrize("step", [0.3, 0.7, 1.1])
+def test_spread_of_a_coarse_lattice_with_far_values(step):
+    rng = np.random.default_rng(6)
+    u = np.rint(1.3 * rng.standard_normal(40_000) / step) * step
+    expected = np.sqrt(1.3**2 + step**2 / 12)
+    u[:40] += rng.exponential(50, 40)
+    assert spread_of(u) == pytest.approx(expected, rel=0.02)
+    assert spread_of(0.5 * u) == 1.0
+
+
+@pytest.mark.parametrize(("share", "mean"), [(0.1, 700.0), (0.02, 3000.0), (0.3, 20.0)])
+def test_many_and_far_hot_pixels_have_their_share_and_height(share, mean):
+    rng = np.random.default_rng(8)
+    heat, first, _ = split(rng, share, mean)
+    score = hot_score((first,), probe="hot_additive", scaling="additive")
+    assert score is not None
+    drawn = np.mean(heat > 0)
+    assert score.parameters["fraction"][0] == pytest.approx(drawn, rel=0.1)
+    assert score.payload.mean == pytest.approx(heat[heat > 0].mean(), rel=0.05)
+    assert score.amplitude == pytest.approx(np.sqrt(np.mean(heat**2)), rel=0.25)

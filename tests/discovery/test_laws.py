@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.statistics.hot import sparse_log_p
 from cannoise_jax.discovery.statistics.lines import by_own_noise
+from cannoise_jax.discovery.statistics.rare import sparse_log_p
 from cannoise_jax.discovery.statistics.score import normal_log_p, skewed_log_p
 from cannoise_jax.discovery.statistics.shape import rounding_kurtosis
 from cannoise_jax.discovery.statistics.waves import orthonormal

@@ -10,12 +10,20 @@ from scipy import special, stats
 
 from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.statistics.patterns import pixel_sums
+from cannoise_jax.discovery.statistics.rare import (
+    CENTRES,
+    FAR,
+    HEATS,
+    hot_log_p,
+    level_counts,
+    log_mixture,
+    log_ratio_of,
+    spread_of,
+)
 from cannoise_jax.discovery.statistics.score import Probe, Score
 from cannoise_jax.discovery.statistics.shape import DARK
 
-_SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
-HEATS = tuple(np.exp(np.linspace(np.log(1.5), np.log(200), 14)))
-"""Mean heights that are tried, in standard deviations of a pixel's level."""
+_MOST_SHARE = 0.5
 
 
 class Heat(NamedTuple):
@@ -73,23 +81,11 @@ def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     safe = np.where(seen, root, 1.0)
     u, mean = sums.score / safe, heat.mean * safe
     ratio = np.where(seen, log_ratio_of(u, mean), 0.0)
-    log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, 0.5)) + ratio
+    log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, _MOST_SHARE)) + ratio
     centre = np.where(seen, u - 1 / mean, -1 / mean)
     # Mean of a standard normal above -centre: the inverse of Mills' ratio.
     shape = np.exp(stats.norm.logpdf(centre) - stats.norm.logcdf(centre))
     return Known(np.where(seen, special.expit(log_odds), 0.0), centre, shape, 1 / safe)
-
-
-def log_ratio_of(u: np.ndarray, mean: np.ndarray | float) -> np.ndarray:
-    """Log density of a standard normal value plus an exponential one of this mean over the normal's alone."""
-    log_ratio = (
-        0.5 / np.square(mean)
-        - u / mean
-        - np.log(mean)
-        + stats.norm.logcdf(u - 1 / mean)
-        - stats.norm.logpdf(u)
-    )
-    return np.clip(log_ratio, -50, 600)
 
 
 def heat_again(looked: Score, first: tuple[Fields, ...], second: tuple[Fields, ...]) -> Score | None:
@@ -112,16 +108,34 @@ def heat_again(looked: Score, first: tuple[Fields, ...], second: tuple[Fields, .
     return looked._replace(amplitude=amplitude * again, error=error)
 
 
-def sparse_log_p(counts: np.ndarray, log_ratios: list[np.ndarray]) -> float:
-    """log p that a few values follow another law: log_ratios holds, for several sizes of the effect, the log
-    of its density over the null's at the values. The likelihood ratio averaged over sizes and shares has mean
-    one under the null, so its inverse is a p-value (Markov)."""
-    logs = [
-        float(np.sum(counts * np.log1p(share * np.expm1(np.minimum(ratio, 600.0)))))
-        for ratio in log_ratios
-        for share in _SHARES
-    ]
-    return min(0.0, float(np.log(len(logs)) - special.logsumexp(logs)))
+def _fitted(counts: np.ndarray) -> tuple[float, float, float]:
+    """Share and mean height of most likelihood, and the nats that they gain."""
+    used = counts > 0
+    n, u = counts[used], CENTRES[used]
+
+    def step(share: float, ratio: np.ndarray) -> tuple[float, np.ndarray]:
+        hot = n * special.expit(special.logit(share) + ratio)
+        return float(np.clip(np.sum(hot) / n.sum(), 1e-7, _MOST_SHARE)), hot
+
+    def gained(share: float, ratio: np.ndarray) -> float:
+        return float(np.sum(n * np.logaddexp(np.log1p(-share), np.log(share) + ratio)))
+
+    best, at, share = 0.0, 1.0, 0.0
+    for mean in HEATS:
+        ratio, f = log_ratio_of(u, mean), 1e-3
+        for _ in range(40):
+            f = step(f, ratio)[0]
+        gain = gained(f, ratio)
+        if gain > best:
+            best, at, share = gain, float(mean), f
+    if not share:
+        return 0.0, at, 0.0
+    for _ in range(40):
+        share, hot = step(share, log_ratio_of(u, at))
+        inner = u - 1 / at
+        height = inner + np.exp(stats.norm.logpdf(inner) - stats.norm.logcdf(inner))
+        at = max(float(np.sum(hot * height) / np.sum(hot)), HEATS[0])
+    return share, at, gained(share, np.minimum(log_ratio_of(u, at), FAR))
 
 
 def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score | None:
@@ -130,26 +144,15 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     if sums is None:
         return None
     seen = sums.information > 0
+    if not seen.any():
+        return None
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
-    spread = max(1.4826 * float(np.median(np.abs(u - np.median(u)))), 1.0)
+    spread = spread_of(u[seen.ravel()])
     number = int(np.sum(u > 4.6 * spread))
-    ratios = []
-    root = float(np.sqrt(np.median(sums.information[seen])))
-    best, at, share = 0.0, 1.0, 0.0
-    counts, edges = np.histogram(np.clip(u / spread, -20, 400), np.linspace(-20, 400, 8401))
-    used = counts > 0
-    counts, centre = counts[used], ((edges[1:] + edges[:-1]) / 2)[used]
-    root /= spread
-    for mean in HEATS:
-        log_ratio = log_ratio_of(centre, mean)
-        ratios.append(log_ratio)
-        f = 1e-3
-        for _ in range(40):
-            responsibility = f * np.exp(log_ratio) / (1 - f + f * np.exp(log_ratio))
-            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-7, 0.2))
-        gain = float(np.sum(counts * np.log1p(f * np.expm1(log_ratio))))
-        if gain > best:
-            best, at, share = gain, float(mean), f
+    root = float(np.sqrt(np.median(sums.information[seen]))) / spread
+    counts = level_counts(u[seen.ravel()] / spread)
+    share, at, gain = _fitted(counts)
+    mixture = float(log_mixture(counts))
     seconds = (
         float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in DARK]))
         if scaling == "thermal"
@@ -161,9 +164,9 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     width = fields[0].mean.shape[1]
     return Score(
         probe,
-        max(sparse_log_p(counts, ratios), -700.0),
-        best,
-        float(np.log(u.size)) + 2,
+        max(hot_log_p(mixture, int(seen.sum())), -700.0),
+        gain,
+        max(gain - mixture, 2.0),
         float(amplitude),
         float(amplitude / np.sqrt(events)),
         float(seconds / root / np.sqrt(np.sqrt(u.size / 2))),

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.hot import sparse_log_p, without_pixels
+from cannoise_jax.discovery.statistics.hot import without_pixels
+from cannoise_jax.discovery.statistics.rare import sparse_log_p
 from cannoise_jax.discovery.statistics.score import Probe, Score, skewed_log_p, unchanged
 from cannoise_jax.discovery.statistics.shape import NOISY, darks, known_kurtosis, parabola_peak
 
