@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fields import Fields, channel_index, site
 from cannoise_jax.discovery.stacks import (
     Stack,
     affine,
@@ -30,11 +30,14 @@ from cannoise_jax.discovery.stacks import (
 from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map
 
 _BINS = 8
+_STANDS_OUT = 12.0
+"""Power of a mode, in units of the white level, that noise of single pixels has in one of 1e5."""
 
 
 class Level(NamedTuple):
     """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
-    sure: whether the signal of each pixel is known well enough to judge the curve."""
+    sure: whether the signal of each pixel is known well enough to judge the curve; alone: variance of what
+    pixels do not share."""
 
     recording: int
     channel: int
@@ -44,6 +47,7 @@ class Level(NamedTuple):
     pixels: int
     full: bool = False
     sure: bool = True
+    alone: float = 0.0
 
 
 class Baseline(NamedTuple):
@@ -82,12 +86,10 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
     stacks = [without_flicker(s, black, shared) for s in stacks]
     model: tuple[np.ndarray, np.ndarray] | None = None
     for _ in range(2):
-        levels = [p for s in stacks if len(s.contrasts) for p in _levels(s, black, model)]
-        levels = _mark_full(levels, *_low_line(levels), stacks[0].step)
+        levels = _mark_full([p for s in stacks if len(s.contrasts) for p in _levels(s, black, model)], stacks)
         lines = [_line([p for p in levels if p.channel == c and not p.full], stacks, c) for c in range(4)]
         gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
         model = gain, read
-        levels = _mark_full(levels, gain, read, stacks[0].step)
     return Baseline(iso, black, gain, read, gain_error, read_error, tuple(levels))
 
 
@@ -112,7 +114,18 @@ def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
     return gain, read
 
 
-def _mark_full(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: float) -> list[Level]:
+def _mark_full(levels: list[Level], stacks: list[Stack]) -> list[Level]:
+    """Marks the levels of full pixels, which have lost their shot noise: judged by what pixels do not share,
+    for the few offsets that rows, columns or a wave draw scatter a level's variance by more than that."""
+    judged = [p._replace(variance=p.alone) for p in levels]
+    judged = _mark_short(judged, *_low_line(judged), stacks[0].step)
+    lines = [_line([p for p in judged if p.channel == c and not p.full], stacks, c) for c in range(4)]
+    gain, read, *_ = (np.array(column) for column in zip(*lines, strict=True))
+    judged = _mark_short(judged, gain, read, stacks[0].step)
+    return [p._replace(full=q.full) for p, q in zip(levels, judged, strict=True)]
+
+
+def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: float) -> list[Level]:
     """Marks the levels from the first on whose variance, and that of all above, falls to less than 0.7."""
     out = list(levels)
     for c in range(4):
@@ -140,10 +153,11 @@ def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarr
     channel = channel_index(stacked.mean.shape)
     signal = _expected(stacked, black)
     n = max(len(stacked.contrasts), 1)
+    unshared = _unshared(stacked)
     out = []
     for c in range(4):
         chosen = (channel == c) & stacked.usable
-        x, v = signal[chosen], stacked.variance[chosen]
+        x, v, u = signal[chosen], stacked.variance[chosen], unshared[chosen]
         if x.size < 64:
             continue
         root = np.sqrt(np.maximum(x, 0))
@@ -163,9 +177,28 @@ def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarr
                 mean, number = float(vb[kept].mean()), int(kept.sum())
                 xb = xb[kept]
             error = max(mean, stacked.step**2 / 12) * np.sqrt(2 / (n * number))
-            level = Level(stacked.number, c, float(xb.mean()), mean, float(error), int(number))
-            out.append(level._replace(sure=not noisy_reference(stacked.recording)))
+            sure = not noisy_reference(stacked.recording)
+            alone = float(np.median(u[which == b]) / (stats.chi2.median(n) / n))
+            out.append(
+                Level(
+                    stacked.number, c, float(xb.mean()), mean, float(error), int(number), False, sure, alone
+                )
+            )
     return out
+
+
+def _unshared(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean square of the contrasts, DN^2, without the modes of each colour plane that stand out of its white
+    spectrum: offsets of rows, of columns and of frames, waves, slow drift."""
+    out = np.zeros(stacked.mean.shape, np.float32)
+    for c in range(4):
+        at = site(c)
+        for contrast in stacked.contrasts[:, *at]:
+            modes = np.fft.rfft2(contrast)
+            power = np.abs(modes) ** 2
+            modes[power > _STANDS_OUT * np.median(power) / np.log(2)] = 0
+            out[at] += np.fft.irfft2(modes, contrast.shape) ** 2
+    return out / max(len(stacked.contrasts), 1)
 
 
 def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:

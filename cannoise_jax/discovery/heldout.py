@@ -23,7 +23,7 @@ from cannoise_jax.discovery.fields import Fields, channel_index, stratum
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.stacks import Stack, at_level
 from cannoise_jax.discovery.statistics.hot import known_heat
-from cannoise_jax.discovery.statistics.lines import static_sums
+from cannoise_jax.discovery.statistics.lines import static_sums, whiten_lines
 from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.physics.likelihood import CodeGrid
 from cannoise_jax.physics.likelihood_crossed import SharedTerms, crossed_gaussian, stationary_factor
@@ -124,6 +124,7 @@ def score_frames(
         if mean is None or not usable.any():
             continue
         frames = chosen[field.number][: field.frames]
+        field = _by_pixels(field, found)
         whole = (slice(None), slice(None))
         scored = _score(stacked, field, mean, extra, usable, found, frames, whole)
         values.append(scored)
@@ -177,8 +178,6 @@ def _score(
                 own = own + p.doubt * unit**2
         row = row + p.row**2 * _autocovariance(height, p.exponent)
         column, frame = column + p.column**2, frame + p.frame**2
-    shared = row[0] + column  # the fitted read noise holds these; drift of whole frames was kept out of it
-    own = np.maximum(own - shared, _LEAST * own)
     factor = stationary_factor(jnp.asarray(row, jnp.float32)) if row[0] > 0 else jnp.zeros((height, 1))
     terms = SharedTerms(
         factor,
@@ -196,6 +195,19 @@ def _score(
     # What the pixels that are not scored added.
     masked = np.log(step) - 0.5 * np.log(2 * np.pi * (_MASKED + step**2 / 12))
     return np.array(out) - masked * float((~usable[part]).sum())
+
+
+def _by_pixels(field: Fields, found: list[Predicted]) -> Fields:
+    """The field with the noise of its pixels alone: offsets of rows and columns are in the fitted read noise,
+    drift of whole frames was kept out of it. As measured within the lines, where several frames are seen."""
+    for axis in ("row", "column"):
+        variance = float(sum(getattr(p, axis) ** 2 for p in found))
+        if variance and len(field.contrasts):
+            field = whiten_lines(field, axis, "additive", variance)
+        elif variance:
+            own = np.maximum(field.sigma**2 - variance, _LEAST * field.sigma**2)
+            field = field._replace(sigma=np.sqrt(own))
+    return field
 
 
 def _unit(scaling: str, field: Fields) -> np.ndarray | float | None:

@@ -28,6 +28,22 @@ def with_frames(capture, number, change):
     return CaptureSet(capture.camera, tuple(recordings))
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_strong_offsets_of_lines_are_not_taken_for_full_pixels(seed, axis):
+    """The few offsets that 64 lines draw scatter the variance of a level; the shot noise is all there."""
+
+    def alter(rng):
+        return lambda dn, signal, kind, exposure: (
+            dn + 100.0 * rng.standard_normal((dn.shape[axis],)).reshape((-1, 1) if axis == 0 else (1, -1))
+        )
+
+    capture = capture_set(seed, alter, size=SIZE, black=1000.0)
+    prepared = prepare_split(capture, split_recordings(capture))
+    assert not any(level.full for level in prepared.baselines[0].levels)
+    assert all(f.usable.mean() > 0.99 for f in prepared.fields)
+
+
 def test_a_flat_of_full_pixels_is_left_aside():
     capture = capture_set(13, kinds="df", size=SIZE)
     full = with_frames(capture, len(capture.recordings) - 1, lambda x: np.full_like(x, 16383))

@@ -8,7 +8,7 @@ import pytest
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.fields import Fields, helmert, refit
 from cannoise_jax.discovery.statistics import groups
-from tests.discovery.capture import capture_set, row_offsets
+from tests.discovery.capture import capture_set
 
 SIZE = (64, 96)
 
@@ -66,32 +66,51 @@ def test_an_offset_that_stays_is_not_taken_for_one_that_is_redrawn(name):
     assert log_p(after, name, "frozen") > np.log(1e-3)
 
 
-def tile_offsets(sigma):
-    """An offset of every 16 x 16 pixels, new in every frame."""
-
-    def alter(rng):
-        def change(dn, signal, kind, exposure):
-            h, w = dn.shape
-            cells = sigma * rng.standard_normal((-(-h // 16), -(-w // 16)))
-            return dn + np.kron(cells, np.ones((16, 16)))[:h, :w]
-
-        return change
-
-    return alter
+def redrawn_by(draw, strength):
+    """Noise of this strength, new in every frame, that `draw(rng)` shapes over the frame."""
+    return lambda rng: lambda dn, signal, kind, exposure: dn + strength * draw(rng)
 
 
+def coloured(rng, size):
+    """A series of power 1/f and unit variance."""
+    spectrum = np.fft.rfft(rng.standard_normal(size))
+    frequency = np.maximum(np.arange(spectrum.size), 1)
+    scale = np.sqrt(size / (2 * np.sum(1 / frequency[1:-1]) + 1 / frequency[-1]))
+    return np.fft.irfft(spectrum * np.where(np.arange(spectrum.size), frequency**-0.5, 0), size) * scale
+
+
+DRAWS = {
+    "row_additive_temporal": lambda rng: rng.standard_normal((96, 1)),
+    "column_additive_temporal": lambda rng: rng.standard_normal((1, 128)),
+    "row_slope": lambda rng: coloured(rng, 96)[:, None],
+    "raster_slope": lambda rng: coloured(rng, 96 * 128).reshape(96, 128),
+    "tile_16_redrawn": lambda rng: np.kron(rng.standard_normal((6, 8)), np.ones((16, 16))),
+}
+
+
+@pytest.mark.parametrize("sigma", [2.0, 45.0])
 @pytest.mark.parametrize("name", ["row_additive_temporal", "row_slope", "tile_16_redrawn"])
-def test_what_is_left_of_strong_offsets_is_white(name):
+def test_what_is_left_of_strong_offsets_is_white(name, sigma):
     """The modelled noise holds strong offsets too: once out, no line or tile stands above its pixels."""
-    alter = tile_offsets(2.0) if name.startswith("tile") else row_offsets(2.0)
-    capture = capture_set(57, alter, kinds="df")
+    capture = capture_set(57, redrawn_by(DRAWS[name], sigma), kinds="df")
     prepared = prepare_split(capture, split_recordings(capture))
     probes = {p.name: p for p in prepared.probes}
     fields = prepared.fields
-    score = probes[name].score(fields)
-    if name == "row_slope":  # flat, as white offsets are, but of the strength that the probe of lines finds
-        strength = probes["row_additive_temporal"].score(fields).payload
-        score = score._replace(payload=(strength, 0.0))
-    left = refit(probes[name].absorb(fields, score))
+    left = refit(probes[name].absorb(fields, probes[name].score(fields)))
     again = probes["tile_16_redrawn" if name.startswith("tile") else "row_additive_temporal"].score(left)
     assert again.log_p > np.log(0.01)
+    # What the pixels are left with is their own noise: 3 electrons and shot noise of 1.5 DN/e-, and rounding.
+    own = [np.mean(f.sigma.astype(np.float64) ** 2) for f in left]
+    true = [4.5**2 + 1 / 12 + 1.5 * np.mean(f.signal) for f in left]
+    assert np.abs(np.log(np.divide(own, true))).max() < 0.08
+
+
+@pytest.mark.parametrize("strength", [1.5, 15.0])
+@pytest.mark.parametrize("name", list(DRAWS))
+def test_strength_of_what_is_redrawn_is_told_however_strong(name, strength):
+    capture = capture_set(11, redrawn_by(DRAWS[name], strength))
+    prepared = prepare_split(capture, split_recordings(capture))
+    scores = {p.name: p.score(prepared.fields) for p in prepared.probes if p.name in DRAWS}
+    found = scores[name]
+    assert abs(found.amplitude - strength) < 3.5 * found.error + 0.015 * strength
+    assert max(scores, key=lambda n: scores[n].gain) == name

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.statistics.lines import by_own_noise
+from cannoise_jax.discovery.statistics.lines import Pixels, by_own_noise
 from cannoise_jax.discovery.statistics.rare import sparse_log_p
 from cannoise_jax.discovery.statistics.score import normal_log_p, skewed_log_p
 from cannoise_jax.discovery.statistics.shape import rounding_kurtosis
@@ -97,37 +97,43 @@ def test_orthonormal_rows_span_the_basis():
     np.testing.assert_allclose(basis @ q.T @ q, basis, atol=1e-4)
 
 
+def pixels(values, response):
+    """What the values [groups, count] show beside the offset of their group."""
+    rest = values - values.mean(1, keepdims=True)
+    information, fourth = (np.full(len(values), values.shape[1] * response**p) for p in (2, 4))
+    return Pixels(information, fourth, response**2 * np.sum(rest**2, 1)[None])
+
+
 @pytest.mark.parametrize("count", [64, 256])
-@pytest.mark.parametrize("offsets", [0.0, 0.5])
+@pytest.mark.parametrize("offsets", [0.0, 0.5, 20.0])
 def test_sums_by_their_own_noise_keep_their_mean_square(count, offsets):
     rng = np.random.default_rng(5)
     values = rng.standard_normal((20_000, count)) + offsets * rng.standard_normal((20_000, 1))
-    score, total = values.sum(1), (values**2).sum(1)
-    full = np.full(20_000, float(count))
-    scaled, more = by_own_noise(score[None], full, total[None], full)
+    scaled, more = by_own_noise(values.sum(1)[None], pixels(values, 1.0), np.full(20_000, float(count)))
     assert more == pytest.approx(1, abs=0.01)
     expected = count * (1 + count * offsets**2)
     assert np.mean(scaled**2) == pytest.approx(expected, rel=4 * np.sqrt(2 / 20_000))
 
 
-def test_an_offset_that_the_modelled_noise_holds_keeps_its_amplitude():
+@pytest.mark.parametrize("offset", [0.7, 10.0])
+def test_an_offset_that_the_modelled_noise_holds_keeps_its_amplitude(offset):
     rng = np.random.default_rng(7)
-    count, offset = 200, 0.7
+    count = 200
     values = rng.standard_normal((5000, count)) + offset * rng.standard_normal((5000, 1))
     response = 1 / np.sqrt(1 + offset**2)  # the noise was taken for all that varies
-    score, total = response**2 * values.sum(1), response**4 * (values**2).sum(1)
-    information = np.full(5000, count * response**2)
-    scaled, more = by_own_noise(score[None], information, total[None], np.full(5000, float(count)))
+    seen = pixels(response * values, response)
+    information = seen.information
+    scaled, more = by_own_noise(response**2 * values.sum(1)[None], seen, np.full(5000, float(count)))
     power = np.mean(scaled**2 / (information * more))
-    assert np.sqrt((power - 1) / (information[0] * more)) == pytest.approx(offset, rel=0.05)
+    assert np.sqrt((power - 1) / (information * more)[0]) == pytest.approx(offset, rel=0.05)
 
 
 def test_uneven_noise_is_no_offset():
     rng = np.random.default_rng(6)
     spread = np.exp(0.8 * rng.standard_normal((4000, 1)))  # every line as noisy as it likes
     values = spread * rng.standard_t(3, (4000, 200))
-    score, total = values.sum(1), (values**2).sum(1)
-    scaled, more = by_own_noise(score[None], np.full(4000, 200.0), total[None], np.full(4000, 200.0))
+    score = values.sum(1)
+    scaled, more = by_own_noise(score[None], pixels(values, 1.0), np.full(4000, 200.0))
     scaled = scaled[0] / np.sqrt(more)
     assert np.mean(scaled**2) / 200 == pytest.approx(1, abs=0.1)
     assert np.var(score**2 / 200) > 10 * np.var(scaled**2 / 200)

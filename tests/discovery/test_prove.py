@@ -31,8 +31,9 @@ def gain(capture, *found):
     return frame_interval(full, base)
 
 
-def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood():
-    sigma, read = 1.5, 4.5
+@pytest.mark.parametrize("sigma", [1.5, 45.0])
+def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood(sigma):
+    read = 4.5
     capture = capture_set(31, row_offsets(sigma), kinds="d")
     value, low, high = gain(capture, Predicted(row=sigma))
     exact = 0.0
@@ -137,7 +138,9 @@ def test_leaving_frames_out_equals_never_having_had_them():
 
 
 def test_too_few_frames_confirm_nothing():
-    found = diagnose(capture_set(37, row_offsets(6.0), kinds="d", frames=2), compare=False)
+    capture = capture_set(37, row_offsets(6.0), kinds="d", frames=2)
+    found = diagnose(CaptureSet(capture.camera, capture.recordings[:1]), compare=False)
+    assert found.findings == ["row_noise"]
     for proof in found.proofs:
         assert not proof.confirmed
 

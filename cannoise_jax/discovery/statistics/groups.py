@@ -11,7 +11,14 @@ from functools import lru_cache, partial
 import numpy as np
 
 from cannoise_jax.discovery.fields import Fields, channel_index
-from cannoise_jax.discovery.statistics.lines import by_own_noise, component_score, own_share, response
+from cannoise_jax.discovery.statistics.lines import (
+    Pixels,
+    alone,
+    by_own_noise,
+    component_score,
+    held_variance,
+    response,
+)
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 LAYOUTS = (
@@ -54,10 +61,22 @@ def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, o
     score = score - score.sum(1, keepdims=True) / total * information
     left = 1 - information / total
     if own:
-        squares = np.array([np.bincount(flat, ((v * r) ** 2).ravel(), number) for v in values])
-        score, more = by_own_noise(score, information, squares, np.bincount(flat, (r > 0).ravel(), number))
+        count = np.bincount(flat, (r > 0).ravel(), number)
+        score, more = by_own_noise(score, _pixels(values, r, groups), count)
         information = information * more
     return score, information, left
+
+
+def _pixels(values: np.ndarray, r: np.ndarray, groups: np.ndarray) -> Pixels:
+    """The pixels of every group beside the group's own offset."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    square = r.astype(np.float64) ** 2
+    information = np.bincount(flat, square.ravel(), number)
+    within = []
+    for v in values:
+        offset = np.bincount(flat, (v * r).ravel(), number) / np.maximum(information, 1e-30)
+        within.append(np.bincount(flat, (square * (v - offset[groups] * r) ** 2).ravel(), number))
+    return Pixels(information, np.bincount(flat, (square**2).ravel(), number), np.array(within))
 
 
 def _shared_sums(fields: tuple[Fields, ...], groups: np.ndarray) -> list:
@@ -119,10 +138,12 @@ def _whitened(field: Fields, groups: np.ndarray, variance: float, within: bool) 
     """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. within:
     whether the modelled noise holds them too."""
     flat, number = groups.ravel(), int(groups.max()) + 1
+    if within and len(field.contrasts):
+        held = held_variance(_pixels(field.contrasts, field.weight.astype(np.float32), groups))
+        field = alone(field, held[groups], variance, "additive")
     r = field.weight.astype(np.float32)
     information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
-    share = own_share(r, variance) if within else 1.0
-    shrink = (1 - np.sqrt(share / (share + variance * information))) / np.maximum(information, 1e-30)
+    shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
 
     def function(x: np.ndarray) -> np.ndarray:
         scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]

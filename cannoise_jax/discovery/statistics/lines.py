@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.fields import Fields, map_contrasts
 from cannoise_jax.discovery.statistics.score import Probe, Score, variance_component
 
 AXES = {"row": 2, "column": 1}
 """Axis of a [n, h, w] array that is summed over."""
+_SUMS = {"row": ("nij,ij->ni", "ni,ij->nij"), "column": ("nij,ij->nj", "nj,ij->nij")}
+"""From pixels and responses to lines, and back."""
 
 
 SCALES = ("reference_scale", "description_scale")
@@ -26,6 +28,11 @@ channel means by more, so they are set aside once such a pattern is in the model
 part of the fitted read noise too, so a stated read noise is not judged beside it."""
 
 
+_MOST_HELD = 2.0
+"""Variance that the modelled noise of one recording may hold of an effect, in units of the fitted one: what a
+few frames draw scatters about it."""
+
+
 class LineSums(NamedTuple):
     """Scores U and information I of one template per line: U ~ N(0, I) when nothing is there."""
 
@@ -38,29 +45,75 @@ def response(field: Fields, scaling: str) -> np.ndarray:
     return field.weight if scaling == "additive" else field.relative
 
 
-def by_own_noise(score: np.ndarray, information: np.ndarray, total: np.ndarray, count: np.ndarray):
+class Pixels(NamedTuple):
+    """What the pixels of a group show beside the group's own offset, responses weighing them.
+
+    information, fourth: sums of the response squared and to the fourth [groups]; within [n, groups]: sum of
+    the response squared times the residual squared.
+    """
+
+    information: np.ndarray
+    fourth: np.ndarray
+    within: np.ndarray
+
+
+def held_variance(pixels: Pixels) -> np.ndarray:
+    """Variance [groups], in units of the effect, by which the modelled noise exceeds what pixels show beside
+    the offsets of their groups: strong offsets were in the variance that the model was fitted to, per site of
+    the mosaic, so that every other line had its own."""
+    held = np.zeros(pixels.information.shape)
+    for part in (slice(0, None, 2), slice(1, None, 2)):
+        i, q = pixels.information[part], pixels.fourth[part]
+        several = (i > 0) & (q < 0.9 * i**2)  # one pixel is its own offset
+        i, q = i[several], q[several]
+        own = pixels.within[:, part][:, several] / (1 - q / i**2)
+        held[part] = np.sum(i - own) / max(len(own) * float(np.sum(q)), 1e-30)
+    return held
+
+
+def by_own_noise(score: np.ndarray, pixels: Pixels, count: np.ndarray):
     """Scores scaled to the noise that their own pixels show instead of the modelled one.
 
-    score, total [n, groups]: sum of response times value, and of its square; information [groups]; count:
-    pixels of a group. Noise that is uneven or heavy-tailed makes sums of modelled variance 1 vary by more or
-    less, which looks like shared offsets. What the sum itself adds to the squares of its pixels is taken out,
-    and the mean square stays 1 to order 1/count^2. Returns the scores and how much more the responses tell
-    than the modelled noise says, a factor for the information: where a strong offset is part of the modelled
-    noise, its amplitude would come out too large without it.
+    score [n, groups]: sum of response times value; count: pixels of a group. Noise that is uneven or
+    heavy-tailed makes sums of modelled variance 1 vary by more or less, which looks like shared offsets. What
+    the sum itself adds to the squares of its pixels is taken out, and the mean square stays 1 to order
+    1/count^2. Returns the scores and how much more the responses of each group tell than the modelled noise
+    says, a factor for the information: where a strong offset is part of the modelled noise, its amplitude
+    would come out too large without it.
     """
+    information = np.maximum(pixels.information, 1e-30)
+    share = 1 - held_variance(pixels) * pixels.fourth / information
+    share = np.maximum(share, max(0.05 * float(np.mean(share)), 1e-6))
     count = np.maximum(count, 4.0)
-    own = (total - (score**2 - information) / count) * (count + 2) / count
-    own = np.maximum(own, 0.05 * np.maximum(information, 1e-30))
-    noise = max(float(np.sum(own * count / (count + 2))), 1e-30)
-    more = float(np.sum(information)) * len(score) / noise
-    return score * np.sqrt(information / own * more), more
+    own = pixels.within + share * pixels.fourth / information
+    own = np.maximum(own, 0.05 * share * information) * (count + 2) / count
+    return score * np.sqrt(information / own / share), 1 / share
 
 
-def own_share(response: np.ndarray, variance: float) -> float:
-    """Share of the modelled variance that is a pixel's own: shared offsets of `variance` are in it too."""
-    used = response[response > 0]
-    return (
-        float(np.clip(1 - variance * np.mean(used.astype(np.float64) ** 2), 0.05, 1.0)) if used.size else 1.0
+def line_pixels(values: np.ndarray, response: np.ndarray, axis: str) -> Pixels:
+    """The pixels of every line of `values` [n, h, w] beside the line's own offset."""
+    to_lines, to_pixels = _SUMS[axis]
+    square = response.astype(np.float64) ** 2
+    information = square.sum(AXES[axis] - 1)
+    offset = np.einsum(to_lines, values, response) / np.maximum(information, 1e-30)
+    rest = values - np.einsum(to_pixels, offset.astype(np.float32), response)
+    within = np.einsum(to_lines, rest**2, response**2).astype(np.float64)
+    return Pixels(information, np.sum(square**2, AXES[axis] - 1), within)
+
+
+def alone(field: Fields, held: np.ndarray, variance: float, scaling: str) -> Fields:
+    """The field standardised by the noise of single pixels: what the modelled variance holds of a shared
+    effect of this fitted variance, both in units of the effect, is taken out of it. It cannot fall below that
+    of rounding. held: `[H, W]` or broadcasting."""
+    r = response(field, scaling).astype(np.float64)
+    least = np.minimum(field.step**2 / 12 * field.weight.astype(np.float64) ** 2, 1)
+    left = np.maximum(1 - np.clip(held, 0, _MOST_HELD * variance) * r**2, least)
+    root = np.where(r > 0, np.sqrt(left), 1.0).astype(np.float32)
+    return field._replace(
+        sigma=field.sigma * root,
+        shot=np.minimum(field.shot / root**2, 1.0).astype(np.float32),
+        contrasts=field.contrasts / root,
+        static=None if field.static is None else field.static / root,
     )
 
 
@@ -72,16 +125,14 @@ def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: b
         lines = r.shape[0 if axis == "row" else 1]
         return LineSums(np.zeros((len(values), lines)), np.zeros(lines))
     frame = np.einsum("nij,ij->n", values, r) / total
-    score = np.einsum("nij,ij->ni" if axis == "row" else "nij,ij->nj", values, r).astype(np.float64)
+    score = np.einsum(_SUMS[axis][0], values, r).astype(np.float64)
     information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
     score = score - frame[:, None] * information
+    left = information * (1 - information / total)
     if own:
-        subs = "nij->ni" if axis == "row" else "nij->nj"
-        squares = np.einsum(subs, (values * r) ** 2).astype(np.float64)
-        count = np.sum(r > 0, axis=AXES[axis] - 1)
-        score, more = by_own_noise(score, information, squares, count)
-        return LineSums(score, information * (1 - information / total) * more)
-    return LineSums(score, information * (1 - information / total))
+        score, more = by_own_noise(score, line_pixels(values, r, axis), np.sum(r > 0, axis=AXES[axis] - 1))
+        left = left * more
+    return LineSums(score, left)
 
 
 def line_power(field: Fields, values: np.ndarray, axis: str) -> np.ndarray:
@@ -134,27 +185,28 @@ def temporal_absorb(
 ) -> tuple[Fields, ...]:
     """Whitens every line: the symmetric inverse root of 1 + v r r^T."""
     return tuple(
-        _whiten_lines(f, f.contrasts, axis, scaling, score.payload) if f.lit or scaling == "additive" else f
+        whiten_lines(f, axis, scaling, score.payload) if f.lit or scaling == "additive" else f
         for f in fields
     )
 
 
-def _whiten_lines(field: Fields, values: np.ndarray, axis: str, scaling: str, variance: float) -> Fields:
+def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fields:
     """Temporal offsets fall on the static field too, with 1/T of their variance per frame. What is left to a
     line is what its pixels' own noise gives it."""
+    if len(field.contrasts):
+        pixels = line_pixels(field.contrasts, response(field, scaling).astype(np.float32), axis)
+        held = held_variance(pixels)
+        field = alone(field, held[:, None] if axis == "row" else held[None, :], variance, scaling)
+    r = response(field, scaling).astype(np.float32)
+    to_lines, to_pixels = _SUMS[axis]
+    information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
+    shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
 
     def function(x: np.ndarray) -> np.ndarray:
-        r = response(field, scaling).astype(np.float32)
-        subs = ("nij,ij->ni", "ni,ij->nij") if axis == "row" else ("nij,ij->nj", "nj,ij->nij")
-        information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
-        share = own_share(r, variance)
-        shrink = (1 - np.sqrt(share / (share + variance * information))) / np.maximum(information, 1e-30)
-        score = np.einsum(subs[0], x, r) * shrink
-        return x - np.einsum(subs[1], score.astype(np.float32), r)
+        score = np.einsum(to_lines, x, r) * shrink
+        return x - np.einsum(to_pixels, score.astype(np.float32), r)
 
-    contrasts = function(values)
-    static = None if field.static is None else function(field.static[None])[0]
-    return field._replace(contrasts=contrasts, static=static)
+    return map_contrasts(field, function)
 
 
 def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> LineSums | None:

@@ -12,6 +12,7 @@ from cannoise_jax.discovery.statistics.lines import (
     LEVELS,
     SCALES,
     LineSums,
+    Pixels,
     by_own_noise,
     component_score,
     response,
@@ -31,10 +32,11 @@ def frame_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
         i = float(np.sum(r.astype(np.float64) ** 2))
         if i > 0:
             u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32)).astype(np.float64)
-            squares = np.einsum("nij->n", (f.contrasts * r) ** 2).astype(np.float64)
-            count = np.full(u.shape, float(np.sum(r > 0)))
-            u, more = by_own_noise(u[:, None], np.full((1,), i), squares[:, None], count[:1])
-            u, i = u[:, 0], i * more
+            rest = f.contrasts - (u / i).astype(np.float32)[:, None, None] * r
+            within = np.einsum("nij->n", (rest * r) ** 2).astype(np.float64)
+            pixels = Pixels(np.array([i]), np.array([np.sum(r.astype(np.float64) ** 4)]), within[:, None])
+            u, more = by_own_noise(u[:, None], pixels, np.array([float(np.sum(r > 0))]))
+            u, i = u[:, 0], i * float(more[0])
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
             information.append(i)
             dof.append(len(f.contrasts))

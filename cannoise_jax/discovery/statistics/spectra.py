@@ -5,38 +5,70 @@ Whittle likelihood: under the baseline the power of every Fourier mode is expone
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy import fft, optimize
 
-from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.lines import line_sums, own_share
+from cannoise_jax.discovery.fields import Fields, map_contrasts
+from cannoise_jax.discovery.statistics.lines import LEVELS, alone, held_variance, line_pixels, line_sums
 from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
 
 
 def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
-    """Summed power of the row offsets per row frequency [H/2], mean 1 each, and the information per mode."""
+    """Summed power of the row offsets per mode of the rows [H/2], mean 1, and the information per mode."""
     sums = line_sums(field, field.contrasts, "row", scaling)
     scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
-    h = scaled.shape[1]
-    power = np.abs(fft.rfft(scaled, axis=1))[:, 1 : (h - 1) // 2 + 1] ** 2 / h
+    power = np.abs(fft.rfft(scaled, axis=1))[:, 1:] ** 2 / scaled.shape[1]
     return power.sum(0), float(np.mean(sums.information))
 
 
 def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
-    """Summed power of the raster scans of all contrasts [N/2], mean 1 each, and the information per mode."""
+    """Summed power of the raster scans of all contrasts [N/2], mean 1, and the information per mode."""
     w = field.weight.astype(np.float32)
     total = float(np.sum(w.astype(np.float64) ** 2))
-    power = np.zeros((w.size - 1) // 2)
+    power = np.zeros(w.size // 2)
     for contrast in field.contrasts:
         x = (contrast * w).ravel()
         # By the scan's own power: heavy tails add to all frequencies alike.
         own = max(float(np.sum(x.astype(np.float64) ** 2)), 1e-30)
         power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2 / own
     return power, total / w.size
+
+
+def mode_weights(size: int) -> np.ndarray:
+    """Complex degrees of freedom of the modes 1..size/2 of `size` values: the last one of an even number is
+    real. Left out, a strong effect would seem to be worth less here than to a white pattern of all lines."""
+    weights = np.ones(size // 2)
+    if size % 2 == 0:
+        weights[-1] = 0.5
+    return weights
+
+
+def banded(values: np.ndarray) -> np.ndarray:
+    """Sums of values [..., n] by frequency over bands in which a slope hardly changes."""
+    return np.add.reduceat(values, _bands(values.shape[-1]), axis=-1)
+
+
+@lru_cache(maxsize=8)
+def _bands(number: int) -> np.ndarray:
+    """First mode of every band: single modes, then bands of a thirtieth of their frequency."""
+    edges = np.unique(np.geomspace(1, number + 1, int(30 * np.log(number + 1))).astype(int))
+    return edges[edges <= number] - 1
+
+
+def white_levels(power: np.ndarray, dof: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Most likely white level [fields, 1] beside a slope `tau` [fields, bands], by Fisher scoring. power:
+    mean of a band, dof: of its modes. A scan is normalised by its own power, mostly that of a strong slope.
+    """
+    level = np.ones((len(power), 1))
+    for _ in range(12):
+        model = level + tau
+        step = np.sum(dof * (power - model) / model**2, 1, keepdims=True)
+        level = np.maximum(level + step / np.sum(dof / model**2, 1, keepdims=True), 1e-4)
+    return level
 
 
 def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score | None:
@@ -48,23 +80,22 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
     ]
     if not spectra:
         return None
-    power = np.array([p for p, _ in spectra])
-    dof = np.array([len(f.contrasts) for f in fields if len(f.contrasts)], float)[:, None]
-    information = np.array([i for _, i in spectra])[:, None]
     size = fields[0].mean.size if scan == "raster" else fields[0].mean.shape[0]
-    frequency = np.arange(1, power.shape[1] + 1) / size
+    weights = mode_weights(size)
+    power = np.array([p for p, _ in spectra]) * weights
+    dof = np.array([len(f.contrasts) for f in fields if len(f.contrasts)], float)[:, None] * weights
+    information = np.array([i for _, i in spectra])[:, None]
+    modes = banded(dof)
+    mean_power, level = banded(power) / modes, _level(scan)
     best: tuple[float, float, float, float, float] | None = None
     log_p = 0.0
     shift = np.inf
     for exponent in EXPONENTS:
-        shape = frequency**-exponent
-        shape = shape / (2 * shape.sum()) * (power.shape[1] * 2)
-        tau1 = information * shape
+        tau1 = information * _shape(size, exponent)
+        tau = banded(tau1 * weights) / banded(weights)
         log_p = min(
             log_p,
-            quadratic_log_p(
-                float(2 * (tau1 * power).sum()), np.ravel(tau1), np.repeat(2 * dof, power.shape[1], 1).ravel()
-            ),
+            quadratic_log_p(float(2 * (tau1 * power).sum()), np.ravel(tau1), np.ravel(2 * dof)),
         )
         sd = np.sqrt(np.sum(dof * tau1**2))
         excess = np.sum(tau1 * (power - dof))
@@ -73,13 +104,14 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
             continue
         start = np.log(excess / sd**2)
         fit = optimize.minimize_scalar(
-            lambda v, t=tau1: -_whittle(np.exp(v) * t, power, dof),
+            lambda v, t=tau: -_whittle(np.exp(v) * t, mean_power, modes, level),
             bounds=(start - 4, start + 4),
             method="bounded",
             options={"xatol": 1e-3},
         )
         v = float(np.exp(fit.x))
-        error = 1 / np.sqrt(np.sum(dof * (tau1 / (1 + v * tau1)) ** 2))
+        own = level(mean_power, modes, v * tau)
+        error = 1 / np.sqrt(np.sum(modes * (tau / (own + v * tau)) ** 2))
         if best is None or -fit.fun > best[0]:
             best = (-float(fit.fun), v, exponent, float(error), 0.0)
     log_p = sidak(log_p, 3)
@@ -102,8 +134,16 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
     )
 
 
-def _whittle(tau: np.ndarray, power: np.ndarray, dof: np.ndarray) -> float:
-    return float(np.sum(power * tau / (1 + tau) - dof * np.log1p(tau)))
+def _level(scan: str):
+    """White level beside a slope: of rows the scores know it, of scans it is fitted."""
+    return white_levels if scan == "raster" else lambda power, dof, tau: 1.0
+
+
+def _whittle(tau: np.ndarray, power: np.ndarray, dof: np.ndarray, level) -> float:
+    """Log-likelihood of mean powers with a slope against that of a white level alone, nats."""
+    none = level(power, dof, 0 * tau)
+    model = level(power, dof, tau) + tau
+    return float(np.sum(dof * (power / none - power / model + np.log(none / model))))
 
 
 def slope_absorb(fields: tuple[Fields, ...], score: Score, *, scan: str) -> tuple[Fields, ...]:
@@ -113,34 +153,52 @@ def slope_absorb(fields: tuple[Fields, ...], score: Score, *, scan: str) -> tupl
 
 
 def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields:
+    if len(field.contrasts):
+        held = _held_by_scan(field, v, exponent) if scan == "raster" else _held_by_rows(field)
+        field = alone(field, held, v, "additive")
     w = field.weight.astype(np.float32)
-    share = own_share(w, v)
     safe = np.where(w > 0, w, 1.0).astype(np.float32)
+    information_rows = np.sum(w.astype(np.float64) ** 2, axis=1)
+    root = np.sqrt(np.maximum(information_rows, 1e-30))
 
     def function(x: np.ndarray) -> np.ndarray:
         n = len(x)
         if scan == "raster":
             series, information = (x * w).reshape(n, -1), float(np.mean(w.astype(np.float64) ** 2))
         else:
-            information_rows = np.sum(w.astype(np.float64) ** 2, axis=1)
-            series = np.einsum("nij,ij->ni", x, w) / np.sqrt(np.maximum(information_rows, 1e-30))
-            information = float(information_rows.mean())
+            series, information = np.einsum("nij,ij->ni", x, w) / root, float(information_rows.mean())
         size = series.shape[1]
-        frequency = np.maximum(np.arange(size // 2 + 1), 1) / size
-        shape = frequency**-exponent
-        shape = shape / (2 * shape[1:].sum()) * (2 * (len(shape) - 1))
-        keep = np.sqrt(share / (share + v * information * shape))
-        keep[0] = 1.0
+        keep = np.concatenate([[1.0], 1 / np.sqrt(1 + v * information * _shape(size, exponent))])
         spectrum = fft.rfft(series, axis=1)
         removed = fft.irfft(spectrum * (1 - keep), size, axis=1)
         if scan == "raster":
-            return x - (removed.reshape(x.shape) / safe) * (w > 0)
-        row = removed / np.sqrt(np.maximum(information_rows, 1e-30))
-        return x - row[:, :, None].astype(np.float32) * w
+            return (x - (removed.reshape(x.shape) / safe) * (w > 0)).astype(np.float32)
+        return x - (removed / root)[:, :, None].astype(np.float32) * w
 
-    contrasts = function(field.contrasts).astype(np.float32)
-    static = None if field.static is None else function(field.static[None])[0].astype(np.float32)
-    return field._replace(contrasts=contrasts, static=static)
+    return map_contrasts(field, function)
+
+
+def _shape(size: int, exponent: float) -> np.ndarray:
+    """Power of the modes 1..size/2 of `size` values, 1 on average."""
+    shape = (np.arange(1, size // 2 + 1) / size) ** -exponent
+    return shape / np.average(shape, weights=mode_weights(size))
+
+
+def _held_by_rows(field: Fields) -> np.ndarray:
+    return held_variance(line_pixels(field.contrasts, field.weight.astype(np.float32), "row"))[:, None]
+
+
+def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
+    """Variance, DN^2, that the modelled noise holds beyond the white level of the scan."""
+    power, information = raster_spectrum(field)
+    weights, number = mode_weights(field.weight.size), len(field.contrasts)
+    modes = banded(weights)
+    tau = v * information * banded(_shape(field.weight.size, exponent) * weights) / modes
+    mean_power = banded(power * weights) / modes / number
+    level = float(white_levels(mean_power[None], number * modes[None], tau[None])[0, 0])
+    w = field.weight.astype(np.float64)
+    seen = float(np.sum((field.contrasts * field.weight) ** 2, dtype=np.float64)) / number
+    return np.array((np.sum(w**2) - level * seen) / max(float(np.sum(w**4)), 1e-30))
 
 
 def probes() -> tuple[Probe, ...]:
@@ -153,7 +211,7 @@ def probes() -> tuple[Probe, ...]:
             {**pink, "varies_over": "raster time"},
             partial(slope_score, probe="raster_slope", scan="raster"),
             partial(slope_absorb, scan="raster"),
-            ("stated_read",),
+            LEVELS["additive"],
         ),
         Probe(
             "row_slope",
@@ -161,6 +219,6 @@ def probes() -> tuple[Probe, ...]:
             {**pink, "varies_over": "row"},
             partial(slope_score, probe="row_slope", scan="row"),
             partial(slope_absorb, scan="row"),
-            ("stated_read",),
+            LEVELS["additive"],
         ),
     )
