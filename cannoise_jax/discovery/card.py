@@ -67,6 +67,8 @@ def card(
             "no named mechanism of this run answers to it at all"
             if nearest is None
             else f"it explains {gap:.1f} nats less of the same frames"
+            if gap >= 0
+            else f"it explains {-gap:.1f} nats more of the same frames, but the search did not keep it"
         ),
     }
 

@@ -63,22 +63,45 @@ def place(where: dict[str, Any]) -> str:
     for name, value in where.items():
         if name == "axis" or value in (None, [], ""):
             continue
-        if isinstance(value, list) and len(value) > 8:
-            value = [*value[:8], "…"]
-        shown = f"{value:.4g}" if isinstance(value, float) else value
-        more.append(f"{name.replace('_', ' ')}: {shown}")
-    return words[where["axis"]] + (f" ({'; '.join(more)})" if more else "")
+        more.append(f"{name.replace('_', ' ')}: {_listed(value)}")
+    axis = words[where["axis"]]
+    if where["axis"] == "frequency" and not where.get("period_px"):
+        axis = "by spatial frequency"
+    return axis + (f" ({'; '.join(more)})" if more else "")
+
+
+def _listed(value: Any) -> str:
+    """A value of `where`, numbers short, of long lists the first eight."""
+    if isinstance(value, list):
+        parts = [f"({', '.join(map(_listed, v))})" if isinstance(v, list) else _listed(v) for v in value[:8]]
+        return ", ".join([*parts, "…"] if len(value) > 8 else parts)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def verdict(report: dict[str, Any]) -> str:
     """The page's first sentence."""
-    found = [_name(f["mechanism"]) for f in report["findings"]]
     if report["verdict"] == "match":
         return "No mismatch: nothing that was tested differs from the simulator."
     if report["verdict"] == "not_testable":
         return "Nothing could be tested with these recordings: see below what to record."
-    listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"
-    return f"The recordings differ from the simulator by {listed}."
+    sure = [f for f in report["findings"] if _confirmed(f)]
+    rest = [f for f in report["findings"] if not _confirmed(f)]
+    said = f"The recordings differ from the simulator by {_counted(sure or rest)}."
+    if rest and sure:
+        return f"{said} Found, but not confirmed on new frames: {_counted(rest)}."
+    return f"{said[:-1]}, not confirmed on new frames." if rest else said
+
+
+def _confirmed(finding: dict[str, Any]) -> bool:
+    gain = finding["heldout_gain_nats_per_pixel"]
+    return gain is not None and gain["ci90"][0] is not None and gain["ci90"][0] > 0
+
+
+def _counted(findings: list[dict[str, Any]]) -> str:
+    """Names of findings, each once with how often it is there."""
+    names = [_name(f["mechanism"]) for f in findings]
+    each = [n if names.count(n) == 1 else f"{n} ({names.count(n)} times)" for n in dict.fromkeys(names)]
+    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
 
 
 def _name(id: str) -> str:

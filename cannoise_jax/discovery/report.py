@@ -265,8 +265,13 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
         grows = " (growing with the exposure)" if step.named.probe.axes.get("scales") == "thermal" else ""
         start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}{grows}: {amount}"
         if "shortfall" in entry.get("parameters", {}):
-            held = 1 - entry["parameters"]["shortfall"]["value"]
-            start += f", where codes hold {held:.3g} of what those beside them hold"
+            lost = entry["parameters"]["shortfall"]
+            held, (low, high) = 1 - lost["value"], (1 - v for v in reversed(lost["ci90"]))
+            how = "rarer" if held < 1 else "more frequent"
+            start = (
+                f"Every {entry['amplitude']['value']:.4g} codes one is {how} than those beside it, by "
+                f"digital scaling or a fault of the converter: it holds {held:.3g} of what they hold"
+            )
     frozen = step.named.probe.axes.get("time") == "frozen"
     whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
     if step.late:
