@@ -20,6 +20,7 @@ _WHOLE = (
     "temperature_drift",
     "illumination_drift",
     "unknown_site_redrawn",
+    "unknown_site_relative_redrawn",
     "unknown_frame_additive",
     "unknown_frame_relative",
 )

@@ -25,6 +25,7 @@ POINTS = {
     "column_relative_temporal": Point("photons", "mean", "column", "redrawn", "multiply"),
     "frame_additive": Point("readout", "signal", "whole", "redrawn"),
     "frame_relative": Point("photons", "mean", "whole", "redrawn", "multiply"),
+    "site_relative_redrawn": Point("photons", "mean", "channel", "redrawn", "multiply"),
     "pixel_additive_static": _OFFSETS,
     "pixel_thermal_static": _OFFSETS,
     "pixel_relative_static": _GAINS,

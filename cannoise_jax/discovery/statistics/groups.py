@@ -10,8 +10,9 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.fields import Fields, channel_index, map_contrasts
 from cannoise_jax.discovery.statistics.lines import (
+    SCALES,
     Pixels,
     alone,
     by_own_noise,
@@ -91,12 +92,16 @@ def _shared_sums(fields: tuple[Fields, ...], groups: np.ndarray) -> list:
     return [(score, information, sums[-1][2])]
 
 
-def group_score(fields: tuple[Fields, ...], *, probe: str, name: str, time: str) -> Score | None:
-    """White offsets of groups of pixels, new in every frame, or of darks and scenes and staying."""
+def group_score(
+    fields: tuple[Fields, ...], *, probe: str, name: str, time: str, scaling: str = "additive"
+) -> Score | None:
+    """White offsets of groups of pixels, new in every frame, or of darks and scenes and staying; relative:
+    factors of their light, new in every frame."""
     powers, informations, freedoms = [], [], []
     groups = layout(name, fields[0].mean.shape)
     if time == "redrawn":
-        sums = [_sums(f, f.contrasts, groups, "additive", own=True) for f in fields if len(f.contrasts)]
+        shown = [f for f in fields if len(f.contrasts) and (f.lit or scaling == "additive")]
+        sums = [_sums(f, f.contrasts, groups, scaling, own=True) for f in shown]
     else:
         sums = _shared_sums(fields, groups)
     for score, information, left in sums:
@@ -112,18 +117,22 @@ def group_score(fields: tuple[Fields, ...], *, probe: str, name: str, time: str)
         np.concatenate(powers),
         np.concatenate(informations),
         np.concatenate(freedoms),
-        "additive",
+        scaling,
         where,
     )
 
 
-def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: str) -> tuple[Fields, ...]:
+def group_absorb(
+    fields: tuple[Fields, ...], score: Score, *, name: str, time: str, scaling: str = "additive"
+) -> tuple[Fields, ...]:
     """Whitens what was drawn anew; takes the whitening part of a pattern that stays out of all fields."""
     groups = layout(name, fields[0].mean.shape)
     if time == "redrawn":
-        # The offsets of sites and parities are kept out of the modelled noise.
-        within = name.startswith(("tile", "diagonal", "antidiagonal"))
-        return tuple(_whitened(f, groups, score.payload, within) for f in fields)
+        if name.startswith(("tile", "diagonal", "antidiagonal")):
+            return tuple(_whitened(f, groups, score.payload) for f in fields)
+        return tuple(
+            _apart(f, groups, score.payload, scaling) if f.lit or scaling == "additive" else f for f in fields
+        )
     ((u, i, _),) = _shared_sums(fields, groups)
     spread = (u[0] * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
     return tuple(
@@ -134,11 +143,11 @@ def group_absorb(fields: tuple[Fields, ...], score: Score, *, name: str, time: s
     )
 
 
-def _whitened(field: Fields, groups: np.ndarray, variance: float, within: bool) -> Fields:
-    """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. within:
-    whether the modelled noise holds them too."""
+def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
+    """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. The modelled
+    noise holds them too."""
     flat, number = groups.ravel(), int(groups.max()) + 1
-    if within and len(field.contrasts):
+    if len(field.contrasts):
         held = held_variance(_pixels(field.contrasts, field.weight.astype(np.float32), groups))
         field = alone(field, held[groups], variance, "additive")
     r = field.weight.astype(np.float32)
@@ -150,12 +159,30 @@ def _whitened(field: Fields, groups: np.ndarray, variance: float, within: bool) 
         removed = [(s * shrink)[groups] * r for s in scores]
         return (x - np.array(removed)).astype(np.float32) if len(x) else x
 
-    static = None if field.static is None else function(field.static[None])[0]
-    return field._replace(contrasts=function(field.contrasts), static=static)
+    return map_contrasts(field, function)
+
+
+def _apart(field: Fields, groups: np.ndarray, variance: float, scaling: str) -> Fields:
+    """What a few groups, such as the sites of a colour, differ by projected out: they are too few for one
+    variance to fit each. What that adds to the mean of the frame is whitened, the rest of it is the frame's
+    own. The modelled noise is without these offsets."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    r = response(field, scaling).astype(np.float32)
+    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    total = max(float(information.sum()), 1e-30)
+    kept = 1 / np.sqrt(1 + variance * float(np.sum(information**2)) / total)
+
+    def function(x: np.ndarray) -> np.ndarray:
+        scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]
+        removed = [(s / np.maximum(information, 1e-30) - kept * s.sum() / total)[groups] * r for s in scores]
+        return (x - np.array(removed)).astype(np.float32) if len(x) else x
+
+    return map_contrasts(field, function)
 
 
 def probes() -> tuple[Probe, ...]:
-    """One probe for each layout, redrawn and frozen; what stays per colour site is the black level's."""
+    """One probe for each layout, redrawn and frozen; what stays per colour site is the black level's. One of
+    the light: a lamp that drifts in colour."""
     out = []
     for name in LAYOUTS:
         for time in ("redrawn", "frozen"):
@@ -179,4 +206,15 @@ def probes() -> tuple[Probe, ...]:
                     ("black_channels", "black_level", "greens", "stated_read"),
                 )
             )
+    probe = "site_relative_redrawn"
+    lamp = {
+        "enters": "photons",
+        "varies_over": "channel",
+        "time": "redrawn",
+        "scales": "relative",
+        "law": "white",
+    }
+    score = partial(group_score, probe=probe, name="site", time="redrawn", scaling="relative")
+    absorb = partial(group_absorb, name="site", time="redrawn", scaling="relative")
+    out.append(Probe(probe, None, lamp, score, absorb, SCALES))
     return tuple(out)

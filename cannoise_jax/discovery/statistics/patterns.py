@@ -40,7 +40,8 @@ def frame_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
             information.append(i)
             dof.append(len(f.contrasts))
-    if len(power) < 2:
+    # One recording alone cannot say how what its frames share scales: another has to lack it, or show less.
+    if not power or sum(len(f.contrasts) > 0 for f in fields) < 2:
         return None
     return component_score(
         probe, np.array(power), np.array(information), np.array(dof), scaling, {"axis": "frame"}
