@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.statistics.codes import Codes, comb_score
+from tests.discovery.capture import capture_set
 
 LEVELS = ((500, 5.0), (900, 22.0), (1500, 31.0))
 
@@ -49,3 +51,9 @@ def test_one_uneven_code_is_no_comb():
 def test_null_is_not_too_small():
     p = np.exp([score(values(seed)[0]).log_p for seed in range(40)])
     assert p.min() > 1e-3
+
+
+@pytest.mark.parametrize("black", [0.0, 3.0])
+def test_darks_cut_off_at_black_are_neither_hot_nor_curved(black):
+    found = diagnose(capture_set(1, black=black), compare=False)
+    assert found.findings == ["black_clipping"]

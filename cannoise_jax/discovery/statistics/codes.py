@@ -195,7 +195,8 @@ def probes(codes: Codes, black: float) -> tuple[Probe, ...]:
             {**axes, "law": "pile-up"},
             partial(clip_score, probe="pile_up", codes=codes, black=black),
             unchanged,
-            ("pile_up", *shapes),
+            # Levels cut off at black are far to one side, and their means curved, without more.
+            ("pile_up", *shapes, "hot_additive", "hot_thermal", "curvature"),
             rare=True,
         ),
     )
