@@ -8,13 +8,15 @@ per channel, that of a scene its reference after an affine refit per channel.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields, channel_index, site
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.full import Level, mark_full, unshared
 from cannoise_jax.discovery.stacks import (
     Stack,
     affine,
@@ -30,24 +32,6 @@ from cannoise_jax.discovery.stacks import (
 from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map
 
 _BINS = 8
-_STANDS_OUT = 12.0
-"""Power of a mode, in units of the white level, that noise of single pixels has in one of 1e5."""
-
-
-class Level(NamedTuple):
-    """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
-    sure: whether the signal of each pixel is known well enough to judge the curve; alone: variance of what
-    pixels do not share."""
-
-    recording: int
-    channel: int
-    signal: float
-    variance: float
-    error: float
-    pixels: int
-    full: bool = False
-    sure: bool = True
-    alone: float = 0.0
 
 
 class Baseline(NamedTuple):
@@ -84,10 +68,18 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
     shared = _shared_by_rows(dark)
     stacks = [without_flicker(s, black, shared) for s in stacks]
+    alone = [unshared(s) for s in stacks]
+    line = partial(_line, stacks)
     model: tuple[np.ndarray, np.ndarray] | None = None
     for _ in range(2):
-        levels = _mark_full([p for s in stacks if len(s.contrasts) for p in _levels(s, black, model)], stacks)
-        lines = [_line([p for p in levels if p.channel == c and not p.full], stacks, c) for c in range(4)]
+        levels = [
+            p
+            for s, u in zip(stacks, alone, strict=True)
+            if len(s.contrasts)
+            for p in _levels(s, black, model, u)
+        ]
+        levels = mark_full(levels, stacks[0].step, line)
+        lines = [line([p for p in levels if p.channel == c and not p.full], c) for c in range(4)]
         gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
         model = gain, read
     return Baseline(iso, black, gain, read, gain_error, read_error, tuple(levels))
@@ -99,61 +91,19 @@ def _shared_by_rows(dark: list[Stack]) -> np.ndarray:
     return np.maximum(np.mean(shared, axis=0), 0.0) if shared else np.zeros(4)
 
 
-def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and read noise from the lower half of the signals, where no pixel is full."""
-    gain, read = np.ones(4), np.zeros(4)
-    for c in range(4):
-        mine = [p for p in levels if p.channel == c]
-        if len(mine) < 4:
-            gain[c] = 0.0
-            continue
-        x, v = np.array([p.signal for p in mine]), np.array([p.variance for p in mine])
-        low = x <= np.median(x)
-        slope, offset = np.polyfit(x[low], v[low], 1, w=1 / np.array([p.error for p in mine])[low])
-        gain[c], read[c] = max(slope, 0.0), np.sqrt(max(offset, 0.0))
-    return gain, read
-
-
-def _mark_full(levels: list[Level], stacks: list[Stack]) -> list[Level]:
-    """Marks the levels of full pixels, which have lost their shot noise: judged by what pixels do not share,
-    for the few offsets that rows, columns or a wave draw scatter a level's variance by more than that."""
-    judged = [p._replace(variance=p.alone) for p in levels]
-    judged = _mark_short(judged, *_low_line(judged), stacks[0].step)
-    lines = [_line([p for p in judged if p.channel == c and not p.full], stacks, c) for c in range(4)]
-    gain, read, *_ = (np.array(column) for column in zip(*lines, strict=True))
-    judged = _mark_short(judged, gain, read, stacks[0].step)
-    return [p._replace(full=q.full) for p, q in zip(levels, judged, strict=True)]
-
-
-def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: float) -> list[Level]:
-    """Marks the levels from the first on whose variance, and that of all above, falls to less than 0.7."""
-    out = list(levels)
-    for c in range(4):
-        mine = sorted((n for n, p in enumerate(levels) if p.channel == c), key=lambda n: -levels[n].signal)
-        for n in mine:
-            p = levels[n]
-            if (
-                gain[c] <= 0
-                or p.variance > 0.7 * (read[c] ** 2 + step**2 / 12 + gain[c] * max(p.signal, 0))
-                or (p.signal < 20 * step)
-            ):
-                break
-            out[n] = p._replace(full=True)
-    return out
-
-
 def full_level(baseline: Baseline) -> float:
     """Lowest signal at which the pixels are full, DN above black; infinite when none is."""
     return min((p.signal for p in baseline.levels if p.full), default=np.inf)
 
 
-def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarray] | None) -> list[Level]:
+def _levels(
+    stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarray] | None, unshared: np.ndarray
+) -> list[Level]:
     """Bins of like signal. Without a model the variance comes from medians; with one, pixels far above it
     (hot, telegraph) are left out one by one."""
     channel = channel_index(stacked.mean.shape)
     signal = _expected(stacked, black)
     n = max(len(stacked.contrasts), 1)
-    unshared = _unshared(stacked)
     out = []
     for c in range(4):
         chosen = (channel == c) & stacked.usable
@@ -187,20 +137,6 @@ def _levels(stacked: Stack, black: np.ndarray, model: tuple[np.ndarray, np.ndarr
     return out
 
 
-def _unshared(stacked: Stack) -> Float[np.ndarray, "h w"]:
-    """Mean square of the contrasts, DN^2, without the modes of each colour plane that stand out of its white
-    spectrum: offsets of rows, of columns and of frames, waves, slow drift."""
-    out = np.zeros(stacked.mean.shape, np.float32)
-    for c in range(4):
-        at = site(c)
-        for contrast in stacked.contrasts[:, *at]:
-            modes = np.fft.rfft2(contrast)
-            power = np.abs(modes) ** 2
-            modes[power > _STANDS_OUT * np.median(power) / np.log(2)] = 0
-            out[at] += np.fft.irfft2(modes, contrast.shape) ** 2
-    return out / max(len(stacked.contrasts), 1)
-
-
 def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
     """Signal of every pixel for the photon-transfer curve, DN: the reference, else the smoothed mean."""
     recording = stacked.recording
@@ -222,7 +158,7 @@ def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
     return plane_blur(mean) - mosaic_map(tuple(black), recording.size)
 
 
-def _line(levels: list[Level], stacks: list[Stack], c: int) -> tuple[float, float, float, float]:
+def _line(stacks: list[Stack], levels: list[Level], c: int) -> tuple[float, float, float, float]:
     """Gain and read noise (DN) of one channel: variance = read^2 + step^2/12 + gain * signal."""
     step = stacks[0].step
     dark = [p for p in levels if p.signal < 1e-3 * max([q.signal for q in levels] + [1.0]) + 2 * step]

@@ -87,11 +87,11 @@ def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
     for c in range(4):
         at = site(c)
         for contrast in contrasts:
-            total[at] += _steady(contrast[at], mean[at]) ** 2
+            total[at] += steady(contrast[at], mean[at]) ** 2
     return total / max(len(contrasts), 1)
 
 
-def _steady(contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"]) -> Float[np.ndarray, "*at"]:
+def steady(contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"]) -> Float[np.ndarray, "*at"]:
     """What is left of a contrast of one channel without an offset and a factor of the whole frame: neither
     drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
     level, values = mean.ravel().astype(np.float64), contrast.ravel().astype(np.float64)
@@ -137,7 +137,7 @@ def row_variance(
     power = np.maximum(np.sum(slope**2, 1), 1e-9)
     lean = np.einsum("nij,ij->ni", contrasts, slope) / power
     rest = np.mean((contrasts - means[:, :, None] - lean[:, :, None] * slope) ** 2, 0) / (1 - 2 / columns)
-    drift = np.stack([_steady(m, light.mean(1)) for m in means])
+    drift = np.stack([steady(m, light.mean(1)) for m in means])
     return rest.astype(np.float32), float(np.mean(drift**2) - np.mean(rest) / columns)
 
 

@@ -1,0 +1,93 @@
+"""Full pixels: the levels of a photon-transfer curve that have lost their shot noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.discovery.fields import site
+from cannoise_jax.discovery.stacks import Stack, steady
+
+_STANDS_OUT = 12.0
+"""Power of a mode, in units of the white level, that noise of single pixels has in one of 1e5."""
+
+
+class Level(NamedTuple):
+    """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
+    sure: whether the signal of each pixel is known well enough to judge the curve; alone: variance of what
+    pixels do not share."""
+
+    recording: int
+    channel: int
+    signal: float
+    variance: float
+    error: float
+    pixels: int
+    full: bool = False
+    sure: bool = True
+    alone: float = 0.0
+
+
+Line = Callable[[list[Level], int], tuple[float, ...]]
+"""Gain and read noise, DN, and more, of the levels of one channel."""
+
+
+def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and read noise from the lower half of the signals, where no pixel is full."""
+    gain, read = np.ones(4), np.zeros(4)
+    for c in range(4):
+        mine = [p for p in levels if p.channel == c]
+        if len(mine) < 4:
+            gain[c] = 0.0
+            continue
+        x, v = np.array([p.signal for p in mine]), np.array([p.variance for p in mine])
+        low = x <= np.median(x)
+        slope, offset = np.polyfit(x[low], v[low], 1, w=1 / np.array([p.error for p in mine])[low])
+        gain[c], read[c] = max(slope, 0.0), np.sqrt(max(offset, 0.0))
+    return gain, read
+
+
+def mark_full(levels: list[Level], step: float, line: Line) -> list[Level]:
+    """Marks the levels of full pixels, which have lost their shot noise: judged by what pixels do not share,
+    for the few offsets that rows, columns or a wave draw scatter a level's variance by more than that. line:
+    fits gain and read noise, DN, of one channel."""
+    judged = [p._replace(variance=p.alone) for p in levels]
+    judged = _mark_short(judged, *_low_line(judged), step)
+    lines = [line([p for p in judged if p.channel == c and not p.full], c) for c in range(4)]
+    gain, read, *_ = (np.array(column) for column in zip(*lines, strict=True))
+    judged = _mark_short(judged, gain, read, step)
+    return [p._replace(full=q.full) for p, q in zip(levels, judged, strict=True)]
+
+
+def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: float) -> list[Level]:
+    """Marks the levels from the first on whose variance, and that of all above, falls to less than 0.7."""
+    out = list(levels)
+    for c in range(4):
+        mine = sorted((n for n, p in enumerate(levels) if p.channel == c), key=lambda n: -levels[n].signal)
+        for n in mine:
+            p = levels[n]
+            if (
+                gain[c] <= 0
+                or p.variance > 0.7 * (read[c] ** 2 + step**2 / 12 + gain[c] * max(p.signal, 0))
+                or (p.signal < 20 * step)
+            ):
+                break
+            out[n] = p._replace(full=True)
+    return out
+
+
+def unshared(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean square of the contrasts, DN^2, without the modes of each colour plane that stand out of its white
+    spectrum: offsets of rows and columns, waves, drift of the lamp and of the pedestal."""
+    out = np.zeros(stacked.mean.shape, np.float32)
+    for c in range(4):
+        at = site(c)
+        for contrast in stacked.contrasts[:, *at]:
+            modes = np.fft.rfft2(steady(contrast, stacked.mean[at]))
+            power = np.abs(modes) ** 2
+            modes[power > _STANDS_OUT * np.median(power) / np.log(2)] = 0
+            out[at] += np.fft.irfft2(modes, contrast.shape) ** 2
+    return out / max(len(stacked.contrasts), 1)
