@@ -42,7 +42,11 @@ def card(
     probe, score, fields = step.named.probe, step.named.score, step.before
     axes = {k: _SCALES.get(v, v) if k == "scales" else v for k, v in probe.axes.items()}
     by_name = {p.name: p for p in probes}
-    additive = by_name.get(probe.name.replace("relative", "additive").replace("thermal", "additive"), probe)
+    names = (
+        probe.name.replace("relative", "additive").replace("thermal", "additive"),
+        probe.name.replace("_relative", ""),
+    )
+    additive = next((by_name[n] for n in names if n in by_name), probe)
     told = {n for o in others if o is not step for n in (o.named.probe.name, *o.named.probe.covers)}
     nearest, gap = _nearest(step, tuple(p for p in probes if p.mechanism in ids and p.name not in told))
     return {

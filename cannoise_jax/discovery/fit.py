@@ -17,7 +17,7 @@ from cannoise_jax.discovery.locate import Located, locate, weight
 from cannoise_jax.discovery.name import Named, name
 from cannoise_jax.discovery.statistics.score import Probe, sidak
 
-MOST_STEPS = 20
+MOST_STEPS = 25
 SPENT = (0.6, 0.4)
 """Shares of alpha: of the frames that look, and of all frames together. They add up to one, so that the error
 rate of the whole is kept whatever the two looks have in common."""
