@@ -114,3 +114,16 @@ def test_strength_of_what_is_redrawn_is_told_however_strong(name, strength):
     found = scores[name]
     assert abs(found.amplitude - strength) < 3.5 * found.error + 0.015 * strength
     assert max(scores, key=lambda n: scores[n].gain) == name
+
+
+def test_weak_pink_noise_leaves_its_exponent_open_and_its_strength_near():
+    """How fast the power of weak noise falls cannot be seen; that it falls about as 1/f is known."""
+    ratios, errors = [], []
+    for seed in range(8):
+        capture = capture_set(seed, redrawn_by(DRAWS["raster_slope"], 0.3), kinds="d")
+        prepared = prepare_split(capture, split_recordings(capture))
+        score = {p.name: p for p in prepared.probes}["raster_slope"].score(prepared.fields)
+        ratios.append(score.amplitude / 0.3)
+        errors.append((score.amplitude - 0.3) / score.error)
+    assert np.max(np.abs(np.log(ratios))) < 0.45
+    assert np.sqrt(np.mean(np.square(errors))) < 1.3

@@ -15,6 +15,9 @@ from cannoise_jax.discovery.statistics.lines import LEVELS, alone, held_variance
 from cannoise_jax.discovery.statistics.score import Probe, Score, quadratic_log_p, sidak
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+_EXPONENT_SPREAD = 0.15
+"""Standard deviation of the exponents of 1/f noise about 1: those of transistors lie between 0.7 and 1.3.
+Weak noise leaves the exponent open, and with it how much of the variance lies where nothing is seen."""
 
 
 def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
@@ -87,7 +90,7 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
     information = np.array([i for _, i in spectra])[:, None]
     modes = banded(dof)
     mean_power, level = banded(power) / modes, _level(scan)
-    best: tuple[float, float, float, float, float] | None = None
+    fits: list[tuple[float, float, float, float]] = []
     log_p = 0.0
     shift = np.inf
     for exponent in EXPONENTS:
@@ -112,12 +115,11 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
         v = float(np.exp(fit.x))
         own = level(mean_power, modes, v * tau)
         error = 1 / np.sqrt(np.sum(modes * (tau / (own + v * tau)) ** 2))
-        if best is None or -fit.fun > best[0]:
-            best = (-float(fit.fun), v, exponent, float(error), 0.0)
+        fits.append((-float(fit.fun), v, exponent, float(error)))
     log_p = sidak(log_p, 3)
-    gain, v, exponent, error, _ = best if best is not None else (0.0, 0.0, 1.0, 0.0, 0.0)
+    gain, v, exponent, error = max(fits, key=_with_prior, default=(0.0, 0.0, 1.0, 0.0))
     sigma = np.sqrt(v)
-    err = error / (2 * sigma) if sigma > 0 else np.sqrt(shift)
+    err = np.hypot(error / (2 * sigma), _left_open(fits, sigma)) if sigma > 0 else np.sqrt(shift)
     penalty = 0.5 * np.log(1e3) + np.log(3)
     return Score(
         probe,
@@ -132,6 +134,18 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
         {"axis": "frequency", "direction": scan},
         (v, exponent),
     )
+
+
+def _with_prior(fit: tuple[float, float, float, float]) -> float:
+    gain, _, exponent, _ = fit
+    return gain - 0.5 * ((exponent - 1) / _EXPONENT_SPREAD) ** 2
+
+
+def _left_open(fits: list[tuple[float, float, float, float]], sigma: float) -> float:
+    """Standard deviation of the strength about `sigma` over the exponents that the data leave open."""
+    weight = np.exp([_with_prior(f) - max(map(_with_prior, fits)) for f in fits])
+    strengths = np.sqrt([v for _, v, _, _ in fits])
+    return float(np.sqrt(np.average((strengths - sigma) ** 2, weights=weight)))
 
 
 def _level(scan: str):
