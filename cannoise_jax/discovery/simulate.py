@@ -24,7 +24,7 @@ from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
-from cannoise_jax.sampling import load_model, sample_noise
+from cannoise_jax.sampling import SMALLEST, load_model, sample_noise
 
 Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
 """(key, clean mosaic, normalised, settings) -> DN, `[H, W]` or `[T, H, W]`."""
@@ -70,13 +70,18 @@ def _generator(path: Path, capture: CaptureSet) -> Draw:
     references = jnp.stack([jnp.asarray(_packed_frame(r)) for r in shown[:4]])
     cfa = lit[0].cfa
 
+    black = np.mean(lit[0].black_level)
+    span = lit[0].white_level - black
+    sample = jax.jit(sample_noise)
+
     def draw(key, clean, settings: Settings):
-        black = np.mean(lit[0].black_level)
-        span = lit[0].white_level - black
-        packed = jnp.broadcast_to(pack(jnp.asarray(clean), cfa), (settings.frames, *pack(clean, cfa).shape))
-        noise = sample_noise(model, key, packed, references)
+        height, width = clean.shape
+        # Mirrored on to a size that the networks take, which keeps the order of the colours.
+        more = [(0, max(-n % 4, 2 * SMALLEST - n)) for n in clean.shape]
+        packed = pack(jnp.asarray(np.pad(np.asarray(clean), more, mode="reflect")), cfa)
         # What lies below black is kept, as a sensor keeps it.
-        return black + span * np.asarray(unpack(jnp.clip(packed + noise, -black / span, 1), cfa))
+        noisy = jnp.clip(packed + sample(model, key, packed, references), -black / span, 1)
+        return black + span * np.asarray(unpack(noisy, cfa))[:height, :width]
 
     return draw
 
@@ -84,7 +89,9 @@ def _generator(path: Path, capture: CaptureSet) -> Draw:
 def _packed_frame(recording: Recording) -> np.ndarray:
     frame = np.asarray(recording.frames[0:1])[0].astype(np.float32)
     black = recording.black_map()
-    return np.asarray(pack((frame - black) / (recording.white_level - black), recording.cfa))
+    height, width = (n - n % 2 for n in recording.size)
+    values = (frame - black) / (recording.white_level - black)
+    return np.asarray(pack(values[:height, :width], recording.cfa))
 
 
 def codes_of(

@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery import simulate
 from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
-from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.sampling import SMALLEST
 from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import (
     capture_set,
@@ -239,6 +241,22 @@ def test_a_function_is_a_simulator_and_its_gain_is_judged():
             run(capture_set(15, kinds="d"), simulator=wrong)
     with pytest.raises(BadInput, match="simulator: draws one and the same frame"):
         run(capture_set(15, kinds="d"), simulator=lambda key, clean, settings: 200 + clean)
+
+
+@pytest.mark.parametrize("size, cfa", [((66, 98), "GRBG"), ((67, 97), "MONO"), ((32, 44), "RGGB")])
+def test_a_generator_is_given_sizes_that_it_takes(size, cfa, monkeypatch, tmp_path):
+    def no_noise(model, key, clean, references):
+        height, width = clean.shape[-3:-1]
+        assert min(height, width) >= SMALLEST and not height % 2 and not width % 2 and references.size
+        return jnp.zeros_like(clean)
+
+    monkeypatch.setattr(simulate, "load_model", lambda path: None)
+    monkeypatch.setattr(simulate, "sample_noise", no_noise)
+    flat = dataclasses.replace(capture_set(3, kinds="f", size=size).recordings[0], cfa=cfa)
+    draw = simulate.open_simulator(tmp_path, CaptureSet("c", (flat,))).draw
+    clean = np.random.default_rng(0).uniform(0, 1, size).astype(np.float32)
+    drawn = draw(jax.random.key(0), clean, Settings(iso=100.0, exposure_s=0.01))
+    np.testing.assert_allclose(drawn, 200 + clean * 16183, atol=0.01)
 
 
 def test_bad_requests_say_what_is_wrong():

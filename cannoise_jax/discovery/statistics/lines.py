@@ -185,8 +185,7 @@ def temporal_absorb(
 ) -> tuple[Fields, ...]:
     """Whitens every line: the symmetric inverse root of 1 + v r r^T."""
     return tuple(
-        whiten_lines(f, axis, scaling, score.payload) if f.lit or scaling == "additive" else f
-        for f in fields
+        whiten_lines(f, axis, scaling, score.payload) if f.lit or scaling == "additive" else f for f in fields
     )
 
 
