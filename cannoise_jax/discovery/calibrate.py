@@ -68,7 +68,7 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
     shared = _shared_by_rows(dark)
     stacks = [without_flicker(s, black, shared) for s in stacks]
-    alone = [unshared(s) for s in stacks]
+    alone = [unshared(s, _expected(s, black)) for s in stacks]
     line = partial(_line, stacks)
     model: tuple[np.ndarray, np.ndarray] | None = None
     for _ in range(2):

@@ -79,14 +79,15 @@ def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: f
     return out
 
 
-def unshared(stacked: Stack) -> Float[np.ndarray, "h w"]:
+def unshared(stacked: Stack, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Mean square of the contrasts, DN^2, without the modes of each colour plane that stand out of its white
-    spectrum: offsets of rows and columns, waves, drift of the lamp and of the pedestal."""
+    spectrum: offsets of rows and columns, waves, drift of the lamp and of the pedestal. signal: of every
+    pixel, without the noise of the frames: with it, noise would count as drift."""
     out = np.zeros(stacked.mean.shape, np.float32)
     for c in range(4):
         at = site(c)
         for contrast in stacked.contrasts[:, *at]:
-            modes = np.fft.rfft2(steady(contrast, stacked.mean[at]))
+            modes = np.fft.rfft2(steady(contrast, signal[at]))
             power = np.abs(modes) ** 2
             modes[power > _STANDS_OUT * np.median(power) / np.log(2)] = 0
             out[at] += np.fft.irfft2(modes, contrast.shape) ** 2
