@@ -101,7 +101,7 @@ def test_maps_far_above_the_noise_are_measured(mechanism, alter, strength, monke
 
 def test_frames_held_back_one_by_one_are_not_taken_for_full_pixels():
     """A flat whose only held-back frame is its own mean as well: its noise is no drift of the lamp."""
-    capture = capture_set(11, kinds="df", size=(64, 64), frames=2)
+    capture = capture_set(11, kinds="sdf", size=(64, 64), frames=4)
     unseen = prepare_split(capture, split_recordings(capture), held_back=True)
     assert {len(s.contrasts) for s in unseen.stacks} == {1}
     assert not any(level.full for level in unseen.baselines[0].levels)
