@@ -10,7 +10,7 @@ import numpy as np
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import own_variance
 from cannoise_jax.discovery.fields import channel_index
-from cannoise_jax.discovery.stacks import FLICKER, iso_numbers
+from cannoise_jax.discovery.stacks import FLICKER
 from cannoise_jax.physics.chain import closed_form
 from cannoise_jax.physics.sensor import SensorModel, Settings
 from cannoise_jax.physics.settings import context_of, resolve
@@ -55,8 +55,7 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
 def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray):
     """Exposure, s, and temporal variance before rounding per channel, DN^2, of the shortest dark of one gain
     setting; 0.01 and None without one, None where one frame or rounding hides it."""
-    known = iso_numbers(b.iso for b in prepared.baselines)
-    isos = [np.float32(known[b.iso]) for b in prepared.baselines]
+    isos = [np.float32(prepared.isos[b.iso]) for b in prepared.baselines]
     mine = [f for f in prepared.fields if not f.lit and f.exposure_s is not None and isos[f.group] == iso]
     if not mine:
         return 0.01, None

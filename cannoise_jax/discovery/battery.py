@@ -8,7 +8,7 @@ import numpy as np
 
 from cannoise_jax.discovery.calibrate import Baseline, fit_baseline, gain_groups, standardise, stated_black
 from cannoise_jax.discovery.fields import Fields, refit
-from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detected_step, stack
+from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detected_step, iso_numbers, stack
 from cannoise_jax.discovery.statistics import (
     codes,
     covariance,
@@ -39,7 +39,8 @@ LEAST_SIDE = 32
 
 
 class Prepared(NamedTuple):
-    """One split of a capture set, ready for the statistics."""
+    """One split of a capture set, ready for the statistics. isos: by which a camera model knows each gain
+    setting of the whole set."""
 
     fields: tuple[Fields, ...]
     baselines: tuple[Baseline, ...]
@@ -47,6 +48,7 @@ class Prepared(NamedTuple):
     stacks: tuple[Stack, ...]
     step: float
     span: float
+    isos: dict[float | None, float]
 
 
 def split_frames(count: int) -> tuple[list[int], list[int]]:
@@ -146,6 +148,7 @@ def prepare(
         stacks,
         step,
         span,
+        iso_numbers(isos),
     )
 
 

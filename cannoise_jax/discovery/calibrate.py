@@ -104,6 +104,9 @@ def _levels(
     channel = channel_index(stacked.mean.shape)
     signal = _expected(stacked, black)
     n = max(len(stacked.contrasts), 1)
+    # Beyond `far` times its variance a pixel is not like the others. Below half a code their median says
+    # little of that: it is one of a few values.
+    far, lattice = float(stats.chi2.isf(1e-6, n) / n), (0.5 * stacked.step) ** 2
     out = []
     for c in range(4):
         chosen = (channel == c) & stacked.usable
@@ -123,12 +126,16 @@ def _levels(
                 gain, read = model
                 expected = read[c] ** 2 + stacked.step**2 / 12 + gain[c] * np.maximum(xb, 0)
                 scale = max(np.median(vb / expected) / (stats.chi2.median(n) / n), 0.2)
-                kept = vb < scale * expected * stats.chi2.isf(1e-6, n) / n
+                kept = vb < np.maximum(scale * expected, lattice) * far
                 mean, number = float(vb[kept].mean()), int(kept.sum())
                 xb = xb[kept]
+            # Near the rail the noise decides which pixels clip: the rest would be a biased sample.
+            if xb.mean() + black[c] + 5 * np.sqrt(mean) >= stacked.recording.white_level:
+                continue
             error = max(mean, stacked.step**2 / 12) * np.sqrt(2 / (n * number))
-            sure = not noisy_reference(stacked.recording)
-            alone = float(np.median(u[which == b]) / (stats.chi2.median(n) / n))
+            sure = mean > stacked.step**2 / 3 and not noisy_reference(stacked.recording)
+            ub = u[which == b]
+            alone = float(ub[ub < far * max(np.median(ub) / (stats.chi2.median(n) / n), lattice)].mean())
             out.append(
                 Level(
                     stacked.number, c, float(xb.mean()), mean, float(error), int(number), False, sure, alone
@@ -161,6 +168,12 @@ def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
 def _line(stacks: list[Stack], levels: list[Level], c: int) -> tuple[float, float, float, float]:
     """Gain and read noise (DN) of one channel: variance = read^2 + step^2/12 + gain * signal."""
     step = stacks[0].step
+    # To noise below half a code rounding adds less than step^2/12.
+    broad = [p for p in levels if p.variance > step**2 / 3]
+    most = np.inf
+    if broad and max(p.signal for p in broad) - min(p.signal for p in broad) > 20 * step:
+        most = min((p.variance for p in levels if p.variance <= step**2 / 3), default=np.inf)
+        levels = broad
     dark = [p for p in levels if p.signal < 1e-3 * max([q.signal for q in levels] + [1.0]) + 2 * step]
     if not levels:
         first = stacks[0].recording
@@ -193,7 +206,7 @@ def _line(stacks: list[Stack], levels: list[Level], c: int) -> tuple[float, floa
         beta = np.linalg.solve(normal, basis.T @ (weight * v))
         fitted = np.maximum(np.einsum("nk,k->n", basis, beta), step**2 / 12)
     cov = np.linalg.inv(normal)
-    read2 = max(beta[0] - step**2 / 12, 1e-4 * step**2)
+    read2 = max(min(beta[0] - step**2 / 12, most), 1e-4 * step**2)
     read = np.sqrt(read2)
     return (
         float(max(beta[1], 1e-6)),

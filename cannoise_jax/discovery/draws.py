@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Key
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import standardise
 from cannoise_jax.discovery.fields import Fields, frame_fields
-from cannoise_jax.discovery.stacks import iso_numbers, stack
+from cannoise_jax.discovery.stacks import stack
 from cannoise_jax.physics.sensor import SensorModel, Settings
 
 CHUNK = 4
@@ -46,13 +46,12 @@ def draw_like(draw: Drawing, prepared: Prepared) -> Frames:
     """As many frames as every recording of the split has, of its expected signal and at its settings; where
     they are seen against frames before, as many of those first."""
     black = {b.iso: b.black for b in prepared.baselines}
-    isos = iso_numbers(black)
     out = {}
     for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
         r = stacked.recording
         span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
         settings = Settings(
-            isos[r.iso],
+            prepared.isos[r.iso],
             r.exposure_s if r.exposure_s is not None else 0.01,
             r.temperature_c,
             field.before + field.frames,

@@ -154,8 +154,12 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
             chosen = (channel == c) & f.usable
             if chosen.any():
                 values = f.contrasts[:, chosen]
-                inner = np.abs(values) < 5 * max(1.0, float(np.median(np.abs(values))))
-                factor[channel == c] = 1 / np.sqrt(np.mean(values[inner] ** 2))
+                limit = 5 * max(1.0, float(np.median(np.abs(values))))
+                # Of noise far below a step a pixel that changes by a code is no outlier.
+                limit = max(limit, f.step * float(np.median(f.weight[chosen])))
+                power = np.mean(values[np.abs(values) < limit] ** 2)
+                if power > 1e-6:  # less is what rounding leaves of a channel that never moves
+                    factor[channel == c] = 1 / np.sqrt(power)
         out.append(
             f._replace(
                 contrasts=f.contrasts * factor,

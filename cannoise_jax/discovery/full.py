@@ -69,11 +69,10 @@ def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: f
         mine = sorted((n for n, p in enumerate(levels) if p.channel == c), key=lambda n: -levels[n].signal)
         for n in mine:
             p = levels[n]
-            if (
-                gain[c] <= 0
-                or p.variance > 0.7 * (read[c] ** 2 + step**2 / 12 + gain[c] * max(p.signal, 0))
-                or (p.signal < 20 * step)
-            ):
+            expected = read[c] ** 2 + step**2 / 12 + gain[c] * max(p.signal, 0)
+            # Of noise of about a code rounding leaves too little to say how much of it is lost.
+            coarse = expected < 2 * step**2
+            if gain[c] <= 0 or p.variance > 0.7 * expected or coarse or p.signal < 20 * step:
                 break
             out[n] = p._replace(full=True)
     return out

@@ -18,7 +18,6 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.frozen import frozen_map, noise_factors
 from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps, point_of, with_found
-from cannoise_jax.discovery.stacks import iso_numbers
 from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.physics.mechanism import Scaling
 from cannoise_jax.physics.sensor import SensorModel
@@ -63,8 +62,7 @@ def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None
     """The fitted Poisson-Gaussian baseline of the recordings; with gain and read noise (DN) as `stated` per
     gain setting where given."""
     first = capture.recordings[0]
-    known = iso_numbers(b.iso for b in prepared.baselines)
-    order = np.argsort([known[b.iso] for b in prepared.baselines])
+    order = np.argsort([prepared.isos[b.iso] for b in prepared.baselines])
     gains, reads = [], []
     for n in order:
         baseline = prepared.baselines[n]
@@ -78,7 +76,7 @@ def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None
         per_channel(baselines[0].black),
         min(first.white_level, 65535.0),  # a wrong one may lie above every code
         first.cfa,
-        iso=tuple(known[b.iso] for b in baselines),
+        iso=tuple(prepared.isos[b.iso] for b in baselines),
         code_step=prepared.step,
         camera=capture.camera,
     )

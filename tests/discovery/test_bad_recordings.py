@@ -105,3 +105,34 @@ def test_frames_held_back_one_by_one_are_not_taken_for_full_pixels():
     unseen = prepare_split(capture, split_recordings(capture), held_back=True)
     assert {len(s.contrasts) for s in unseen.stacks} == {1}
     assert not any(level.full for level in unseen.baselines[0].levels)
+
+
+def test_a_gain_setting_of_no_number_has_the_same_one_in_every_split():
+    whole = capture_set(2, kinds="df", size=(64, 64))
+    few = dataclasses.replace(whole.recordings[-1], iso=0.0, frames=whole.recordings[-1].frames[:1])
+    capture = CaptureSet(whole.camera, (*whole.recordings, few))
+    splits = split_recordings(capture)
+    numbers = [prepare_split(capture, splits, held_back=back).isos for back in (False, True)]
+    assert numbers[0] == numbers[1] == {0.0: 50.0, 100.0: 100.0}
+
+
+@pytest.mark.parametrize("read", [0.3, 0.5])
+def test_noise_below_a_code_is_neither_full_wells_nor_hot_pixels(read):
+    capture = capture_set(5, kinds="df", size=(64, 96), gain=0.05, read=read / 0.05, black=5.0)
+    assert not found(capture)
+
+
+def test_flats_that_noise_clips_at_the_white_level_are_not_full_wells():
+    whole = capture_set(6, kinds="df", size=(64, 96), gain=0.05, read=30.0)
+    lit = [r for r in whole.recordings if r.kind == "flat"]
+    white = float(np.mean(lit[-1].frames)) + 1.0 * float(np.std(lit[-1].frames))
+    clipped = tuple(
+        dataclasses.replace(r, frames=np.minimum(r.frames, int(white)), white_level=float(int(white)))
+        for r in whole.recordings
+    )
+    assert "saturation" not in found(CaptureSet(whole.camera, clipped))
+
+
+def test_pixels_that_hardly_ever_move_are_diagnosed():
+    """Read noise of a fifth of a code: darks of which most pixels hold one value."""
+    found(capture_set(11, gain=1.5, read=0.2 / 1.5, size=(64, 96)))

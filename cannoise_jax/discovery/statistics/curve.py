@@ -21,7 +21,7 @@ def stated_score(
 ) -> Score | None:
     """Fitted gain or read noise per channel against the stated one, log ratio; doubt: variance of the
     difference over that of the fit, above 1 where the stated value is itself a fit."""
-    u = i = chi2 = 0.0
+    u = i = 0.0
     dof = 0
     for baseline, (gain, read) in zip(baselines, stated, strict=True):
         if gain is None:
@@ -36,7 +36,6 @@ def stated_score(
                 continue
             relative = np.sqrt(doubt) * error[c] / value[c]
             difference = float(np.log(value[c] / other[c]))
-            chi2 += (difference / relative) ** 2
             dof += 1
             u += difference / relative**2
             i += 1 / relative**2

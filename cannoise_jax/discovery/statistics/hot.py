@@ -24,6 +24,8 @@ from cannoise_jax.discovery.statistics.score import Probe, Score
 from cannoise_jax.discovery.statistics.shape import DARK
 
 _MOST_SHARE = 0.5
+_LEAST_NOISE = 0.6
+"""Standard deviation of the noise of a dark, in codes, from which on the mean of a few frames is normal."""
 
 
 class Heat(NamedTuple):
@@ -138,6 +140,13 @@ def _fitted(counts: np.ndarray) -> tuple[float, float, float]:
     return share, at, gained(share, np.minimum(log_ratio_of(u, at), FAR))
 
 
+def _lattice_spread(fields: tuple[Fields, ...]) -> float:
+    """The standard deviation that the level of a pixel is taken to have at least, over that of its noise:
+    below some half a code a few changes by a code reach further than a normal law has it."""
+    darks = [f for f in fields if f.kind in DARK and f.usable.any()]
+    return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
+
+
 def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score | None:
     """A few pixels far above the others in the darks, at the same places in every frame."""
     sums = pixel_sums(fields, scaling, DARK)
@@ -147,7 +156,7 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     if not seen.any():
         return None
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
-    spread = spread_of(u[seen.ravel()])
+    spread = max(spread_of(u[seen.ravel()]), _lattice_spread(fields))
     number = int(np.sum(u > 4.6 * spread))
     root = float(np.sqrt(np.median(sums.information[seen]))) / spread
     counts = level_counts(u[seen.ravel()] / spread)

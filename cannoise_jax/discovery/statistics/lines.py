@@ -14,11 +14,8 @@ AXES = {"row": 2, "column": 1}
 """Axis of a [n, h, w] array that is summed over."""
 _SUMS = {"row": ("nij,ij->ni", "ni,ij->nij"), "column": ("nij,ij->nj", "nj,ij->nij")}
 """From pixels and responses to lines, and back."""
-
-
 SCALES = ("reference_scale", "description_scale")
-
-
+"""Probes of the levels of light, which what a frame or its colours share scatters."""
 LEVELS = {
     "additive": ("black_channels", "black_level", "greens", "stated_read"),
     "relative": ("greens", "shading", *SCALES),
@@ -26,8 +23,6 @@ LEVELS = {
 """Probes of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
 channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
 part of the fitted read noise too, so a stated read noise is not judged beside it."""
-
-
 _MOST_HELD = 2.0
 """Variance that the modelled noise of one recording may hold of an effect, in units of the fitted one: what a
 few frames draw scatters about it."""

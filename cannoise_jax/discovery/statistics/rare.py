@@ -106,5 +106,7 @@ def spread_of(u: np.ndarray) -> float:
     capped = float(stats.norm.expect(lambda z: np.minimum(z * z, 9.0)))
     for _ in range(10):
         inner = np.square(u[np.abs(u) < 6 * size] / size)
+        if not inner.size:  # all of a few values far out
+            break
         size *= float(np.sqrt(np.mean(np.minimum(inner, 9.0)) / capped))
     return max(size, 1.0)
