@@ -1,4 +1,4 @@
-"""Errors of the reference: their strength is quoted in the unit of the mechanism that they are given to."""
+"""Errors of the reference, in the unit of their mechanism, and what would pass for one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import detectable, diagnose
+from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.discovery.report import finding
 from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.recordings.recording import CaptureSet
@@ -54,3 +57,15 @@ def test_the_smallest_blur_that_is_seen_is_in_dn_too():
     assert smallest is not None and smallest[1] == "DN"
     assert smallest[0] > 5 * score.shift
     assert quoted(score, "in_camera_denoising") == score
+
+
+def test_a_bent_response_is_no_wrong_scale():
+    """A curve through zero lowers the slope of dim scenes: once it is known, their scale is right."""
+
+    def alter(rng):
+        return lambda dn, signal, kind, t: dn - 0.02 * signal**2 / 16183.0
+
+    capture = capture_set(8, alter, kinds="sd", size=(96, 128))
+    first = prepare_split(capture, split_recordings(capture))
+    fitted = stepwise(first.fields, first.probes, frozenset(registered()), np.log(0.01))
+    assert [s.named.mechanism for s in fitted.steps] == ["nonlinearity"]

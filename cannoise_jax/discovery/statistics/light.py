@@ -234,14 +234,18 @@ def min_exposure(fields: tuple[Fields, ...]) -> float | None:
 
 
 def curvature_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Subtracts the fitted curvature from the scenes."""
+    """Subtracts the fitted curvature from the scenes: what a line in the reference leaves of it from the
+    residuals, the line itself, which would pass for a wrong scale, from the mean."""
     value, span = score.parameters["curvature"][0], score.payload
-    return tuple(
-        minus(f, project(f, -(f.clean**2) * span * value))
-        if f.kind == "scene" and f.static is not None and f.clean is not None
-        else f
-        for f in fields
-    )
+    out = []
+    for f in fields:
+        if f.kind == "scene" and f.static is not None and f.clean is not None:
+            bend = -(f.clean**2) * span * value
+            rest = project(f, bend)
+            line = bend - np.divide(rest, f.weight, out=np.zeros_like(rest), where=f.weight > 0)
+            f = minus(f, rest)._replace(mean=(f.mean - line).astype(np.float32))
+        out.append(f)
+    return tuple(out)
 
 
 def probes(described: Described, span: float) -> tuple[Probe, ...]:
