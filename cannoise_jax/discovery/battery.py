@@ -14,6 +14,7 @@ from cannoise_jax.discovery.statistics import (
     covariance,
     curve,
     flicker,
+    glow,
     groups,
     hot,
     levels,
@@ -25,6 +26,7 @@ from cannoise_jax.discovery.statistics import (
     reference,
     shape,
     spectra,
+    taps,
     waves,
 )
 from cannoise_jax.discovery.statistics.score import Probe
@@ -32,6 +34,8 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 BROAD = 3.0
 """Standard deviation, in codes, from which a pixel's noise is broad enough to judge the lattice of codes."""
+ONE_ELECTRON = 0.8
+"""Read noise, electrons, below which a histogram of millions of pixels shows the electrons one by one."""
 
 
 LEAST_SIDE = 32
@@ -185,6 +189,8 @@ def build_probes(
         *pixels.probes(),
         *hot.probes(),
         *means.probes(),
+        *taps.probes(),
+        *glow.probes(),
         *light.probes(described, span),
         *reference.probes(span),
         *levels.probes(described, jitter),
@@ -232,6 +238,14 @@ def stated_parameters(capture: CaptureSet, baselines: tuple[Baseline, ...]) -> t
     return tuple(out)
 
 
+def _smoothing(field: Fields, wide: np.ndarray, step: float) -> float:
+    """Standard deviation, codes, of the normal law that smooths the histogram of these pixels at least: all
+    of their noise, or of the read noise alone where that leaves the codes of single electrons apart."""
+    read = np.sqrt(np.median((field.sigma**2 * (1 - field.shot))[wide]))
+    apart = field.lit and read < ONE_ELECTRON * float(np.mean(field.gain))
+    return float(read if apart else field.sigma[wide].min()) / step
+
+
 def collect_codes(capture, stacks, fields, chosen, step: float) -> codes.Codes:
     """Histograms of the stored codes: of pixels with broad noise, and of every dark."""
     broad = np.zeros(int(65536 // step) + 1)
@@ -256,7 +270,7 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> codes.Codes:
             if is_dark:
                 counts += np.bincount(frame.ravel(), minlength=broad.size)
         if wide.any():
-            narrowest = min(narrowest, float(f.sigma[wide].min()) / step)
+            narrowest = min(narrowest, _smoothing(f, wide, step))
         if is_dark:
             dark.append(counts)
             lowest.append(0)

@@ -53,7 +53,8 @@ def _known(located: Located, before: tuple[Fields, ...], after: tuple[Fields, ..
         a.contrasts is b.contrasts and a.usable is b.usable for a, b in zip(before, after, strict=True)
     )
     names = {p.name for p in probes if p.axes.get("time") in ("redrawn", "telegraph")} if same else set()
-    names -= {"kurtosis", "skewness", "wave_redrawn", "flicker"}  # these see the static fields too
+    # These see the static fields too.
+    names -= {"kurtosis", "light_tails", "skewness", "wave_redrawn", "flicker"}
     return {n: s for n, s in located.scores.items() if n in names}
 
 
@@ -149,7 +150,8 @@ def _forward(steps, fields, located, tests, probes, given_up, allowed, log_alpha
 
 def _active(probes: tuple[Probe, ...], steps: list[Step], given_up: set[str]) -> tuple[Probe, ...]:
     """Probes that can be trusted beside the steps."""
-    aside = given_up | {n for s in steps for n in (s.named.probe.name, *s.named.probe.covers)}
+    found = [(s.named.probe, s.named.score) for s in steps]
+    aside = given_up | {n for p, score in found for n in (p.name, *p.covers, *p.hides(score))}
     return tuple(p for p in probes if p.name not in aside)
 
 

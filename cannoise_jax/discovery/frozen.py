@@ -121,7 +121,9 @@ def frozen_map(probe: str, score: Score, prepared: Prepared, fields, rng) -> np.
     if probe == "wave_frozen":
         return wave_map(fields, score.parameters["frequency_y"][0], score.parameters["frequency_x"][0])
     if probe == "glow":
-        return np.asarray(score.payload[0], np.float64)
+        return np.asarray(score.payload.template, np.float64)
+    if probe == "taps":
+        return score.payload.image(size) / max(score.amplitude, 1e-12)
     if probe == "step":
         axis, at, step = score.payload
         half = np.where(np.arange(size[0 if axis == "row" else 1]) >= at, 0.5, -0.5) * np.sign(step)

@@ -35,6 +35,7 @@ POINTS = {
     "wave_frozen": Point("readout", "signal", "raster", "frozen", spectrum="sinusoid"),
     "flicker": Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
     "step": _OFFSETS,
+    "taps": _OFFSETS,
     "glow": _OFFSETS,
     "black_channels": Point("readout", "signal", "channel", "frozen"),
     "greens": Point("photons", "mean", "channel", "frozen", "multiply"),
@@ -43,6 +44,7 @@ POINTS = {
     "pixel_spread": Point("readout", "signal", "pixel", "telegraph"),
     "hot_additive": _OFFSETS,
     "hot_thermal": _OFFSETS,
+    "light_tails": Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"),
     "kurtosis": Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"),
 }
 """A sparse frozen pattern is an offset map with zeros; noisy pixels blink about their level."""
@@ -98,7 +100,7 @@ def grammar_maps(
         return value, {} if field is None else {"field": field[None]}
     if field is None:
         return value, {}
-    if probe in ("step", "glow", "greens"):  # these maps are per unit of the amplitude
+    if probe in ("step", "taps", "glow", "greens"):  # these maps are per unit of the amplitude
         field = field * value
     if field.ndim == 2 and probe in ("step",):
         field = np.broadcast_to(field, prepared.fields[0].mean.shape)

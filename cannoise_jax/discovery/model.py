@@ -179,7 +179,7 @@ def _add_unknown(
         # The field carries most of the read noise, whose Gaussian part is lowered to make room.
         share = 0.9
         known[parameter] = share * float(np.mean(prepared.baselines[0].read_dn))
-        known["tukey_lambda"] = _lambda_of(score.amplitude / share**4)
+        known["tukey_lambda"] = _lambda_of(float(score.parameters["excess_kurtosis"][0]) / share**4)
     thermal = probe.endswith("thermal_static") or probe in ("hot_thermal", "glow", "dark_level")
     return with_found(
         model,
@@ -229,7 +229,7 @@ def _lambda_of(kurtosis: float) -> float:
     def miss(shape: float) -> float:
         return float(stats.tukeylambda.stats(shape, moments="k")) - kurtosis
 
-    return float(optimize.brentq(miss, -0.24, 0.13)) if miss(0.13) < 0 < miss(-0.24) else 0.0
+    return float(optimize.brentq(miss, -0.24, 1.0)) if miss(1.0) < 0 < miss(-0.24) else 0.0
 
 
 def _hot(model: SensorModel, heat: np.ndarray, probe: str, score: Score, seconds: float) -> SensorModel:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.locate import Located
+from cannoise_jax.discovery.statistics.hot import before_maps
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 TIE_NATS = 3.0
@@ -20,6 +21,11 @@ BLURS = {
 }
 """Probes of blur in the mean, the mechanism of the camera that does it, and the probe of its noise
 correlation."""
+
+
+TOGETHER = {"lags_brighter_fatter": "variance_curve"}
+"""What one probe's mechanism does to another's statistic counts for it where both reject: charge that pixels
+share in proportion to what they hold also bends the photon-transfer curve."""
 
 
 class Named(NamedTuple):
@@ -59,15 +65,17 @@ def name(
     located: Located, probes: tuple[Probe, ...], allowed: frozenset[str], log_alpha: float
 ) -> Named | None:
     """Ranks what the battery rejects by penalised log-likelihood gain; None when it rejects nothing."""
-    significant = located.significant(log_alpha)
+    significant = before_maps(located.significant(log_alpha))
     if not significant:
         return None
     by_name = {p.name: p for p in probes}
     evidence: dict[str, float] = {"unknown": 0.0}
     best: dict[str, Score] = {}
+    rejected = {s.probe: s.evidence for s in significant}
     for score in significant:
+        other = rejected.get(TOGETHER.get(score.probe, ""), 0.0)
         for mechanism, value in _readings(score, by_name[score.probe], located, allowed):
-            value -= UNNAMED_NATS if mechanism == "unknown" else 0.0
+            value += other - (UNNAMED_NATS if mechanism == "unknown" else 0.0)
             if mechanism not in best or value > evidence[mechanism]:
                 evidence[mechanism], best[mechanism] = value, score
     ranked = sorted(best, key=lambda m: -evidence[m])

@@ -23,7 +23,8 @@ from cannoise_jax.discovery.blocks import bands, frame_blocks, leave_out
 from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.fit import Fitted, Step
 from cannoise_jax.discovery.heldout import Scored, predicted, score_frames
-from cannoise_jax.discovery.statistics.hot import heat_again, without_pixels
+from cannoise_jax.discovery.statistics.glow import glow_again
+from cannoise_jax.discovery.statistics.hot import Heat, heat_again, without_pixels
 from cannoise_jax.discovery.statistics.score import Probe, Score
 
 MOST_JOINT = 4
@@ -111,11 +112,13 @@ def prove(
     for n, step in enumerate(steps):
         fields = beside(steps, n, second.fields)
         probe = probes.get(step.named.probe.name)
-        score = probe.score(fields) if probe is not None else None
+        score = seen_again(probe, fields, step.named.score) if probe is not None else None
         if together is not None and score is not None and _pattern(step.named.probe):
             looked, both = (step.named.probe.score(beside(steps, n, p.fields)) for p in (first, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
+        if score is not None and step.named.probe.name == "glow":
+            score = glow_again(step.named.score, fields) or score
         if score is not None and step.named.probe.name.startswith("hot_"):
             score = heat_again(step.named.score, beside(steps, n, first.fields), fields) or score
         law = laws[n]
@@ -143,9 +146,20 @@ def prove(
     )
 
 
+def seen_again(probe: Probe, fields: tuple[Fields, ...], found: Score) -> Score | None:
+    """The score of a finding on other frames; of a wave at the frequency that it was found at: the strongest
+    one of a few frames may be one of the noise."""
+    if probe.name.startswith("wave_"):
+        return probe.score(fields, near=found.payload[:2])
+    return probe.score(fields)
+
+
 def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
-    """The fields with every finding but the n-th taken out; of many, those accepted before it."""
-    others = steps[:n] if len(steps) > MOST_JOINT else (*steps[:n], *steps[n + 1 :])
+    """The fields with every finding but the n-th taken out; of many, and for hot pixels that stand out from a
+    map found after them, those accepted before it."""
+    heat = steps[n].named.score.payload
+    ordered = len(steps) > MOST_JOINT or (isinstance(heat, Heat) and heat.beside_map)
+    others = steps[:n] if ordered else (*steps[:n], *steps[n + 1 :])
     for other in others:
         fields = refit(other.named.probe.absorb(fields, other.named.score))
     return fields
@@ -236,7 +250,7 @@ def jackknife_interval(
         parts = [leave_out(fields, block) for block in frame_blocks(fields, most)]
     if len(parts) < 2:
         return float("nan"), float("nan")
-    again = [probe.score(part) for part in parts]
+    again = [seen_again(probe, part, found) for part in parts]
     gains = np.array([held_out_gain(found, s) for s in again if s is not None])
     if gains.size < 2:
         return float("nan"), float("nan")

@@ -7,7 +7,14 @@ import pytest
 from scipy import integrate, stats
 
 from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.hot import Heat, heat_again, hot_score, known_heat
+from cannoise_jax.discovery.statistics.hot import (
+    Heat,
+    before_maps,
+    heat_again,
+    hot_score,
+    known_heat,
+    mask_hot,
+)
 from cannoise_jax.discovery.statistics.rare import hot_log_p, level_counts, log_mixture, spread_of
 from cannoise_jax.discovery.statistics.score import Score
 
@@ -133,3 +140,33 @@ def test_many_and_far_hot_pixels_have_their_share_and_height(share, mean):
     assert score.parameters["fraction"][0] == pytest.approx(drawn, rel=0.1)
     assert score.payload.mean == pytest.approx(heat[heat > 0].mean(), rel=0.05)
     assert score.amplitude == pytest.approx(np.sqrt(np.mean(heat**2)), rel=0.25)
+
+
+def test_hot_pixels_beside_a_map_of_every_pixels_level():
+    """Where every pixel has a level of its own, those that stand out from these are hot and no others, and
+    the map is left to be found without them."""
+    rng = np.random.default_rng(9)
+    spread, share, mean = 6.0, 0.02, 150.0
+    heat = (rng.random(SIZE) < share) * rng.exponential(mean, SIZE)
+    level = spread * rng.standard_normal(SIZE)
+    first, second = (dark(np.sqrt(n) * (level + heat) + rng.standard_normal(SIZE), n) for n in (6, 2))
+    looked = hot_score((first,), probe="hot_additive", scaling="additive")
+    assert looked is not None and looked.log_p < -100
+    assert looked.payload.beside_map
+    assert looked.payload.spread == pytest.approx(spread * np.sqrt(6), rel=0.1)
+    assert looked.parameters["fraction"][0] == pytest.approx(share, rel=0.3)
+    left = mask_hot((first,), looked)[0]
+    far = heat > 6 * spread
+    assert not left.usable[far].any()
+    assert left.usable[heat == 0].mean() > 0.995
+    known = known_heat((first,), looked.payload)
+    assert known is not None and set(np.unique(known.chance)) <= {0.0, 1.0}
+    again = heat_again(looked, (first,), (second,))
+    assert again is not None
+    assert again.amplitude == pytest.approx(np.sqrt(np.mean(heat**2)), rel=0.1)
+    the_map = Score("pixel_additive_static", -500.0, 1e9, 1.0, spread, 0.1, 0.1, 2, {}, {})
+    other = Score("row_additive_static", -500.0, 1e9, 1.0, 1.0, 0.1, 0.1, 2, {}, {})
+    assert before_maps([the_map, other, looked]) == [looked]
+    assert before_maps([other, the_map, looked]) == [other, the_map, looked]
+    plain = looked._replace(payload=looked.payload._replace(spread=1.0))
+    assert before_maps([the_map, plain]) == [the_map, plain]

@@ -14,8 +14,10 @@ from cannoise_jax.discovery.fields import frame_fields
 from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
 from cannoise_jax.discovery.prove import frame_interval, held_out_gain
 from cannoise_jax.discovery.statistics.score import Score
+from cannoise_jax.discovery.statistics.waves import wave_score
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
+from tests.discovery.test_statistics import white
 
 
 def halves(capture):
@@ -157,3 +159,27 @@ def test_held_out_gain_is_never_more_than_the_best_and_never_absurd(found, error
         assert gain == pytest.approx(40 - 0.5 * np.clip((found**2 - 1) / 0.2, -50, 50) ** 2)
     if error == 0.0:
         assert gain == 33.0
+
+
+def test_a_wave_is_proved_at_the_frequency_that_it_was_found_at():
+    """In two frames a weak wave is not the strongest; where others tell its frequency it shows its own
+    strength and not that of the noise."""
+    rng = np.random.default_rng(3)
+    y, x = np.indices((64, 96))
+    amplitude, frequency = 0.065, (0.1, 0.231)
+    turn = 2 * np.pi * (frequency[0] * y + frequency[1] * x)
+    anywhere, there = [], []
+    for seed in range(30):
+        fields = white(np.random.default_rng(seed), kinds=("dark",), frames=3, sigma=1.0)
+        phases = rng.uniform(0, 2 * np.pi, (2, 1, 1))
+        fields = (
+            fields[0]._replace(contrasts=fields[0].contrasts + np.float32(amplitude) * np.cos(turn + phases)),
+        )
+        found = wave_score(fields, probe="w", time="redrawn")
+        again = wave_score(fields, probe="w", time="redrawn", near=frequency)
+        anywhere.append(found.payload[:2])
+        there.append(again.amplitude)
+        assert np.hypot(again.payload[0] - frequency[0], again.payload[1] - frequency[1]) < 1.2 / 64
+    lost = [np.hypot(a - frequency[0], b - frequency[1]) > 1.2 / 64 for a, b in anywhere]
+    assert np.mean(lost) > 0.05  # the search of the whole plane goes astray
+    assert np.mean(there) == pytest.approx(amplitude, rel=0.2)

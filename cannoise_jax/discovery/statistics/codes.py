@@ -15,6 +15,10 @@ _SURE = 4.0
 """Standard errors by which a code must differ from its neighbours to be one of a comb."""
 
 
+_MOVED = 0.01
+"""Share of all values that a comb moves to other codes from which it changes the shape of narrow noise."""
+
+
 class Codes(NamedTuple):
     """Counts of codes, in units of the step: of broadly spread pixels, and of the darks; steps in DN."""
 
@@ -107,6 +111,13 @@ def _comb(index: np.ndarray, counts: np.ndarray) -> tuple[float, int, float] | N
     return period / alike, phase, float(1 - counts[mine].sum() / beside[mine].sum())
 
 
+def _hidden_by_comb(score: Score) -> tuple[str, ...]:
+    """Shapes that are those of the comb where it moves many values."""
+    share = abs(score.parameters["shortfall"][0]) / max(score.amplitude, 1.0)
+    shapes = ("kurtosis", "light_tails", "skewness", "pixel_spread", "telegraph")
+    return shapes if share > _MOVED else ()
+
+
 def step_score(fields, *, probe: str, codes: Codes) -> Score | None:
     """Codes more widely spaced than stated."""
     if not codes.stated:
@@ -163,6 +174,7 @@ def probes(codes: Codes, black: float) -> tuple[Probe, ...]:
     axes = {"enters": "converter", "varies_over": "code", "time": "frozen", "scales": "none"}
     shapes = (
         "kurtosis",
+        "light_tails",
         "pixel_spread",
         "skewness",
         "variance_curve",
@@ -179,6 +191,7 @@ def probes(codes: Codes, black: float) -> tuple[Probe, ...]:
             partial(comb_score, probe="comb", codes=codes),
             unchanged,
             ("comb",),
+            hides=_hidden_by_comb,
         ),
         Probe(
             "coarse",

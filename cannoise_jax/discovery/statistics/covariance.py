@@ -13,13 +13,13 @@ from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, 
 LAGS = tuple((dy, dx) for dy in range(5) for dx in range(-4, 5) if dy > 0 or dx > 0)
 TEMPLATES: dict[str, dict[tuple[int, int], float]] = {
     "crosstalk": {(0, 1): 0.5, (1, 0): 0.5},
-    "brighter_fatter": {(0, 1): 0.5, (1, 0): 0.5},
+    "brighter_fatter": {(0, 1): 0.25, (1, 0): 0.25},
     "in_camera_denoising": {(0, 2): 0.5, (2, 0): 0.5},
     "in_camera_denoising_8": {(0, 2): 0.25, (2, 0): 0.25, (2, 2): 0.25, (2, -2): 0.25},
     "demosaicing": {(0, 1): 1.0, (1, 0): 1.0, (1, 1): 0.5, (1, -1): 0.5},
 }
 """Correlation at each lag per unit of the mechanism's amplitude, to first order, times the template's
-weight."""
+weight. Brighter-fatter: what a pixel loses of its variance is the covariance with its four neighbours."""
 
 
 def pair_weight(field: Fields, law: str) -> np.ndarray:
@@ -187,9 +187,9 @@ def probes() -> tuple[Probe, ...]:
             "law": "neighbours",
         }
         probe = f"lags_{template}"
-        out.append(
-            Probe(probe, name, axes, partial(template_score, probe=probe, law=law, template=template), absorb)
-        )
+        score = partial(template_score, probe=probe, law=law, template=template)
+        bent = ("variance_curve",) if law == "charge" else ()  # the variance that is lost bends the curve
+        out.append(Probe(probe, name, axes, score, absorb, bent))
     axes = {
         "enters": "readout",
         "varies_over": "pixel",

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import fft
+from scipy import fft, ndimage
 
 from cannoise_jax.discovery.fields import Fields, frame_fields, map_contrasts, site
 from cannoise_jax.discovery.statistics.lines import LineSums, line_sums, response
@@ -148,12 +148,32 @@ def _white(rows: list[tuple[np.ndarray, np.ndarray]]) -> float:
 
 def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Projects the row sinusoid, times the signal, out of every lit field; with its harmonic, and out of each
-    colour by itself, where it is far above the noise."""
+    colour by itself, where it is far above the noise. What rows of light then still share is no noise of
+    the camera: lamps flicker in no perfect sinusoid."""
     frequency, strong = score.payload
-    return tuple(
-        _with_level(f, _taken_out(f, frequency, strong), frequency, score.amplitude) if f.lit else f
-        for f in fields
-    )
+
+    def taken_out(field: Fields) -> Fields:
+        left = _with_level(field, _taken_out(field, frequency, strong), frequency, score.amplitude)
+        return _even_rows(left) if strong and len(left.contrasts) else left
+
+    return tuple(taken_out(f) if f.lit else f for f in fields)
+
+
+def _even_rows(field: Fields) -> Fields:
+    """The field with the power of its row sums brought down to that of white noise at every frequency where
+    it is more, even and odd columns by themselves."""
+    values = field.contrasts.copy()
+    for parity in (0, 1):
+        columns = (slice(None), slice(parity, None, 2))
+        r = response(field, "relative")[columns].astype(np.float32)
+        information = np.maximum(np.sum(r.astype(np.float64) ** 2, 1), 1e-30)
+        rows = np.einsum("nij,ij->ni", field.contrasts[:, *columns], r) / np.sqrt(information)
+        modes = fft.rfft(rows, axis=1)
+        power = np.mean(np.abs(modes) ** 2, 0) / rows.shape[1]
+        smooth = ndimage.uniform_filter1d(power, 5, mode="nearest")
+        removed = fft.irfft(modes * (1 - 1 / np.sqrt(np.maximum(smooth, 1.0))), rows.shape[1], axis=1)
+        values[:, *columns] -= (removed / np.sqrt(information))[:, :, None].astype(np.float32) * r
+    return field._replace(contrasts=values)
 
 
 def _with_level(field: Fields, left: Fields, frequency: float, amplitude: float) -> Fields:

@@ -24,17 +24,27 @@ from cannoise_jax.discovery.statistics.score import Probe, Score
 from cannoise_jax.discovery.statistics.shape import DARK
 
 _MOST_SHARE = 0.5
+_STRONG = 2.0
+"""Spread of the levels of most pixels, in standard deviations of their noise, from which on every pixel has a
+level of its own and the hot ones are those that stand out from these: beside a map, not in place of it."""
 _LEAST_NOISE = 0.6
 """Standard deviation of the noise of a dark, in codes, from which on the mean of a few frames is normal."""
 
 
 class Heat(NamedTuple):
     """Law of the heat of a pixel: exponential of this mean, DN or ('thermal') DN per second, in a share of
-    the pixels, none in the others."""
+    the pixels, none in the others. spread: standard deviation of the levels of those others, in units of the
+    noise, where every pixel has a level of its own; else 1."""
 
     share: float
     mean: float
     scaling: str
+    spread: float = 1.0
+
+    @property
+    def beside_map(self) -> bool:
+        """Whether the other pixels have levels far beyond the noise too, a pattern that is found after."""
+        return self.spread > 1
 
 
 class Known(NamedTuple):
@@ -74,20 +84,21 @@ class Known(NamedTuple):
 
 def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     """What the darks tell of the heat of every pixel: of a normal value with an exponential mean, the mean is
-    a normal one cut off at zero."""
+    a normal one cut off at zero. Beside a map a pixel is either hot or one of the map."""
     sums = pixel_sums(fields, heat.scaling, DARK)
     if sums is None:
         return None
-    root = np.sqrt(sums.information)
+    root = np.sqrt(sums.information) / heat.spread
     seen = root > 0
     safe = np.where(seen, root, 1.0)
-    u, mean = sums.score / safe, heat.mean * safe
+    u, mean = sums.score / safe / heat.spread**2, heat.mean * safe
     ratio = np.where(seen, log_ratio_of(u, mean), 0.0)
     log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, _MOST_SHARE)) + ratio
     centre = np.where(seen, u - 1 / mean, -1 / mean)
     # Mean of a standard normal above -centre: the inverse of Mills' ratio.
     shape = np.exp(stats.norm.logpdf(centre) - stats.norm.logcdf(centre))
-    return Known(np.where(seen, special.expit(log_odds), 0.0), centre, shape, 1 / safe)
+    chance = np.where(seen, special.expit(log_odds), 0.0)
+    return Known(np.round(chance) if heat.beside_map else chance, centre, shape, 1 / safe)
 
 
 def heat_again(looked: Score, first: tuple[Fields, ...], second: tuple[Fields, ...]) -> Score | None:
@@ -156,7 +167,8 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
     if not seen.any():
         return None
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
-    spread = max(spread_of(u[seen.ravel()]), _lattice_spread(fields))
+    bulk = spread_of(u[seen.ravel()])
+    spread = max(bulk, _lattice_spread(fields))
     number = int(np.sum(u > 4.6 * spread))
     root = float(np.sqrt(np.median(sums.information[seen]))) / spread
     counts = level_counts(u[seen.ravel()] / spread)
@@ -182,12 +194,22 @@ def hot_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Score 
         2,
         {"fraction": (share, "1", float(np.sqrt(share / u.size)))},
         {"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
-        Heat(share, at / root, scaling),
+        Heat(share, at / root, scaling, bulk if bulk > _STRONG else 1.0),
     )
+
+
+def before_maps(scores: list[Score]) -> list[Score]:
+    """Scores, strongest first; hot pixels alone where they stand out from a map of levels that would come
+    first: a map is judged when they are out of it."""
+    hot = [s for s in scores if isinstance(s.payload, Heat) and s.payload.beside_map]
+    return hot if hot and scores[0].probe in ("pixel_additive_static", "pixel_thermal_static") else scores
 
 
 def mask_hot(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Takes the pixels whose level stands out in the darks out of every field."""
+    if score.payload.beside_map:
+        known = known_heat(fields, score.payload)
+        return fields if known is None else without_pixels(fields, known.chance > 0.5)
     out = np.zeros(fields[0].mean.shape, bool)
     for scaling in ("additive", "thermal"):
         sums = pixel_sums(fields, scaling, DARK)

@@ -169,10 +169,19 @@ def temporal_score(fields: tuple[Fields, ...], *, probe: str, axis: str, scaling
     sums = [s for s in sums if s.information.max() > 0]
     if not sums:
         return None
-    power = np.concatenate([((s.score**2).sum(0) / np.maximum(s.information, 1e-30)) for s in sums])
-    information = np.concatenate([s.information for s in sums])
-    dof = np.concatenate([np.full(s.information.shape, len(s.score)) for s in sums])
-    return component_score(probe, power, information, dof, scaling, {"axis": axis})
+    # The mean of the lines is taken out: their squares hold one degree of freedom less than there are lines.
+    left = [1 - 1 / max(int(np.sum(s.information > 0)), 2) for s in sums]
+    power = [(s.score**2).sum(0) / np.maximum(s.information, 1e-30) for s in sums]
+    return component_score(
+        probe,
+        np.concatenate([n * p for n, p in zip(left, power, strict=True)]),
+        np.concatenate([s.information / n for n, s in zip(left, sums, strict=True)]),
+        np.concatenate(
+            [np.full(p.shape, n * len(s.score)) for n, p, s in zip(left, power, sums, strict=True)]
+        ),
+        scaling,
+        {"axis": axis},
+    )
 
 
 def temporal_absorb(

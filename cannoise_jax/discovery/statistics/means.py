@@ -1,8 +1,8 @@
-"""Known shapes in the mean: a step in offset and glow, and what all templates in the mean share."""
+"""Known shapes in the mean: a step in offset, and what all templates in the mean share."""
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -130,85 +130,6 @@ def step_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return tuple(f if f.static is None else minus(f, project(f, template)) for f in fields)
 
 
-@lru_cache(maxsize=4)
-def glow_templates(size: tuple[int, int]) -> tuple[tuple[str, ...], np.ndarray]:
-    """Exponential falls from every corner and edge, of four lengths, each of rms 1: names, [32, H W]."""
-    h, w = size
-    y, x = np.indices(size)
-    names, out = [], []
-    places = {
-        "top left": np.hypot(y, x),
-        "top right": np.hypot(y, w - 1 - x),
-        "bottom left": np.hypot(h - 1 - y, x),
-        "bottom right": np.hypot(h - 1 - y, w - 1 - x),
-        "top": y,
-        "bottom": h - 1 - y,
-        "left": x,
-        "right": w - 1 - x,
-    }
-    for place, distance in places.items():
-        for length in (0.05, 0.1, 0.2, 0.4):
-            g = np.exp(-distance / (length * max(h, w)))
-            names.append(f"{place}, {length * max(h, w):.0f} px")
-            out.append((g / np.sqrt(np.mean(g**2))).ravel().astype(np.float32))
-    return tuple(names), np.array(out)
-
-
-def glow_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
-    """Light from a corner or edge in the darks, growing with the exposure where several are known."""
-    dark = [f for f in fields if f.kind in _DARK and f.static is not None]
-    if not dark:
-        return None
-    known = [f.exposure_s for f in dark if f.exposure_s]
-    thermal = len(known) == len(dark)
-    names, g = glow_templates(dark[0].mean.shape)
-    channel = channel_index(dark[0].mean.shape).ravel()
-    u, i = np.zeros(len(g)), np.zeros(len(g))
-    for f in dark:
-        assert f.static is not None
-        scale = (f.exposure_s or 1.0) / max(known) if thermal else 1.0
-        w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
-        u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
-        i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
-        for c in range(4):  # the level of every channel is fitted too
-            square = w[channel == c] ** 2
-            total = max(float(np.sum(square, dtype=np.float64)), 1e-30)
-            along = (g[:, channel == c] @ square).astype(np.float64)
-            level = float(np.sum(w[channel == c] * static[channel == c], dtype=np.float64))
-            u -= np.sqrt(f.frames) * scale * along * level / total
-            i -= f.frames * scale**2 * along**2 / total
-    z = u / np.sqrt(np.maximum(i, 1e-30))
-    k = int(np.argmax(z))
-    amplitude, error = float(u[k] / max(i[k], 1e-30)), float(1 / np.sqrt(max(i[k], 1e-30)))
-    return Score(
-        probe,
-        sidak(normal_log_p(float(z[k]), 1), 24),
-        0.5 * max(float(z[k]), 0.0) ** 2,
-        float(np.log(24) + 0.5 * np.log(1e5)) / 2,
-        abs(amplitude),
-        error,
-        error,
-        1,
-        {"glow": (amplitude, "DN", error)},
-        {"axis": "edge", "edge": names[k]},
-        (g[k].reshape(dark[0].mean.shape), abs(amplitude), max(known) if thermal else None),
-    )
-
-
-def glow_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Subtracts the glow from the darks, in proportion to the exposure."""
-    g, amplitude, longest = score.payload
-    out = []
-    for f in fields:
-        if f.static is None or f.lit:
-            out.append(f)
-            continue
-        scale = (f.exposure_s or 1.0) / longest if longest else 1.0
-        level = np.float32(np.mean(g) * amplitude * scale)
-        out.append(minus(f, project(f, g * amplitude * scale))._replace(mean=f.mean - level))
-    return tuple(out)
-
-
 def probes() -> tuple[Probe, ...]:
     """The probes of this signature."""
     frozen = {"time": "frozen"}
@@ -219,18 +140,6 @@ def probes() -> tuple[Probe, ...]:
             {**frozen, "enters": "readout", "varies_over": "amplifier", "scales": "additive", "law": "step"},
             partial(step_score, probe="step"),
             step_absorb,
-        ),
-        Probe(
-            "glow",
-            "amp_glow",
-            {
-                **frozen,
-                "enters": "pixel",
-                "varies_over": "block",
-                "scales": "exposure",
-                "law": "exponential fall",
-            },
-            partial(glow_score, probe="glow"),
-            glow_absorb,
+            ("taps",),
         ),
     )

@@ -11,7 +11,13 @@ from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.statistics.hot import without_pixels
 from cannoise_jax.discovery.statistics.rare import sparse_log_p
 from cannoise_jax.discovery.statistics.score import Probe, Score, skewed_log_p, unchanged
-from cannoise_jax.discovery.statistics.shape import NOISY, darks, known_kurtosis, parabola_peak
+from cannoise_jax.discovery.statistics.shape import (
+    NOISY,
+    darks,
+    known_kurtosis,
+    kurtosis_doubt,
+    parabola_peak,
+)
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 
@@ -49,19 +55,18 @@ def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | Non
     return None if found is None else (found[0][found[1]], found[2])
 
 
-def _rounded_dispersion(fields: tuple[Fields, ...]) -> float:
-    """What the kurtosis of rounding adds to the variance of a pixel's sum of squares over all darks."""
-    return float(
-        sum(
-            np.mean(known_kurtosis(f)[0]) * len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0)
-            for f in darks(fields)
-        )
-    )
+def _known_dispersion(fields: tuple[Fields, ...]) -> tuple[float, float]:
+    """What the kurtosis of rounding and of Poisson noise adds to the variance of a pixel's sum of squares
+    over all darks, and its standard error."""
+    chosen = darks(fields)
+    weight = np.array([len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0) for f in chosen])
+    known = [float(np.mean(known_kurtosis(f)[0])) for f in chosen]
+    return float(weight @ known), float(np.linalg.norm(weight * [kurtosis_doubt(f) for f in chosen]))
 
 
-def _dispersion_log_p(squares: np.ndarray, n: int, known: float) -> tuple[float, float]:
+def _dispersion_log_p(squares: np.ndarray, n: int, known: float, doubt: float) -> tuple[float, float]:
     """Over-dispersion of the sums of squares against chi-square, far pixels capped; log p and z. known: what
-    rounding adds to the variance of a sum of squares."""
+    rounding and Poisson noise add to the variance of a sum of squares, doubt: its standard error."""
     cap = stats.chi2.isf(1e-4, n)
     grid = np.linspace(0, cap, 4001)
     density = stats.chi2.pdf(grid, n)
@@ -78,7 +83,7 @@ def _dispersion_log_p(squares: np.ndarray, n: int, known: float) -> tuple[float,
     variance = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 2))
     capped = np.minimum(squares, cap)
     total = float(np.sum((capped - n) ** 2 - mean - known - linear * (capped - n)))
-    z = total / np.sqrt(variance * squares.size)
+    z = total / np.sqrt(variance * squares.size + (doubt * squares.size) ** 2)
     skewness = third / variance**1.5 / np.sqrt(squares.size)
     return skewed_log_p(z, skewness, 1), z
 
@@ -89,7 +94,7 @@ def spread_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
     if found is None:
         return None
     squares, n = found
-    log_p, z = _dispersion_log_p(squares, n, _rounded_dispersion(fields))
+    log_p, z = _dispersion_log_p(squares, n, *_known_dispersion(fields))
     nodes, weights = np.polynomial.hermite_e.hermegauss(15)
     counts, centre = _histogram(squares)
     best, at = 0.0, 0.0

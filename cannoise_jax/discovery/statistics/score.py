@@ -146,11 +146,11 @@ def variance_component(
 class Probe(NamedTuple):
     """One point of the grammar that the battery looks at.
 
-    name: unique; mechanism: its name in the vocabulary, None: it has none. axes: where it acts, what
-    it varies
-    over, how it behaves in time, how it scales, its law. score(fields) -> Score or None where it cannot be
-    tested; absorb(fields, score) -> fields with the effect taken out; covers: probes that cannot be trusted
-    once this one is in the model. rare: whether p is 1 unless something is far off.
+    name: unique; mechanism: its name in the vocabulary, None: it has none. axes: where it acts, what it
+    varies over, how it behaves in time, how it scales, its law. score(fields) -> Score or None where it
+    cannot be tested; absorb(fields, score) -> fields with the effect taken out; covers: probes that cannot be
+    trusted once this one is in the model; hides(score): more of them, for an effect of that size. rare:
+    whether p is 1 unless something is far off.
     """
 
     name: str
@@ -160,6 +160,7 @@ class Probe(NamedTuple):
     absorb: Callable[..., Any]
     covers: tuple[str, ...] = ()
     rare: bool = False
+    hides: Callable[[Score], tuple[str, ...]] = lambda score: ()
 
 
 def unchanged(fields: Any, score: Score) -> Any:

@@ -1,4 +1,4 @@
-"""Shape of the noise of all pixels together: heavy tails and skewness."""
+"""Shape of the noise of all pixels together: heavy and light tails, and skewness."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.
 _EDGES = np.linspace(-40, 40, 4001)
 
 
-NOISY = ("kurtosis", "pixel_spread", "telegraph", "skewness", "hot_additive", "hot_thermal")
+NOISY = ("kurtosis", "light_tails", "pixel_spread", "telegraph", "skewness", "hot_additive", "hot_thermal")
 """Probes of shape that cannot be trusted once one of them is in the model."""
 
 
@@ -83,9 +83,18 @@ def known_kurtosis(field: Fields) -> tuple[np.ndarray, np.ndarray]:
     return poisson + own[channel], left[channel] * np.clip(1 - field.shot, 0, 1) ** 2
 
 
-def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
-    """Fourth moment beyond Poisson and rounding, weighted by the share of read noise; gain of Student's t."""
-    u = squares = cubes = scatter = 0.0
+def kurtosis_doubt(field: Fields) -> float:
+    """Standard error of a dark's kurtosis by Poisson noise: that of the dark level that it follows from.
+    Matters where single electrons stand out from the read noise."""
+    # The dark level is that beyond another dark's.
+    values = 2 / max(field.frames * int(field.usable.sum()), 1)
+    return float(np.mean(field.gain) ** 3 * np.sqrt(values) / np.median(field.sigma) ** 3)
+
+
+def kurtosis_score(fields: tuple[Fields, ...], *, probe: str, tails: int = 1) -> Score | None:
+    """Fourth moment beyond Poisson and rounding (tails=-1: short of them), weighted by the share of read
+    noise; gain of Student's t."""
+    doubt = u = squares = cubes = scatter = 0.0
     pooled = []
     for f in fields:
         narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
@@ -96,6 +105,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
         w = (share * f.usable * (np.abs(f.static) < 7)).astype(np.float64)
         squares += float(np.sum(w**2)) * f.frames
         cubes += float(np.sum(w**3)) * f.frames
+        doubt += (float(np.sum(w)) * f.frames * kurtosis_doubt(f)) ** 2 if f.kind in DARK else 0.0
         for values in each_frame(f):
             z2 = values**2
             terms = w * (z2 * z2 - 6 * z2 + 3 - base)
@@ -106,23 +116,24 @@ def kurtosis_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
                 pooled.append((np.histogram(np.clip(values[w > 0], -39.9, 39.9), _EDGES)[0], width))
     if squares < 1:
         return None
-    z, kappa = u / np.sqrt(24 * squares), u / squares
-    gain, nu = _student_gain(pooled) if pooled and z > 0 else (0.5 * max(z, 0) ** 2, np.inf)
+    z, kappa = tails * u / np.sqrt(24 * squares + doubt), tails * u / squares
+    heavy = pooled and z > 0 and tails > 0
+    gain, nu = _student_gain(pooled) if heavy else (0.5 * max(z, 0) ** 2, np.inf)
     # The moment is the definition; of very heavy tails it scatters too much to be used.
     amplitude = 6 / (nu - 4) if kappa > 1 and 4 < nu < np.inf else max(kappa, 0.0)
-    error = float(max(np.sqrt(24 * squares), np.sqrt(scatter)) / squares)
+    error = float(np.sqrt(max(24 * squares, scatter) + doubt) / squares)
     return Score(
         probe,
-        skewed_log_p(z, 14.7 * cubes / squares**1.5, 2),
+        skewed_log_p(z, 14.7 * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
         gain,
         0.5 * float(np.log(squares)),
         float(amplitude),
         error,
-        float(np.sqrt(24 / squares)),
+        float(np.sqrt(24 * squares + doubt) / squares),
         1,
-        {"excess_kurtosis": (float(amplitude), "1", error)},
+        {"excess_kurtosis": (float(tails * amplitude), "1", error)},
         {"axis": "signal", "range": [0.0, 0.0]},
-        kappa,
+        tails * kappa,
     )
 
 
@@ -205,6 +216,14 @@ def probes() -> tuple[Probe, ...]:
             "heavy_tails",
             {**pixel, "time": "redrawn", "law": "heavy tails"},
             partial(kurtosis_score, probe="kurtosis"),
+            unchanged,
+            NOISY,
+        ),
+        Probe(
+            "light_tails",
+            None,
+            {**pixel, "time": "redrawn", "law": "light tails"},
+            partial(kurtosis_score, probe="light_tails", tails=-1),
             unchanged,
             NOISY,
         ),

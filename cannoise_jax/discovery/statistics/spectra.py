@@ -25,20 +25,29 @@ def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
     sums = line_sums(field, field.contrasts, "row", scaling)
     scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
     power = np.abs(fft.rfft(scaled, axis=1))[:, 1:] ** 2 / scaled.shape[1]
-    return power.sum(0), float(np.mean(sums.information))
+    # The mean that was taken out is missing in the variance of the sums, but in none of these modes.
+    left = 1 - 1 / scaled.shape[1]
+    return left * power.sum(0), float(np.mean(sums.information)) / left
 
 
 def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
     """Summed power of the raster scans of all contrasts [N/2], mean 1, and the information per mode."""
-    w = field.weight.astype(np.float32)
-    total = float(np.sum(w.astype(np.float64) ** 2))
+    w = _even_rows(field.weight)
     power = np.zeros(w.size // 2)
     for contrast in field.contrasts:
         x = (contrast * w).ravel()
         # By the scan's own power: heavy tails add to all frequencies alike.
         own = max(float(np.sum(x.astype(np.float64) ** 2)), 1e-30)
         power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2 / own
-    return power, total / w.size
+    return power, float(np.mean(field.weight.astype(np.float64) ** 2))
+
+
+def _even_rows(weight: np.ndarray) -> np.ndarray:
+    """Weights with a mean square of 1 in every row: slow noise then keeps to its modes in a scan through
+    scenes too, as it does in the sums of rows, and both can be compared."""
+    w = weight.astype(np.float32)
+    root = np.sqrt(np.mean(w**2, axis=1, keepdims=True))
+    return w / np.where(root > 0, root, 1)
 
 
 def mode_weights(size: int) -> np.ndarray:
@@ -171,14 +180,15 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
         held = _held_by_scan(field, v, exponent) if scan == "raster" else _held_by_rows(field)
         field = alone(field, held, v, "additive")
     w = field.weight.astype(np.float32)
-    safe = np.where(w > 0, w, 1.0).astype(np.float32)
+    even = _even_rows(w)
+    safe = np.where(w > 0, even, 1)
     information_rows = np.sum(w.astype(np.float64) ** 2, axis=1)
     root = np.sqrt(np.maximum(information_rows, 1e-30))
 
     def function(x: np.ndarray) -> np.ndarray:
         n = len(x)
         if scan == "raster":
-            series, information = (x * w).reshape(n, -1), float(np.mean(w.astype(np.float64) ** 2))
+            series, information = (x * even).reshape(n, -1), float(np.mean(w.astype(np.float64) ** 2))
         else:
             series, information = np.einsum("nij,ij->ni", x, w) / root, float(information_rows.mean())
         size = series.shape[1]
@@ -210,9 +220,10 @@ def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
     tau = v * information * banded(_shape(field.weight.size, exponent) * weights) / modes
     mean_power = banded(power * weights) / modes / number
     level = float(white_levels(mean_power[None], number * modes[None], tau[None])[0, 0])
-    w = field.weight.astype(np.float64)
-    seen = float(np.sum((field.contrasts * field.weight) ** 2, dtype=np.float64)) / number
-    return np.array((np.sum(w**2) - level * seen) / max(float(np.sum(w**4)), 1e-30))
+    even, w = _even_rows(field.weight), field.weight.astype(np.float64)
+    seen = float(np.sum((field.contrasts * even) ** 2, dtype=np.float64)) / number
+    full = even.astype(np.float64) ** 2
+    return np.array((full.sum() - level * seen) / max(float(np.sum(full * w**2)), 1e-30))
 
 
 def probes() -> tuple[Probe, ...]:

@@ -41,9 +41,12 @@ def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
     return field.contrasts
 
 
-def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | None:
+def wave_score(
+    fields: tuple[Fields, ...], *, probe: str, time: str, near: tuple[float, float] | None = None
+) -> Score | None:
     """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
-    (frozen). Fields count by their information, which is the score for a small amplitude."""
+    (frozen). Fields count by their information, which is the score for a small amplitude. near: frequency
+    that other frames tell, as well as they resolve it."""
     chosen = []
     for f in fields:
         values = redrawn(f) if time == "redrawn" else None if f.static is None or f.lit else f.static[None]
@@ -63,6 +66,8 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
     for rows in (slice(0, _PAD + 1), slice(-_PAD, None), slice(middle - _PAD, middle + _PAD + 1)):
         power[rows, last - _PAD :] = 0
     power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
+    if near is not None:
+        power[~_about(near, power.shape, (h, w))] = 0
     where = np.unravel_index(np.argmax(power), power.shape)
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
@@ -90,6 +95,13 @@ def wave_score(fields: tuple[Fields, ...], *, probe: str, time: str) -> Score | 
         {"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
         (fy, fx, time),
     )
+
+
+def _about(near: tuple[float, float], grid: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
+    """Points of the padded frequency grid that frames of this size do not tell from a frequency."""
+    apart_y = np.abs((fft.fftfreq(grid[0]) - near[0] + 0.5) % 1 - 0.5)[:, None]
+    apart_x = np.abs(np.arange(grid[1]) / (_PAD * size[1]) - near[1])[None, :]
+    return (apart_y < 0.75 / size[0]) & (apart_x < 0.75 / size[1])
 
 
 def _centred_power(field: Fields, values: np.ndarray, turn: np.ndarray) -> np.ndarray:

@@ -1,0 +1,192 @@
+"""Glow of the readout electronics: light that falls off from a corner or an edge, in the darks.
+
+How far it reaches is known only roughly, and with it how much of the light lies where no fall is seen. The
+strength is the mean over the places and reaches that the darks leave open, each weighted by its likelihood.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from cannoise_jax.discovery.fields import Fields, channel_index
+from cannoise_jax.discovery.statistics.means import minus, project
+from cannoise_jax.discovery.statistics.score import Probe, Score, normal_log_p, sidak
+
+_DARK = ("dark", "bias")
+_REACHES = tuple(0.05 * 2 ** (n / 3) for n in range(10))
+"""Lengths of the exponential fall over the longer side of the frame."""
+_TRIALS = 24
+"""Independent ones among the templates."""
+_OPEN = 0.02
+"""Posterior weight, against the best, down to which a template may be the glow."""
+
+
+class Glow(NamedTuple):
+    """The template that fits best (rms 1) and its strength at the longest exposure, DN; the longest exposure
+    (None where unknown); weights: log posterior weight of every template."""
+
+    template: np.ndarray
+    strength: float
+    longest: float | None
+    weights: np.ndarray
+    strengths: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def glow_templates(size: tuple[int, int]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Exponential falls from every corner and edge, of several lengths, each of rms 1: names,
+    [templates, H W]."""
+    h, w = size
+    y, x = np.indices(size)
+    names, out = [], []
+    places = {
+        "top left": np.hypot(y, x),
+        "top right": np.hypot(y, w - 1 - x),
+        "bottom left": np.hypot(h - 1 - y, x),
+        "bottom right": np.hypot(h - 1 - y, w - 1 - x),
+        "top": y,
+        "bottom": h - 1 - y,
+        "left": x,
+        "right": w - 1 - x,
+    }
+    for place, distance in places.items():
+        for reach in _REACHES:
+            g = np.exp(-distance / (reach * max(h, w)))
+            names.append(f"{place}, {reach * max(h, w):.0f} px")
+            out.append((g / np.sqrt(np.mean(g**2))).ravel().astype(np.float32))
+    return tuple(names), np.array(out)
+
+
+def _sums(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | None] | None:
+    """Score and information of every template, the level of every channel fitted too, and the longest
+    exposure; None without darks."""
+    dark = [f for f in fields if f.kind in _DARK and f.static is not None]
+    if not dark:
+        return None
+    known = [f.exposure_s for f in dark if f.exposure_s]
+    longest = max(known) if len(known) == len(dark) else None
+    g = glow_templates(dark[0].mean.shape)[1]
+    channel = channel_index(dark[0].mean.shape).ravel()
+    u, i = np.zeros(len(g)), np.zeros(len(g))
+    for f in dark:
+        assert f.static is not None
+        scale = _scale(f, longest)
+        w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
+        u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
+        i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
+        for c in range(4):
+            square = w[channel == c] ** 2
+            total = max(float(np.sum(square, dtype=np.float64)), 1e-30)
+            along = (g[:, channel == c] @ square).astype(np.float64)
+            level = float(np.sum(w[channel == c] * static[channel == c], dtype=np.float64))
+            u -= np.sqrt(f.frames) * scale * along * level / total
+            i -= f.frames * scale**2 * along**2 / total
+    return u, np.maximum(i, 1e-30), longest
+
+
+def _scale(field: Fields, longest: float | None) -> float:
+    """Glow of a dark over that of the longest one: it grows with the exposure."""
+    return (field.exposure_s or 1.0) / longest if longest else 1.0
+
+
+def _weights(u: np.ndarray, i: np.ndarray) -> np.ndarray:
+    """Log-likelihood of every template of positive strength, over that of none."""
+    return 0.5 * np.maximum(u, 0.0) ** 2 / i
+
+
+def _strength(u: np.ndarray, i: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Mean strength over the templates and its standard error."""
+    share = special.softmax(weights)
+    mean = float(share @ (u / i))
+    return mean, float(np.sqrt(share @ (1 / i + (u / i - mean) ** 2)))
+
+
+def glow_score(fields: tuple[Fields, ...], *, probe: str) -> Score | None:
+    """Light from a corner or edge in the darks, growing with the exposure where several are known."""
+    sums = _sums(fields)
+    if sums is None:
+        return None
+    u, i, longest = sums
+    z, size = u / np.sqrt(i), fields[0].mean.shape
+    k = int(np.argmax(z))
+    amplitude, error = _strength(u, i, _weights(u, i))
+    names, g = glow_templates(size)
+    return Score(
+        probe,
+        sidak(normal_log_p(float(z[k]), 1), _TRIALS),
+        0.5 * max(float(z[k]), 0.0) ** 2,
+        float(np.log(_TRIALS) + 0.5 * np.log(1e5)) / 2,
+        abs(amplitude),
+        error,
+        float(1 / np.sqrt(i[k])),
+        1,
+        {"glow": (amplitude, "DN", error)},
+        {"axis": "edge", "edge": names[k]},
+        Glow(g[k].reshape(size), float(max(u[k] / i[k], 0.0)), longest, _weights(u, i), u / i),
+    )
+
+
+def glow_again(looked: Score, second: tuple[Fields, ...]) -> Score | None:
+    """The strength on other frames; place and reach are known from those that looked as far as both tell."""
+    sums = _sums(second)
+    if sums is None:
+        return None
+    u, i, _ = sums
+    own = _weights(u, i)
+    both = looked.payload.weights + own
+    amplitude, error = _strength(u, i, both)
+    amplitude, gain = max(amplitude, 0.0), float(own[np.argmax(both)])
+    parameters = {"glow": (amplitude, "DN", error)}
+    return looked._replace(gain=gain, amplitude=amplitude, error=error, parameters=parameters)
+
+
+def glow_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Subtracts the glow from the darks, in proportion to the exposure."""
+    glow = score.payload
+    level = _level(fields, glow)
+    out = []
+    for f in fields:
+        if f.static is None or f.lit:
+            out.append(f)
+            continue
+        scale = _scale(f, glow.longest)
+        fall = project(f, glow.template * glow.strength * scale)
+        out.append(minus(f, fall)._replace(mean=f.mean - np.float32(level * scale)))
+    return tuple(out)
+
+
+def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
+    """Mean of the glow at the longest exposure, DN: of those that the fall leaves open the one that the
+    levels of the darks show, so that only what no such glow brings is left for a dark current."""
+    g = glow_templates(fields[0].mean.shape)[1]
+    possible = glow.weights > glow.weights.max() + np.log(_OPEN)
+    means = np.maximum(glow.strengths, 0.0)[possible] * g[possible].mean(1)
+    dark = [f for f in fields if f.static is not None and not f.lit]
+    scales = np.array([_scale(f, glow.longest) for f in dark])
+    if np.ptp(scales) < 0.01:
+        return float(np.mean(glow.template) * glow.strength)
+    shown = float(np.polyfit(scales, [float(np.mean(f.mean)) for f in dark], 1)[0])
+    return float(np.clip(shown, means.min(), means.max()))
+
+
+def probes() -> tuple[Probe, ...]:
+    """The probe of this signature."""
+    return (
+        Probe(
+            "glow",
+            "amp_glow",
+            {
+                "time": "frozen",
+                "enters": "pixel",
+                "varies_over": "block",
+                "scales": "exposure",
+                "law": "exponential fall",
+            },
+            partial(glow_score, probe="glow"),
+            glow_absorb,
+        ),
+    )

@@ -1,0 +1,74 @@
+"""Glow: strength whatever its place and reach, on the frames that looked and on others; no dark current."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.statistics.glow import glow_absorb, glow_again, glow_score
+from cannoise_jax.discovery.statistics.levels import dark_levels
+
+SIZE = (96, 128)
+
+
+def fall(place, reach: float) -> np.ndarray:
+    y, x = np.indices(SIZE)
+    distance = np.hypot(y - place[0] * SIZE[0], x - place[1] * SIZE[1])
+    g = np.exp(-distance / (reach * max(SIZE)))
+    return g / np.sqrt(np.mean(g**2))
+
+
+def darks(rng, signal: np.ndarray, frames: int) -> tuple[Fields, ...]:
+    """A short dark and a long one of unit noise that hold the signal at the longer exposure."""
+    out = []
+    for n, (seconds, share) in enumerate(((0.01, 0.001), (10.0, 1.0))):
+        seen = signal * share + rng.standard_normal(SIZE) / np.sqrt(frames)
+        level = np.zeros(SIZE)
+        for site in np.ndindex(2, 2):
+            own = (slice(site[0], None, 2), slice(site[1], None, 2))
+            level[own] = seen[own].mean()
+        one = np.ones(SIZE, np.float32)
+        static = (np.sqrt(frames) * (seen - level)).astype(np.float32)
+        out.append(
+            Fields(
+                "d", "dark", frames, n, 0, seconds, 1.0, level.astype(np.float32), 0 * one, one, 0 * one,
+                one > 0, np.zeros((0, *SIZE), np.float32), static, None, np.ones(4), np.zeros(4),
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+@pytest.mark.parametrize(("place", "reach"), [((0, 1), 0.13), ((1, 1), 0.22), ((0, 0), 0.3)])
+def test_strength_covers_the_truth_on_frames_that_looked_and_on_others(place, reach):
+    rng = np.random.default_rng(1)
+    truth, looked, again = 0.09, [], []
+    for _ in range(60):
+        first, second = (darks(rng, truth * fall(place, reach), n) for n in (6, 2))
+        score = glow_score(first, probe="glow")
+        assert score is not None
+        other = glow_again(score, second)
+        assert other is not None
+        looked.append((score.amplitude - truth) / score.error)
+        again.append((other.amplitude - truth) / other.error)
+    for errors in (looked, again):
+        assert abs(np.mean(errors)) < 0.6
+        assert 0.75 < np.mean(np.abs(errors) < 1.645) < 0.99
+
+
+def test_glow_of_uncertain_reach_leaves_no_level_for_a_dark_current():
+    rng = np.random.default_rng(2)
+    signal = 0.08 * fall((1, 0), 0.27)
+    for _ in range(20):
+        fields = darks(rng, signal, 6)
+        score = glow_score(fields, probe="glow")
+        left = glow_absorb(fields, score)
+        (_, _, _), (_, level, error) = dark_levels(left)
+        assert abs(level.mean()) < 4 * error / 2
+
+
+def test_dark_current_beside_a_glow_is_left_to_be_found():
+    rng = np.random.default_rng(3)
+    fields = darks(rng, 0.3 * fall((1, 0), 0.2) + 0.5, 6)
+    left = glow_absorb(fields, glow_score(fields, probe="glow"))
+    assert dark_levels(left)[1][1].mean() == pytest.approx(0.5, abs=0.1)
