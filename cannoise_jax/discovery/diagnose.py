@@ -23,7 +23,7 @@ from cannoise_jax.discovery.battery import (
     stated_parameters,
 )
 from cannoise_jax.discovery.fields import Fields, refit
-from cannoise_jax.discovery.fit import SPENT, Fitted, Step, stepwise
+from cannoise_jax.discovery.fit import SPENT, Fitted, Step, part_of, stepwise
 from cannoise_jax.discovery.limits import NO_STRENGTH
 from cannoise_jax.discovery.locate import weight
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
@@ -71,8 +71,9 @@ class Diagnosis:
 
     @property
     def findings(self) -> list[str]:
-        """Mechanisms found, in the order of acceptance."""
-        return [s.named.mechanism for s in self.fitted.steps]
+        """Mechanisms found, in the order of acceptance; without what is part of another."""
+        aside = part_of(self.fitted.steps)
+        return [s.named.mechanism for n, s in enumerate(self.fitted.steps) if n not in aside]
 
 
 def diagnose(

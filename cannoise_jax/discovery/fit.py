@@ -16,6 +16,7 @@ from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.locate import Located, locate, weight
 from cannoise_jax.discovery.name import Named, name
 from cannoise_jax.discovery.statistics.score import Probe, sidak
+from cannoise_jax.discovery.statistics.spectra import below_frame
 
 MOST_STEPS = 25
 SPENT = (0.6, 0.4)
@@ -163,6 +164,22 @@ def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], t
         out.append(step._replace(named=step.named._replace(score=score), before=fields))
         fields = refit(step.named.probe.absorb(fields, score), fields)
     return out, fields
+
+
+def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
+    """Steps that are the slow part of another: means of frames that move no more than 1/f noise slower than a
+    frame moves them, and the step with that noise."""
+    slopes = [n for n, s in enumerate(steps) if s.named.probe.name in ("raster_slope", "row_slope")]
+    out = {}
+    for n, step in enumerate(steps):
+        score = step.named.score
+        if step.named.probe.name != "frame_additive":
+            continue
+        for slope in slopes:
+            size = step.before[0].mean.shape
+            if score.amplitude - 1.645 * score.error < below_frame(steps[slope].named.score, size):
+                out[n] = slope
+    return out
 
 
 def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:

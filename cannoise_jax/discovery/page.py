@@ -6,12 +6,12 @@ from importlib import resources
 from typing import Any
 
 import jinja2
-import numpy as np
 
 from cannoise_jax.discovery.card import lines as card_lines
 from cannoise_jax.discovery.declare import UNTESTED
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
+from cannoise_jax.discovery.report import listed_steps
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.vocabulary import VOCABULARY
 
@@ -125,10 +125,8 @@ def not_looked_for(report: dict[str, Any]) -> str:
 def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     """The report as HTML with its pictures inside."""
     steps = diagnosis.fitted.steps
-    gains = [-np.inf if p.gain is None else p.gain for p in diagnosis.proofs]
-    order = sorted(range(len(steps)), key=lambda n: -gains[n])
     pictures = []
-    for n in order:
+    for n in listed_steps(diagnosis):
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
         axis = steps[n].named.score.where.get("axis", "pixel")
         redrawn = steps[n].named.probe.axes.get("time") == "redrawn"

@@ -12,10 +12,11 @@ import numpy as np
 from cannoise_jax.discovery.card import card
 from cannoise_jax.discovery.declare import kinds
 from cannoise_jax.discovery.diagnose import Diagnosis, detectable
-from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.fit import Step, part_of
 from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.discovery.statistics.score import Score
+from cannoise_jax.discovery.wording import sentence
 from cannoise_jax.vocabulary import VOCABULARY
 
 SCHEMA = "cannoise/diagnosis/1"
@@ -67,12 +68,13 @@ def document(
     record. Every id that the run may name is in exactly one of them, and every testable one in findings or
     not_found. findings: by held-out gain, largest first, see `finding`. not_found: mechanism and
     smallest_detectable, the amplitude (value, unit) that this run finds with probability 0.5, None where it
-    is no strength; ambiguous marks members of an ambiguous finding's group. before, after: see `quality`;
+    is no strength; ambiguous marks members of an ambiguous finding's group, part_of what is the slow part of
+    a finding. before, after: see `quality`;
     two_sample: see `two_sample`. seconds, peak_memory_mb: of the process, given by the caller.
     """
-    pairs = list(zip(diagnosis.fitted.steps, diagnosis.proofs, strict=True))
-    pairs.sort(key=lambda p: -(p[1].gain if p[1].gain is not None else -np.inf))
-    findings = [finding(diagnosis, step, proof) for step, proof in pairs]
+    steps = diagnosis.fitted.steps
+    findings = [finding(diagnosis, steps[n], diagnosis.proofs[n]) for n in listed_steps(diagnosis)]
+    parts = {steps[n].named.mechanism: steps[m].named.mechanism for n, m in part_of(steps).items()}
     named = {f["mechanism"] for f in findings}
     listed = {c["mechanism"] for f in findings for c in f["candidates"] if f["outcome"] == "AMBIGUOUS"}
     missing = []
@@ -86,6 +88,7 @@ def document(
                 "mechanism": id,
                 "smallest_detectable": smallest,
                 **({"ambiguous": True} if id in listed else {}),
+                **({"part_of": parts[id]} if id in parts else {}),
             }
         )
     inputs = []
@@ -120,6 +123,13 @@ def document(
             "peak_memory_mb": peak_memory_mb,
         }
     )
+
+
+def listed_steps(diagnosis: Diagnosis) -> list[int]:
+    """Places of the steps that the report lists, by held-out gain."""
+    gains = [-np.inf if p.gain is None else p.gain for p in diagnosis.proofs]
+    aside = part_of(diagnosis.fitted.steps)
+    return sorted((n for n in range(len(gains)) if n not in aside), key=lambda n: -gains[n])
 
 
 def _digest(path: str | None) -> str | None:
@@ -184,7 +194,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     statistic, or the change of the composite score. heldout_gain_nats_per_pixel: value and ci90. sentence:
     for a reader.
     """
-    mechanism = step.named.mechanism
+    mechanism, steps = step.named.mechanism, diagnosis.fitted.steps
     # A few pixels may not show again in few frames: their strength is then that of the frames that looked.
     # Nor are the numbers of one wave joined to the place of another.
     found, again = step.named.score, proof.score
@@ -225,8 +235,12 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         "heldout_pixels": proof.pixels or None,
         "heldout_gain_nats_per_pixel": per_pixel,
     }
+    moved = [n for n, slope in part_of(steps).items() if steps[slope] is step]
+    for part in (steps[n].named.score for n in moved):
+        of = [max(part.amplitude + e, 0.0) for e in (-_Z90 * part.error, _Z90 * part.error)]
+        out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
     if mechanism == "unknown":
-        out["card"] = card(step, diagnosis.first.probes, frozenset(diagnosis.ids), diagnosis.fitted.steps)
+        out["card"] = card(step, diagnosis.first.probes, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof)
     return out
 
@@ -240,48 +254,3 @@ def _where(score: Score) -> dict[str, Any]:
     if where.get("axis") not in _AXES:
         where["axis"] = "pixel"
     return {**dict.fromkeys(_PLACES[where["axis"]]), **where}
-
-
-def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
-    """What a camera engineer reads first."""
-    name = entry["mechanism"].replace("_", " ")
-    amount = f"{entry['amplitude']['value']:.3g} {entry['amplitude']['unit']}".replace(" 1", "")
-    low, high = entry["amplitude"]["ci90"]
-    if entry["outcome"] == "UNKNOWN_STRUCTURE":
-        axes = step.named.probe.axes
-        start = (
-            f"A structure without a name: it varies over {axes.get('varies_over', 'pixel')}, is "
-            f"{axes.get('time', 'redrawn')} in time, scales as {axes.get('scales', 'additive')}, "
-            f"law {axes.get('law', 'white')}; strength {amount}"
-        )
-    elif entry["outcome"] == "AMBIGUOUS":
-        others = " or ".join(
-            c["mechanism"].replace("_", " ")
-            for c in entry["candidates"]
-            if c["mechanism"] != "unknown" and c["probability"] > 0.01
-        )
-        start = f"These recordings cannot separate {others}; as {name} it is {amount}"
-    else:
-        grows = " (growing with the exposure)" if step.named.probe.axes.get("scales") == "thermal" else ""
-        start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}{grows}: {amount}"
-        if "shortfall" in entry.get("parameters", {}):
-            lost = entry["parameters"]["shortfall"]
-            held, (low, high) = 1 - lost["value"], (1 - v for v in reversed(lost["ci90"]))
-            how = "rarer" if held < 1 else "more frequent"
-            start = (
-                f"Every {entry['amplitude']['value']:.4g} codes one is {how} than those beside it, by "
-                f"digital scaling or a fault of the converter: it holds {held:.3g} of what they hold"
-            )
-    frozen = step.named.probe.axes.get("time") == "frozen"
-    whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
-    if step.late:
-        proven = "; not confirmed: only all frames together show it, and none is left to confirm it on."
-    elif proof.gain is None:
-        proven = "; not confirmed: too few frames to set some aside."
-    elif proof.confirmed:
-        proven = f"; on {whose} the fit gains {proof.gain:.0f} nats."
-    elif math.isfinite(proof.low) or proof.gain <= 0:
-        proven = f"; not confirmed on {whose}."
-    else:
-        proven = f"; on {whose} the fit gains {proof.gain:.0f} nats, from too few frames to confirm it."
-    return f"{start} (90 %: {low:.3g} to {high:.3g}){proven}"

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 from cannoise_jax.discovery.page import place, verdict
 from cannoise_jax.discovery.prove import Proof
-from cannoise_jax.discovery.report import sentence
+from cannoise_jax.discovery.wording import sentence
 
 
 def test_codes_that_are_only_rarer_are_not_said_never_to_occur():

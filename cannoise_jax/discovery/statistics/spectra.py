@@ -145,6 +145,15 @@ def slope_score(fields: tuple[Fields, ...], *, probe: str, scan: str) -> Score |
     )
 
 
+def below_frame(score: Score, size: tuple[int, int]) -> float:
+    """Standard deviation, DN, that 1/f noise as found gives the means of frames of this size at most, if it
+    goes on through a few tens of them: in n frames its power rises to 2 ln(n / 2) times that of the first
+    mode, here n of about 25."""
+    v, exponent = score.payload
+    number = size[0] * size[1] if score.where["direction"] == "raster" else size[0]
+    return float(np.sqrt(5 * v * _shape(number, exponent)[0] / number))
+
+
 def _with_prior(fit: tuple[float, float, float, float]) -> float:
     gain, _, exponent, _ = fit
     return gain - 0.5 * ((exponent - 1) / _EXPONENT_SPREAD) ** 2

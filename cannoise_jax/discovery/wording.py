@@ -1,0 +1,57 @@
+"""The sentence that says a finding to a camera engineer."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.prove import Proof
+from cannoise_jax.vocabulary import VOCABULARY
+
+
+def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
+    """What a camera engineer reads first."""
+    name = entry["mechanism"].replace("_", " ")
+    amount = f"{entry['amplitude']['value']:.3g} {entry['amplitude']['unit']}".replace(" 1", "")
+    low, high = entry["amplitude"]["ci90"]
+    if entry["outcome"] == "UNKNOWN_STRUCTURE":
+        axes = step.named.probe.axes
+        start = (
+            f"A structure without a name: it varies over {axes.get('varies_over', 'pixel')}, is "
+            f"{axes.get('time', 'redrawn')} in time, scales as {axes.get('scales', 'additive')}, "
+            f"law {axes.get('law', 'white')}; strength {amount}"
+        )
+    elif entry["outcome"] == "AMBIGUOUS":
+        others = " or ".join(
+            c["mechanism"].replace("_", " ")
+            for c in entry["candidates"]
+            if c["mechanism"] != "unknown" and c["probability"] > 0.01
+        )
+        start = f"These recordings cannot separate {others}; as {name} it is {amount}"
+    else:
+        grows = " (growing with the exposure)" if step.named.probe.axes.get("scales") == "thermal" else ""
+        start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}{grows}: {amount}"
+        if "shortfall" in entry.get("parameters", {}):
+            lost = entry["parameters"]["shortfall"]
+            held, (low, high) = 1 - lost["value"], (1 - v for v in reversed(lost["ci90"]))
+            how = "rarer" if held < 1 else "more frequent"
+            start = (
+                f"Every {entry['amplitude']['value']:.4g} codes one is {how} than those beside it, by "
+                f"digital scaling or a fault of the converter: it holds {held:.3g} of what they hold"
+            )
+    moved = entry.get("parameters", {}).get("frame_offset")
+    slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
+    frozen = step.named.probe.axes.get("time") == "frozen"
+    whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
+    if step.late:
+        proven = "; not confirmed: only all frames together show it, and none is left to confirm it on."
+    elif proof.gain is None:
+        proven = "; not confirmed: too few frames to set some aside."
+    elif proof.confirmed:
+        proven = f"; on {whose} the fit gains {proof.gain:.0f} nats."
+    elif math.isfinite(proof.low) or proof.gain <= 0:
+        proven = f"; not confirmed on {whose}."
+    else:
+        proven = f"; on {whose} the fit gains {proof.gain:.0f} nats, from too few frames to confirm it."
+    return f"{start} (90 %: {low:.3g} to {high:.3g}){slow}{proven}"
