@@ -92,3 +92,19 @@ def test_drift_of_the_light_is_not_taken_for_the_level_of_a_weak_sinusoid():
 
     _, fitted = looked_at(capture_set(7, alter, kinds="df", size=SIZE))
     assert {s.named.mechanism for s in fitted.steps} == {"flicker", "illumination_drift"}
+
+
+def test_row_noise_is_measured_beside_a_lamp_that_flickers_in_no_sinusoid():
+    """What rows of light share beside the sinusoid is not read as offsets of rows, which the darks tell."""
+
+    def lamp(rng):
+        def change(dn, signal, kind, exposure):
+            turn = np.abs(np.sin(np.pi * (np.arange(SIZE[0]) / PERIOD + rng.random())))[:, None]
+            return dn + 0.3 * signal * (turn - turn.mean()) + 1.0 * rng.standard_normal((SIZE[0], 1))
+
+        return change
+
+    _, fitted = looked_at(capture_set(5, lamp, kinds="df", size=SIZE))
+    found = {s.named.mechanism: s.named.score for s in fitted.steps}
+    assert {"flicker", "row_noise"} <= set(found) and "row_pink_noise" not in found
+    assert found["row_noise"].amplitude == pytest.approx(1.0, rel=0.08)
