@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cannoise_jax.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cannoise_jax.physics.sensor import SensorModel, Settings
+    from cannoise_jax.physics.core.sensor import SensorModel, Settings
     from cannoise_jax.recordings.load import load_capture_set
     from cannoise_jax.recordings.packing import pack, unpack
     from cannoise_jax.recordings.recording import CaptureSet, Recording
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "CaptureSet": "recordings.recording",
     "Recording": "recordings.recording",
-    "SensorModel": "physics.sensor",
-    "Settings": "physics.sensor",
+    "SensorModel": "physics.core.sensor",
+    "Settings": "physics.core.sensor",
     "load_capture_set": "recordings.load",
     "load_model": "sampling",
     "pack": "recordings.packing",

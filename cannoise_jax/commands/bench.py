@@ -20,11 +20,11 @@ import jax
 import numpy as np
 
 from cannoise_jax.commands.parser import OneLineParser
-from cannoise_jax.physics import likelihood_accuracy as accuracy
-from cannoise_jax.physics.estimators.coverage import CASES, coverage, format_rows
-from cannoise_jax.physics.likelihood import CodeGrid
-from cannoise_jax.physics.likelihood_shot import Shot, shot_error
-from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.likelihood import accuracy
+from cannoise_jax.physics.likelihood.codes import CodeGrid
+from cannoise_jax.physics.likelihood.shot import Shot, shot_error
+from cannoise_jax.physics.transfer.estimators.coverage import CASES, coverage, format_rows
 from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0

@@ -11,11 +11,11 @@ import sys
 from pathlib import Path
 
 from cannoise_jax.commands.parser import OneLineParser, numbers
-from cannoise_jax.physics.sensor_json import write_sensor
-from cannoise_jax.physics.transfer import PhotonTransfer, photon_transfer
-from cannoise_jax.physics.transfer_baseline import Baseline
-from cannoise_jax.physics.transfer_model import Finding, find_mechanisms, format_findings, sensor_model
-from cannoise_jax.physics.transfer_table import format_transfer
+from cannoise_jax.physics.core.sensor_json import write_sensor
+from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.model import Finding, find_mechanisms, format_findings, sensor_model
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, photon_transfer
+from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 

@@ -18,8 +18,8 @@ from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
-from cannoise_jax.physics.sensor import SensorModel
-from cannoise_jax.physics.sensor_json import check_place, write_sensor
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput
 

@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.commands.parser import OneLineParser
-from cannoise_jax.physics.poisson_gaussian import nlf_from_electrons
-from cannoise_jax.physics.scenes import mosaic
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.sensor_json import read_sensor
-from cannoise_jax.physics.settings import baseline_at
+from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor_json import read_sensor
+from cannoise_jax.physics.core.settings import baseline_at
+from cannoise_jax.physics.synthetic.scenes import mosaic
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput, Kind, Recording, per_channel
 

@@ -15,7 +15,7 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import standardise
 from cannoise_jax.discovery.fields import Fields, frame_fields
 from cannoise_jax.discovery.stacks import stack
-from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
 
 CHUNK = 4
 """Frames drawn at once: one compiled program serves recordings of any length."""

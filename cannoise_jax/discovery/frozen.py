@@ -134,7 +134,7 @@ def frozen_map(probe: str, score: Score, prepared: Prepared, fields, rng) -> np.
 
 
 def _channel_map(probe: str, score: Score, prepared: Prepared, size: tuple[int, int]) -> np.ndarray | None:
-    from cannoise_jax.physics.photons import green_sites
+    from cannoise_jax.mechanisms.photons import green_sites
     from cannoise_jax.recordings.recording import mosaic_map
 
     cell = np.zeros(4)

@@ -6,10 +6,10 @@ import numpy as np
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.physics import registry
-from cannoise_jax.physics.grammar import Point, mechanism_from_grammar
-from cannoise_jax.physics.ranges import clipped
-from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.core import registry
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.ranges import clipped
+from cannoise_jax.physics.core.sensor import SensorModel
 
 _OFFSETS = Point("readout", "signal", "pixel", "frozen")
 _GAINS = Point("photons", "mean", "pixel", "frozen", "multiply")

@@ -1,6 +1,6 @@
 """Log-likelihood of frames that took no part in finding anything, per frame, under the findings.
 
-The codes are scored by `physics.likelihood_crossed.crossed_gaussian`: the mass over the code step, with
+The codes are scored by `physics.likelihood.crossed.crossed_gaussian`: the mass over the code step, with
 random offsets of rows, columns and the frame integrated out. Strengths and frozen patterns come from the
 other frames, a pattern as its estimate with the doubt about it added to the pixel's variance. Black level,
 gain, read noise and the smooth mean are nuisances, fitted on the scored frames alike for every model that
@@ -25,8 +25,8 @@ from cannoise_jax.discovery.stacks import Stack, at_level
 from cannoise_jax.discovery.statistics.hot import known_heat
 from cannoise_jax.discovery.statistics.lines import static_sums, whiten_lines
 from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
-from cannoise_jax.physics.likelihood import CodeGrid
-from cannoise_jax.physics.likelihood_crossed import SharedTerms, crossed_gaussian, stationary_factor
+from cannoise_jax.physics.likelihood.codes import CodeGrid
+from cannoise_jax.physics.likelihood.crossed import SharedTerms, crossed_gaussian, stationary_factor
 
 _MASKED = 1e10
 """Variance of pixels that are not scored, DN^2."""

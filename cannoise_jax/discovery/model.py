@@ -19,8 +19,8 @@ from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.frozen import frozen_map, noise_factors
 from cannoise_jax.discovery.grammar_points import POINTS, grammar_maps, point_of, with_found
 from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
 
 STRENGTHS = {

@@ -24,7 +24,7 @@ from cannoise_jax.discovery.statistics.covariance import LAGS, lag_sums
 from cannoise_jax.discovery.statistics.lines import line_power
 from cannoise_jax.discovery.twosample import TwoSample, two_sample
 from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
-from cannoise_jax.physics.likelihood_composite import Profile, composite_score, profile, ruler
+from cannoise_jax.physics.likelihood.composite import Profile, composite_score, profile, ruler
 
 _PIT_BINS = 20
 _PIT_MOST = 40_000

@@ -146,7 +146,7 @@ def quality(diagnosis: Diagnosis, which: int) -> dict[str, Any]:
     """The simulator before (0) or after (1) on the frames held back.
 
     `score` says what `nll_nats_per_pixel` is: minus the mean log-probability of the codes ('likelihood'),
-    or, where a finding has no likelihood, minus the composite score of `physics.likelihood_composite`; the
+    or, where a finding has no likelihood, minus the composite score of `physics.likelihood.composite`; the
     same for before and after.
     """
     q = diagnosis.quality

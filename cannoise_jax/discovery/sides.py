@@ -15,7 +15,7 @@ from cannoise_jax.discovery.fields import channel_index
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.model import baseline_model, extended_model
 from cannoise_jax.discovery.simulate import Simulator, codes_of
-from cannoise_jax.physics.sensor import SensorModel
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
 
 Drawings = Callable[[Key[Array, ""]], Drawing]

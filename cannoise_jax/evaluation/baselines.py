@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import nnls
 
-from cannoise_jax.physics.poisson_gaussian import nlf_sigma, sample_normal
+from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma, sample_normal
 
 Sampler = Callable[..., Any]
 

@@ -33,7 +33,7 @@ Results = dict[str, Any]
 
 
 class Patches(Protocol):
-    """Recorded pairs, as `physics.virtual.VirtualPatches` holds them; packed `[n, h, w, 4]`."""
+    """Recorded pairs, as `physics.synthetic.virtual.VirtualPatches` holds them; packed `[n, h, w, 4]`."""
 
     clean: Any
     noisy: Any

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any
 from cannoise_jax.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cannoise_jax.physics.likelihood import CodeGrid, gaussian_log_prob
-    from cannoise_jax.physics.likelihood_choice import CodeStepWarning, Score, compare, score
-    from cannoise_jax.physics.likelihood_model import frame_log_prob
+    from cannoise_jax.physics.likelihood.choice import CodeStepWarning, Score, compare, score
+    from cannoise_jax.physics.likelihood.codes import CodeGrid, gaussian_log_prob
+    from cannoise_jax.physics.likelihood.model import frame_log_prob
 
 _HOMES = {
-    "CodeGrid": "likelihood",
-    "CodeStepWarning": "likelihood_choice",
-    "Score": "likelihood_choice",
-    "compare": "likelihood_choice",
-    "frame_log_prob": "likelihood_model",
-    "gaussian_log_prob": "likelihood",
-    "score": "likelihood_choice",
+    "CodeGrid": "likelihood.codes",
+    "CodeStepWarning": "likelihood.choice",
+    "Score": "likelihood.choice",
+    "compare": "likelihood.choice",
+    "frame_log_prob": "likelihood.model",
+    "gaussian_log_prob": "likelihood.codes",
+    "score": "likelihood.choice",
 }
 
 __all__ = [

@@ -22,11 +22,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from cannoise_jax.physics import chain, curves
-from cannoise_jax.physics.mechanism import Mechanism
-from cannoise_jax.physics.registry import MECHANISMS
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import context_of, resolve
+from cannoise_jax.physics import curves
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.core.registry import MECHANISMS
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import context_of, resolve
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.vocabulary import VOCABULARY
 

@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.physics.poisson_gaussian import nlf_sigma, sample_normal
+from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma, sample_normal
 
 InitialNoise = Callable[..., tuple[Any, Any]]
 _LEAST_VARIANCE = 1e-9
@@ -55,8 +55,8 @@ def initial_noise(choice: str | InitialNoise) -> InitialNoise:
     kind, _, name = choice.partition(":")
     if name and kind in ("sensor", "preset"):
         # Sensor models draw on this module.
-        from cannoise_jax.physics.sensor import SensorModel
-        from cannoise_jax.physics.sensor_json import read_sensor
+        from cannoise_jax.physics.core.sensor import SensorModel
+        from cannoise_jax.physics.core.sensor_json import read_sensor
 
         return (read_sensor(name) if kind == "sensor" else SensorModel.preset(name)).n_init()
     if choice not in INITIAL_NOISE:

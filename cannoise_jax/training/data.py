@@ -18,8 +18,8 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.baselines import calibrate_by_setting
 from cannoise_jax.evaluation.kl import clipped_noise
-from cannoise_jax.physics.scenes import SPLITS
-from cannoise_jax.physics.virtual import virtual_cameras, virtual_patches
+from cannoise_jax.physics.synthetic.scenes import SPLITS
+from cannoise_jax.physics.synthetic.virtual import virtual_cameras, virtual_patches
 from cannoise_jax.recordings.patches import (
     PatchStore,
     counts_by_split,

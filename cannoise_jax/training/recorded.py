@@ -27,10 +27,10 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.evaluation.baselines import SATURATED
-from cannoise_jax.physics.half_real import half_real_recording
-from cannoise_jax.physics.scenes import SPLITS, draw_scenes, mosaic
-from cannoise_jax.physics.transfer import photon_transfer
-from cannoise_jax.physics.transfer_baseline import Baseline
+from cannoise_jax.physics.synthetic.half_real import half_real_recording
+from cannoise_jax.physics.synthetic.scenes import SPLITS, draw_scenes, mosaic
+from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.packing import pack, to_packed_order
 from cannoise_jax.recordings.recording import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import bench
-from cannoise_jax.physics.sensor import Settings
+from cannoise_jax.physics.core.sensor import Settings
 
 
 def test_bad_options_end_with_one_line(capsys):

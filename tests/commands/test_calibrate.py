@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.calibrate import main
-from cannoise_jax.physics.sensor_json import read_sensor
+from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings import Recording
 from cannoise_jax.recordings.native import write_recording
 

@@ -10,8 +10,8 @@ import pytest
 
 from cannoise_jax.commands import diagnose as command
 from cannoise_jax.commands.diagnose import main
-from cannoise_jax.physics.sensor import SensorModel
-from cannoise_jax.physics.sensor_json import read_sensor
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.simulate import main
-from cannoise_jax.physics.sensor import SensorModel
-from cannoise_jax.physics.sensor_json import write_sensor
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
 
 
@@ -182,7 +182,7 @@ def test_catalogue_needs_a_place(tmp_path, capsys):
 
 def test_catalogue_entry_has_its_pictures_and_words():
     from cannoise_jax.physics import catalogue
-    from cannoise_jax.physics.registry import mechanism
+    from cannoise_jax.physics.core.registry import mechanism
 
     entry = catalogue.entry(mechanism("row_noise"))
     assert all(len(entry[name]) > 2000 for name in ("picture", "signature")) and entry["equation"]

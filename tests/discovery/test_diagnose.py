@@ -16,7 +16,7 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
-from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.sampling import SMALLEST
 from cannoise_jax.vocabulary import VOCABULARY

@@ -8,7 +8,7 @@ from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.discovery.model import extended_model
-from cannoise_jax.physics.sensor import Settings
+from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set
 

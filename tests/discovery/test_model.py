@@ -14,9 +14,9 @@ from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.discovery.grammar_points import neighbour_kernel
 from cannoise_jax.discovery.model import baseline_model, extended_model
 from cannoise_jax.discovery.simulate import simulate_like
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from tests.discovery.capture import (
     SIZE,
     capture_set,

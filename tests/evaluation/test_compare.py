@@ -15,7 +15,7 @@ from PIL import Image
 from cannoise_jax.evaluation import baselines, compare
 from cannoise_jax.evaluation.figures import noise_figure
 from cannoise_jax.evaluation.tables import results_table, settings_table, write_results
-from cannoise_jax.physics.virtual import VirtualPatches
+from cannoise_jax.physics.synthetic.virtual import VirtualPatches
 
 NAMES = ("A", "B")
 SHOT, READ = 0.004, 0.00002

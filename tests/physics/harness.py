@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import chain
-from cannoise_jax.physics.registry import MECHANISMS
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import context_of, resolve
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.registry import MECHANISMS
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import context_of, resolve
 
 SIZE = (8, 12)
 FRAMES = 1500

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import chain
-from cannoise_jax.physics.registry import MECHANISMS, mechanism
-from cannoise_jax.physics.sensor import SensorModel
-from cannoise_jax.physics.settings import context_of
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.registry import MECHANISMS, mechanism
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.settings import context_of
 from tests.physics.harness import (
     FRAMES,
     PER_RECORDING,

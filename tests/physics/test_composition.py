@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import chain
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import context_of, resolve
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import context_of, resolve
 
 SIZE, FRAMES = (12, 16), 1200
 SETTINGS = Settings(exposure_s=1.0, frames=FRAMES)

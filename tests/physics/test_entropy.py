@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import chain
-from cannoise_jax.physics.fields import power_law_correlation
-from cannoise_jax.physics.likelihood_model import frame_log_prob, pixel_form, pixel_law, pixel_log_prob
-from cannoise_jax.physics.registry import MECHANISMS
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.fields import power_law_correlation
+from cannoise_jax.physics.core.registry import MECHANISMS
+from cannoise_jax.physics.likelihood.model import frame_log_prob, pixel_form, pixel_law, pixel_log_prob
 from tests.physics.harness import (
     FRAMES,
     PER_RECORDING,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import registry
-from cannoise_jax.physics.estimate import NotMeasurable, root, variance_difference
-from cannoise_jax.physics.estimators import ESTIMATORS
-from cannoise_jax.physics.estimators.circle import circle
-from cannoise_jax.physics.estimators.codes import black_level_errors
-from cannoise_jax.physics.estimators.coverage import (
+from cannoise_jax.physics.core import registry
+from cannoise_jax.physics.transfer.estimate import NotMeasurable, root, variance_difference
+from cannoise_jax.physics.transfer.estimators import ESTIMATORS
+from cannoise_jax.physics.transfer.estimators.circle import circle
+from cannoise_jax.physics.transfer.estimators.codes import black_level_errors
+from cannoise_jax.physics.transfer.estimators.coverage import (
     CASES,
     Case,
     Row,
@@ -19,8 +19,8 @@ from cannoise_jax.physics.estimators.coverage import (
     coverage,
     format_rows,
 )
-from cannoise_jax.physics.estimators.spectra import _expected_rows, power_law_correlation
-from cannoise_jax.physics.transfer_frames import frame_statistics
+from cannoise_jax.physics.transfer.estimators.spectra import _expected_rows, power_law_correlation
+from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.recordings import Recording
 from cannoise_jax.vocabulary import core_ids
 

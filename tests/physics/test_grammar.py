@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.grammar import (
+from cannoise_jax.physics.core.grammar import (
     SITES,
     TIMES,
     Distribution,
@@ -19,8 +19,8 @@ from cannoise_jax.physics.grammar import (
     contradiction,
     mechanism_from_grammar,
 )
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import context_of
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import context_of
 
 # As many rows as columns, blocks as channels: what is compiled for one serves the other.
 SIZE, FRAMES, BLOCKS = (6, 6), 1500, 30

@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from cannoise_jax.physics import likelihood_accuracy as accuracy
-from cannoise_jax.physics import tukey_lambda
-from cannoise_jax.physics.likelihood import (
+from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.likelihood import accuracy
+from cannoise_jax.physics.likelihood.codes import (
     CodeGrid,
     code_entropy,
     gaussian_log_prob,
     log_normal_cdf,
     log_normal_interval,
 )
-from cannoise_jax.physics.likelihood_crossed import (
+from cannoise_jax.physics.likelihood.crossed import (
     crossed_gaussian,
     crossed_laplace,
     stationary_factor,
     white_terms,
 )
-from cannoise_jax.physics.likelihood_fit import fit_baseline, reference_factor
-from cannoise_jax.physics.likelihood_shared import as_groups, shared_log_prob
-from cannoise_jax.physics.likelihood_shot import choose_shot, shot_error, skewed_log_prob
-from cannoise_jax.physics.likelihood_tails import student_log_prob, tukey_log_prob
+from cannoise_jax.physics.likelihood.fit import fit_baseline, reference_factor
+from cannoise_jax.physics.likelihood.shared import as_groups, shared_log_prob
+from cannoise_jax.physics.likelihood.shot import choose_shot, shot_error, skewed_log_prob
+from cannoise_jax.physics.likelihood.tails import student_log_prob, tukey_log_prob
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 

@@ -10,16 +10,16 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.likelihood_choice import (
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.registry import MECHANISMS
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.likelihood.choice import (
     CodeStepWarning,
     compare,
     likelihood_of,
     likelihood_of_model,
     score,
 )
-from cannoise_jax.physics.registry import MECHANISMS
-from cannoise_jax.physics.sensor import SensorModel, Settings
 
 SIZE = (24, 32)
 SETTINGS = Settings(iso=100.0, exposure_s=0.5, frames=6)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.physics.likelihood_model import frame_log_prob, pixel_form, pixel_law
-from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.likelihood.model import frame_log_prob, pixel_form, pixel_law
 
 SIZE, LEVEL, SPAN = (16, 24), 0.3, 16183.0
 ELECTRONS = LEVEL * SPAN / 2

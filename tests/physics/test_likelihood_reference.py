@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from cannoise_jax.physics.likelihood_model import frame_log_prob, pixel_form, pixel_law, pixel_log_prob
-from cannoise_jax.physics.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.likelihood.model import frame_log_prob, pixel_form, pixel_law, pixel_log_prob
 
 SIZE, SPAN, FRAMES = (24, 32), 4000.0, 8
 

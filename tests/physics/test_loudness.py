@@ -4,13 +4,13 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.estimate import NotMeasurable
-from cannoise_jax.physics.estimators.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
-from cannoise_jax.physics.estimators.loudness import LOUD
-from cannoise_jax.physics.estimators.maps import pixel_read_noise_map
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.transfer_frames import frame_statistics
-from cannoise_jax.physics.transfer_model import find_mechanisms
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
+from cannoise_jax.physics.transfer.estimators.loudness import LOUD
+from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.model import find_mechanisms
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 TRUTH = {

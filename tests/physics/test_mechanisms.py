@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.physics import chain
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.likelihood_model import pixel_law
-from cannoise_jax.physics.mechanism import STAGES
-from cannoise_jax.physics.registry import MECHANISMS, estimator, mechanism
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import resolve
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import STAGES
+from cannoise_jax.physics.core.registry import MECHANISMS, estimator, mechanism
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import resolve
+from cannoise_jax.physics.likelihood.model import pixel_law
 from cannoise_jax.vocabulary import VOCABULARY, core_ids
 from tests.physics import naive
 from tests.physics.harness import (

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.likelihood_composite import composite_score, profile, ruler
-from cannoise_jax.physics.mechanism import Parameter
-from cannoise_jax.physics.moments import (
+from cannoise_jax.physics.core.mechanism import Parameter
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.likelihood.composite import composite_score, profile, ruler
+from cannoise_jax.physics.likelihood.moments import (
     fit_mechanism,
     fit_moments,
     from_line,
@@ -17,7 +18,6 @@ from cannoise_jax.physics.moments import (
     summary_statistics,
     to_line,
 )
-from cannoise_jax.physics.sensor import SensorModel, Settings
 
 CLEAN = np.linspace(0, 0.3, 32 * 32).reshape(32, 32).astype(np.float32)
 CAMERA = SensorModel.poisson_gaussian(2.0, 2.0, 64.0, 4095.0)
@@ -82,7 +82,7 @@ _WIDEST = {"cosmic_rays": 0.6, "dead_pixels": 0.4, "defect_correction": 0.4}
 """Standard error over value, where a few dozen pixels are all there is to go by."""
 
 
-@pytest.mark.filterwarnings("ignore::cannoise_jax.physics.sensor.ExtrapolationWarning")
+@pytest.mark.filterwarnings("ignore::cannoise_jax.physics.core.sensor.ExtrapolationWarning")
 @pytest.mark.parametrize("id", [i if i in _FAST else pytest.param(i, marks=pytest.mark.slow) for i in OTHERS])
 def test_mechanisms_without_an_estimator_are_recovered(id):
     camera, clean, settings, parameters = OTHERS[id]

@@ -7,8 +7,8 @@ import pytest
 from jax.extend.random import threefry_2x32
 from scipy import stats
 
-from cannoise_jax.physics import tukey_lambda
-from cannoise_jax.physics.poisson_gaussian import (
+from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.core.poisson_gaussian import (
     centred_uniform,
     electrons_from_nlf,
     nlf_from_electrons,
@@ -20,7 +20,7 @@ from cannoise_jax.physics.poisson_gaussian import (
     sample_poisson_gaussian,
     uniform_open,
 )
-from cannoise_jax.physics.random_bits import random_bits, threefry
+from cannoise_jax.physics.core.random_bits import random_bits, threefry
 
 MEANS = (0.01, 0.3, 1.0, 4.0, 11.9, 12.1, 20.0, 75.0, 1e3, 1e4, 1e5)
 GRID = 2**20

@@ -8,10 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import tukey_lambda
-from cannoise_jax.physics.presets import PHONES, preset, preset_names, read_table
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.settings import baseline_at
+from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.core.presets import PHONES, preset, preset_names, read_table
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import baseline_at
 from cannoise_jax.recordings.recording import BadInput
 
 SIZE = (256, 256)

@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import IsoTable, SensorModel, Settings
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.sensor import IsoTable, SensorModel, Settings
 
 SIZE = (32, 32)
 FLAT = np.full(SIZE, 0.2, np.float32)

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import scenes
+from cannoise_jax.physics.synthetic import scenes
 from cannoise_jax.recordings.packing import pack
 
 

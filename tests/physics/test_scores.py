@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import chain
-from cannoise_jax.physics.registry import MECHANISMS, mechanism
-from cannoise_jax.physics.settings import context_of, resolve
+from cannoise_jax.physics.core import chain
+from cannoise_jax.physics.core.registry import MECHANISMS, mechanism
+from cannoise_jax.physics.core.settings import context_of, resolve
 from tests.physics.harness import (
     SETTINGS,
     camera,

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.grammar import Point
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor_json import write_sensor
+from cannoise_jax.physics.core.settings import context_of
 from cannoise_jax.physics.initial_noise import initial_noise
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.sensor_json import write_sensor
-from cannoise_jax.physics.settings import context_of
 from cannoise_jax.recordings import BadInput
 from cannoise_jax.recordings.packing import pack
 

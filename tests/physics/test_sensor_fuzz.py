@@ -8,10 +8,10 @@ import re
 
 import numpy as np
 
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import IsoTable, SensorModel
-from cannoise_jax.physics.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from cannoise_jax.recordings import BadInput
 
 REMOVED = object()

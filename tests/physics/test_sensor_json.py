@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.registry import MECHANISMS
-from cannoise_jax.physics.sensor import IsoTable, SensorModel, Settings
-from cannoise_jax.physics.sensor_json import SCHEMA, read_sensor, sensor_document, write_sensor
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.registry import MECHANISMS
+from cannoise_jax.physics.core.sensor import IsoTable, SensorModel, Settings
+from cannoise_jax.physics.core.sensor_json import SCHEMA, read_sensor, sensor_document, write_sensor
 from cannoise_jax.recordings import BadInput
 
 SIZE = (8, 10)

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.mechanism import Scaling
-from cannoise_jax.physics.sensor import ExtrapolationWarning, IsoTable, SensorModel, Settings
-from cannoise_jax.physics.settings import baseline_at, context_of, resolve
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.sensor import ExtrapolationWarning, IsoTable, SensorModel, Settings
+from cannoise_jax.physics.core.settings import baseline_at, context_of, resolve
 
 SIZE = (32, 32)
 FLAT = np.full(SIZE, 0.2, np.float32)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cannoise_jax.evaluation.baselines import calibrate_nlf
-from cannoise_jax.physics.scenes import draw_scenes, mosaic
 from cannoise_jax.physics.single_image import estimate_nlf, high_pass, local_mean
-from cannoise_jax.physics.virtual import virtual_patches
+from cannoise_jax.physics.synthetic.scenes import draw_scenes, mosaic
+from cannoise_jax.physics.synthetic.virtual import virtual_patches
 from cannoise_jax.recordings.packing import pack
 
 estimate = jax.jit(estimate_nlf)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.physics.estimate import Estimate, NotMeasurable, variance_difference
-from cannoise_jax.physics.transfer import photon_transfer
-from cannoise_jax.physics.transfer_frames import frame_statistics, rails, site
-from cannoise_jax.physics.transfer_table import format_transfer
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, variance_difference
+from cannoise_jax.physics.transfer.frames import frame_statistics, rails, site
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.load import load_capture_set
 
@@ -174,7 +174,7 @@ def test_statistics_match_plain_numpy_and_do_not_depend_on_chunks(monkeypatch):
     rng = np.random.default_rng(10)
     r = recording(rng, 5.0, 7, (32, 40))
     whole = frame_statistics(r)
-    monkeypatch.setattr("cannoise_jax.physics.transfer_frames._CHUNK_BYTES", 1)
+    monkeypatch.setattr("cannoise_jax.physics.transfer.frames._CHUNK_BYTES", 1)
     parts = frame_statistics(r)
     assert np.array_equal(whole.variance, parts.variance) and np.array_equal(whole.row_means, parts.row_means)
     y = r.frames.astype(float)[:, ::2, 1::2]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.estimate import NotMeasurable
-from cannoise_jax.physics.estimators import ESTIMATORS
-from cannoise_jax.physics.transfer import transfer_at
-from cannoise_jax.physics.transfer_black import black_at
-from cannoise_jax.physics.transfer_frames import frame_statistics
-from cannoise_jax.physics.transfer_model import find_mechanisms, format_findings, sensor_model
-from cannoise_jax.physics.transfer_table import format_transfer
+from cannoise_jax.physics.transfer.black import black_at
+from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators import ESTIMATORS
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.model import find_mechanisms, format_findings, sensor_model
+from cannoise_jax.physics.transfer.photon_transfer import transfer_at
+from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 GAIN, READ, BLACK, RATE = 2.0, 3.0, 200.0, 20.0

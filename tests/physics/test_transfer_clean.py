@@ -7,11 +7,11 @@ import warnings
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.estimate import normal_estimate, root, variance_difference
-from cannoise_jax.physics.estimators.charge import _log_estimate
-from cannoise_jax.physics.transfer import transfer_at
-from cannoise_jax.physics.transfer_frames import frame_statistics
-from cannoise_jax.physics.transfer_model import find_mechanisms
+from cannoise_jax.physics.transfer.estimate import normal_estimate, root, variance_difference
+from cannoise_jax.physics.transfer.estimators.charge import _log_estimate
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.model import find_mechanisms
+from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.transfer import photon_transfer
-from cannoise_jax.physics.transfer_model import find_mechanisms, sensor_model
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 SIZE, RATE = (96, 128), 20.0

@@ -6,14 +6,14 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.estimators.lines import columns_apart, row_groups, row_noise
-from cannoise_jax.physics.grammar import Point
-from cannoise_jax.physics.sensor import SensorModel, Settings
-from cannoise_jax.physics.sensor_json import read_sensor, write_sensor
-from cannoise_jax.physics.transfer import transfer_at
-from cannoise_jax.physics.transfer_frames import frame_statistics
-from cannoise_jax.physics.transfer_maps import shrunk
-from cannoise_jax.physics.transfer_model import Finding, find_mechanisms, placed, sensor_model
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.transfer.estimators.lines import columns_apart, row_groups, row_noise
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.maps import shrunk
+from cannoise_jax.physics.transfer.model import Finding, find_mechanisms, placed, sensor_model
+from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 from cannoise_jax.recordings import Recording
 from cannoise_jax.recordings.recording import per_channel
 

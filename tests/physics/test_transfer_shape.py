@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.transfer_frames import frame_statistics
-from cannoise_jax.physics.transfer_shape import shape_quantities
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 SIGMA = 6.0

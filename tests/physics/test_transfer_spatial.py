@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cannoise_jax.physics.transfer_spatial import correlation_loss, shading
+from cannoise_jax.physics.transfer.spatial import correlation_loss, shading
 
 
 def test_shading_keeps_pixels_and_takes_the_slope():

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics import half_real, scenes, virtual
+from cannoise_jax.physics.synthetic import half_real, scenes, virtual
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording

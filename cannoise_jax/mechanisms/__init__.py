@@ -1,0 +1,1 @@
+"""Mechanisms of noise, one file a family."""

@@ -1,0 +1,230 @@
+"""Mechanisms of the capture: the light, the reference image and its description, not the sensor."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from cannoise_jax.physics.core import scores
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
+from cannoise_jax.physics.core.mosaic_ops import gradient, moved, neighbour_mean
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+
+FLICKER = mechanism_from_grammar(
+    Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
+    id="flicker",
+    parameters=(
+        Parameter("amplitude", "1", 0.02, 0.0, 1.0, "log", "peak, as a fraction of the signal"),
+        Parameter("frequency", "cycles/row", 0.02, 0.0, 0.5, "identity", "twice the mains over the row rate"),
+    ),
+    equation=r"\mu_{tij} \to \mu_{ij}\,(1+m\cos(2\pi f i+\phi_t))",
+    sentence="Lamps on mains light blink, and a rolling shutter turns the blinking into bands that move from "
+    "frame to frame.",
+    reference="Sheinin et al., Computational Imaging on the Electric Grid, CVPR 2017",
+    needs=("pair", "burst"),
+    confused_with=("row_noise", "row_pink_noise", "banding", "illumination_drift"),
+    likelihood="none",
+)
+
+ILLUMINATION_DRIFT = mechanism_from_grammar(
+    Point("photons", "mean", "whole", "redrawn", "multiply"),
+    id="illumination_drift",
+    default=0.01,
+    equation=r"\mu_t = \mu\,(1+\sigma l_t)",
+    sentence="The lamp or the sun is a little brighter in one frame than in the next.",
+    reference="EMVA 1288 release 4.0, section 6.2 (stability of the irradiation)",
+    needs=("burst",),
+    confused_with=("offset_drift", "temperature_drift", "flicker"),
+)
+
+
+def _deterministic(x, values):
+    """The true mean where x is the reference: scaled, sharper, moved."""
+    move = jnp.broadcast_to(values["shift_y"], x.shape[:1]), jnp.broadcast_to(values["shift_x"], x.shape[:1])
+    sharper = x + values["blur"] * (x - neighbour_mean(x, 2))
+    return moved(sharper, *move) * (1 + values["scale"])
+
+
+def _reference(key, x, values, maps, context: Context):
+    # One reference serves all frames of a recording, so its error is the same in all of them.
+    noise = values["sigma_dn"] / context.gain_dn_per_e * sample_normal(key, (1, *context.size))
+    return _deterministic(x, values) + noise
+
+
+def _reference_effect(values, maps, context):
+    mean = _deterministic(context.mean_dn, values) - context.mean_dn
+    power = values["sigma_dn"] ** 2
+    return Effect(
+        mean=mean[0], variance=(power + context.gain_dn_per_e * mean)[0], temporal={1: power, 2: power}
+    )
+
+
+def _reference_amplitude(values, context):
+    mean = _deterministic(context.mean_dn, values) - context.mean_dn
+    return jnp.sqrt(values["sigma_dn"] ** 2 + jnp.mean(mean**2))
+
+
+REFERENCE_ERROR = Mechanism(
+    id="reference_error",
+    stage="photons",
+    acts_on="mean",
+    point=Point("photons", "mean", "pixel", "frozen"),
+    parameters=(
+        Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "log", "rms noise of the reference"),
+        Parameter("blur", "1", 0.0, 0.0, 1.0, "identity", "share of each pixel mixed with its neighbours"),
+        Parameter("shift_y", "px", 0.0, -8.0, 8.0, "identity", "shift along the columns"),
+        Parameter("shift_x", "px", 0.0, -8.0, 8.0, "identity", "shift along the rows"),
+        Parameter("scale", "1", 0.0, -0.5, 0.5, "identity", "true over reference signal, minus one"),
+    ),
+    equation=r"\mu = (1+g)\,S_\delta[(1+w)\,\mu_r - w\,\bar\mu_r] + \sigma e",
+    sentence="The image taken for noise-free is itself an average of few frames, a little soft, a little "
+    "off: "
+    "its error is in every residual.",
+    reference="Abdelhamed et al., A High-Quality Denoising Dataset for Smartphone Cameras, CVPR 2018, "
+    "section 4",
+    needs=("pair", "burst"),
+    confused_with=("misregistration", "gain_error", "in_camera_denoising", "read_noise_error", "prnu"),
+    likelihood="approximate",
+    amplitude=_reference_amplitude,
+    sample=_reference,
+    effect=_reference_effect,
+)
+
+
+def _shift(values):
+    return values["shift_px"] * jnp.sin(values["angle"]), values["shift_px"] * jnp.cos(values["angle"])
+
+
+def _misregister(key, x, values, maps, context):
+    dy, dx = (jnp.broadcast_to(v, x.shape[:1]) for v in _shift(values))
+    return moved(x, dy, dx)
+
+
+def _misregister_effect(values, maps, context):
+    mean = _misregister(None, context.mean_dn, values, maps, context) - context.mean_dn
+    return Effect(mean=mean[0], variance=(context.gain_dn_per_e * mean)[0])
+
+
+def _edges(context: Context):
+    """Slope of the signal over its noise: what a shift of one pixel adds to the residual, along y and x."""
+    sigma = jnp.sqrt(
+        context.gain_dn_per_e * context.mean_dn + (context.gain_dn_per_e * context.read_noise_e) ** 2
+    )
+    return tuple(g / sigma for g in gradient(context.mean_dn))
+
+
+def _edge_score(z, values, maps, context):
+    down, across = _edges(context)
+    across = across - down * jnp.sum(down * across) / jnp.maximum(jnp.sum(down**2), 1e-30)
+    power = (scores.mean_score(z, down) ** 2 + scores.mean_score(z, across) ** 2) / 2
+    return scores.chi_square_score(power, 2)
+
+
+MISREGISTRATION = Mechanism(
+    id="misregistration",
+    stage="photons",
+    acts_on="mean",
+    point=Point("photons", "mean", "pixel", "frozen"),
+    parameters=(
+        Parameter("shift_px", "px", 0.2, 0.0, 16.0, "log", "length of the shift"),
+        Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "identity", "direction, from the rows"),
+    ),
+    equation=r"\mu(\mathrm{r}) \to \mu(\mathrm{r} + \delta)",
+    sentence="Reference and frame do not lie on top of each other, so edges show up in the residual.",
+    reference="Abdelhamed et al., A High-Quality Denoising Dataset for Smartphone Cameras, CVPR 2018, "
+    "section 4",
+    needs=("pair",),
+    confused_with=("reference_error", "scene_motion", "in_camera_denoising"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["shift_px"],
+    sample=_misregister,
+    effect=_misregister_effect,
+    score=_edge_score,
+)
+
+
+def _move_scene(key, x, values, maps, context):
+    dy, dx = _shift(values)
+    t = jnp.arange(x.shape[0], dtype=jnp.float32)
+    t = t.at[-1].set(-1.0) if context.frame_before else t
+    return moved(x, t * jnp.reshape(dy, ()), t * jnp.reshape(dx, ()))
+
+
+def _motion_score(z, values, maps, context):
+    t = jnp.arange(z.shape[0], dtype=jnp.float32)[:, None, None]
+    return scores.mean_score(z, sum(_edges(context)) * t)
+
+
+SCENE_MOTION = Mechanism(
+    id="scene_motion",
+    stage="photons",
+    acts_on="mean",
+    point=Point("photons", "mean", "pixel", "drifting"),
+    parameters=(
+        Parameter(
+            "shift_px", "px/frame", 0.1, 0.0, 16.0, "log", "motion per frame; the first frame is unmoved"
+        ),
+        Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "identity", "direction, from the rows"),
+    ),
+    equation=r"\mu_t(\mathrm{r}) = \mu(\mathrm{r} + t\,\delta)",
+    sentence="Something moves while the frames are taken: edges drift through the burst.",
+    reference="Abdelhamed et al., A High-Quality Denoising Dataset for Smartphone Cameras, CVPR 2018, "
+    "section 4",
+    needs=("burst",),
+    confused_with=("misregistration", "reference_error", "image_lag"),
+    likelihood="none",
+    amplitude=lambda values, context: values["shift_px"],
+    sample=_move_scene,
+    score=_motion_score,
+)
+
+
+def _bookkeeping(key, x, values, maps, context: Context):
+    # The frames are right and their description is wrong: seen through it, they are shifted and stretched,
+    # and so is the level at which they saturate. Nothing analogue comes after it, so what has saturated
+    # stays at one code.
+    signal = jnp.minimum(x - context.black_level, context.span_dn)
+    return context.black_level + values["black_dn"] + signal * (1 + values["white_error"])
+
+
+def _bookkeeping_effect(values, maps, context):
+    stretch, base = 1 + values["white_error"], context.mean_dn
+    own = context.own_variance()
+    mean = values["black_dn"] + base * values["white_error"]
+    return Effect(mean=mean[0], variance=((stretch**2 - 1) * own)[0])
+
+
+def _bookkeeping_amplitude(values, context):
+    return jnp.sqrt(jnp.mean((values["black_dn"] + context.mean_dn * values["white_error"]) ** 2))
+
+
+BOOKKEEPING = Mechanism(
+    id="bookkeeping",
+    stage="digital",
+    acts_on="signal",
+    point=Point("digital", "signal", "channel", "frozen"),
+    parameters=(
+        Parameter("black_dn", "DN", 2.0, -1e4, 1e4, "identity", "true minus stated black level"),
+        Parameter(
+            "white_error", "1", 0.0, -0.9, 3.0, "identity", "relative stretch: wrong white level or units"
+        ),
+    ),
+    equation=r"y \to b + \beta + (1+\omega)(y-b)",
+    sentence="The file says black or white is at another code than it is: everything measured from it is off "
+    "in the same way, before any physics.",
+    reference="Adobe Digital Negative specification 1.7, tags BlackLevel and WhiteLevel",
+    needs=("dark", "pair"),
+    confused_with=("channel_offset", "gain_error", "nonlinearity", "dark_current"),
+    likelihood="exact",
+    amplitude=_bookkeeping_amplitude,
+    sample=_bookkeeping,
+    effect=_bookkeeping_effect,
+)
+
+MECHANISMS: tuple[Mechanism, ...] = (
+    MISREGISTRATION,
+    SCENE_MOTION,
+    REFERENCE_ERROR,
+    FLICKER,
+    ILLUMINATION_DRIFT,
+)

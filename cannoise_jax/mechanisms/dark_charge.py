@@ -1,0 +1,208 @@
+"""Charge that is not light: it adds to the expected charge, so it brings its own shot noise."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from cannoise_jax.physics.core import fields, scores
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+
+DOUBLING_C = 7.0
+"""Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
+_THERMAL = Scaling(exposure=1.0, doubling_c=DOUBLING_C)
+_WIDENHORN = "Widenhorn et al., Temperature dependence of dark current in a CCD, Proc. SPIE 4669 (2002)"
+
+
+def _added(charge, context: Context) -> Effect:
+    """Closed form of Poisson charge of mean `charge` [1, H, W] or a number, e-."""
+    gain = context.gain_dn_per_e
+    charge = jnp.broadcast_to(charge, (1, *context.size))
+    return Effect(
+        mean=(gain * charge)[0],
+        variance=(gain**2 * charge)[0],
+        third=(gain**3 * charge)[0],
+        fourth=(gain**4 * charge)[0],
+    )
+
+
+def _rate(definition: str, default: float) -> Parameter:
+    return Parameter("e_per_s", "e-/s", default, 0.0, 1e7, "log", definition)
+
+
+DARK_CURRENT = Mechanism(
+    id="dark_current",
+    stage="pixel",
+    acts_on="mean",
+    point=Point("pixel", "mean", "whole", "frozen"),
+    parameters=(_rate("mean dark current", 10.0),),
+    equation=r"\mu \to \mu + D\,t\,2^{(T-T_0)/T_d}",
+    sentence="Warm silicon frees electrons without light: the darks rise with exposure and temperature, and "
+    "get noisier as they do.",
+    reference=_WIDENHORN,
+    needs=("dark", "exposure"),
+    confused_with=("bookkeeping", "clock_induced_charge", "read_noise_error", "amp_glow"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
+    sample=lambda key, x, values, maps, context: x + values["e_per_s"],
+    effect=lambda values, maps, context: _added(values["e_per_s"], context),
+    scaling=_THERMAL,
+    scales="e_per_s",
+)
+
+
+def _glow_maps(key, values, context: Context):
+    """exp(-distance / length) from a point on the frame's edge that the camera unit has."""
+    height, width = context.size
+    side, along = jax.random.split(key)
+    side, along = jax.random.randint(side, (), 0, 4), jax.random.uniform(along)
+    y0 = jnp.select([side == 0, side == 1], [0.0, height - 1.0], along * (height - 1))
+    x0 = jnp.select([side == 2, side == 3], [0.0, width - 1.0], along * (width - 1))
+    y, x = jnp.arange(height)[:, None] - y0, jnp.arange(width)[None, :] - x0
+    distance = jnp.sqrt(y**2 + x**2) / max(height, width)
+    return {"glow": jnp.exp(-distance / values["length"])[None]}
+
+
+def _glow_amplitude(values, context):
+    # The mean square of exp(-d / L) around a point on the edge, its half plane taken to hold all of it.
+    height, width = context.size
+    area = math.pi / 4 * values["length"] ** 2 * max(height, width) ** 2 / (height * width)
+    return jnp.mean(context.gain_dn_per_e) * values["e_per_s"] * jnp.sqrt(jnp.minimum(1.0, area))
+
+
+AMP_GLOW = Mechanism(
+    id="amp_glow",
+    stage="pixel",
+    acts_on="mean",
+    point=Point("pixel", "mean", "pixel", "frozen"),
+    parameters=(
+        _rate("at the brightest point", 100.0),
+        Parameter("length", "frame sides", 0.2, 0.01, 10.0, "log", "distance over which it falls to 1/e"),
+    ),
+    equation=r"\mu_{ij} \to \mu_{ij} + G\,t\,e^{-d_{ij}/L}",
+    sentence="The readout amplifier glows and lights up the nearest edge or corner in long exposures.",
+    reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 7 (luminescence)",
+    needs=("dark", "exposure"),
+    confused_with=("dsnu", "lens_shading", "dark_current"),
+    likelihood="exact",
+    amplitude=_glow_amplitude,
+    sample=lambda key, x, values, maps, context: x + values["e_per_s"] * maps["glow"],
+    draw_maps=_glow_maps,
+    effect=lambda values, maps, context: _added(values["e_per_s"] * maps["glow"], context),
+    scaling=Scaling(exposure=1.0),
+    scales="e_per_s",
+)
+
+
+def _hot_maps(key, values, context: Context):
+    where, height = jax.random.split(key)
+    shape = (1, *context.size)
+    return {
+        "heat": (jax.random.uniform(where, shape) < values["fraction"])
+        * jax.random.exponential(height, shape)
+    }
+
+
+HOT_PIXELS = Mechanism(
+    id="hot_pixels",
+    stage="pixel",
+    acts_on="mean",
+    point=Point("pixel", "mean", "pixel", "frozen", distribution="sparse"),
+    parameters=(
+        _rate("mean over the hot pixels; their heights are exponential", 2000.0),
+        Parameter("fraction", "1", 1e-3, 1e-7, 0.5, "logit", "share of hot pixels"),
+    ),
+    equation=r"\mu_{ij} \to \mu_{ij} + D\,h_{ij}\,t\,2^{(T-T_0)/T_d},\quad h \sim f\,\mathrm{Exp}(1)",
+    sentence="Crystal defects leak strongly in a few pixels: fixed bright dots that grow with the exposure.",
+    reference=_WIDENHORN,
+    needs=("dark",),
+    confused_with=("cosmic_rays", "rts", "dsnu"),
+    likelihood="exact",
+    amplitude=lambda values, context: (
+        jnp.mean(context.gain_dn_per_e) * values["e_per_s"] * jnp.sqrt(2 * values["fraction"])
+    ),
+    sample=lambda key, x, values, maps, context: x + values["e_per_s"] * maps["heat"],
+    draw_maps=_hot_maps,
+    effect=lambda values, maps, context: _added(values["e_per_s"] * maps["heat"], context),
+    scaling=_THERMAL,
+    scales="e_per_s",
+)
+
+
+def _variance_share(context: Context):
+    """Relative variance that one electron of extra charge adds to a pixel."""
+    gain = context.gain_dn_per_e
+    return gain**2 / context.own_variance()
+
+
+CLOCK_INDUCED_CHARGE = Mechanism(
+    id="clock_induced_charge",
+    stage="pixel",
+    acts_on="mean",
+    point=Point("pixel", "mean", "whole", "frozen"),
+    parameters=(Parameter("charge_e", "e-", 0.01, 0.0, 1e3, "log", "mean per pixel and frame"),),
+    equation=r"\mu \to \mu + c",
+    sentence="The clocking itself frees an electron now and then, in bias frames as in long exposures.",
+    reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 7 (spurious charge)",
+    needs=("dark", "exposure"),
+    confused_with=("dark_current", "bookkeeping"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["charge_e"],
+    sample=lambda key, x, values, maps, context: x + values["charge_e"],
+    effect=lambda values, maps, context: _added(values["charge_e"], context),
+    score=lambda z, values, maps, context: scores.variance_score(z, _variance_share(context)),
+)
+
+
+def _temperature(key, x, values, maps, context: Context):
+    raw = sample_normal(key, (x.shape[0], 1, 1))
+    kelvin = values["sigma_k"] * fields.remember(raw, values["memory_frames"])
+    return x + values["e_per_s"] * jnp.exp2(kelvin / DOUBLING_C)
+
+
+def _temperature_effect(values, maps, context):
+    # The dark current is log-normal over the frames.
+    width = values["sigma_k"] * math.log(2) / DOUBLING_C
+    charge = values["e_per_s"] * jnp.exp(width**2 / 2)
+    gain = context.gain_dn_per_e[0]
+    shared = gain**2 * charge**2 * jnp.expm1(width**2)
+    rho = jnp.exp(-1.0 / values["memory_frames"])
+    lagged = {n: gain**2 * charge**2 * jnp.expm1(width**2 * rho**n) for n in (1, 2)}
+    return Effect(mean=gain * charge, variance=gain**2 * charge + shared, frame=shared, temporal=lagged)
+
+
+TEMPERATURE_DRIFT = Mechanism(
+    id="temperature_drift",
+    stage="pixel",
+    acts_on="mean",
+    point=Point("pixel", "mean", "whole", "drifting"),
+    parameters=(
+        Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "log", "rms temperature change"),
+        Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "log", "correlation time"),
+        _rate("dark current at the mean temperature", 100.0),
+    ),
+    equation=r"\mu_t \to \mu + D\,t\,2^{\Delta T_t/T_d}",
+    sentence="The sensor warms up while it records, and its dark current with it, from frame to frame.",
+    reference=_WIDENHORN,
+    needs=("burst", "temperature"),
+    confused_with=("offset_drift", "illumination_drift", "dark_current"),
+    likelihood="none",
+    amplitude=lambda values, context: values["sigma_k"],
+    sample=_temperature,
+    effect=_temperature_effect,
+    score=lambda z, values, maps, context: scores.frame_score(z),
+    scaling=_THERMAL,
+    scales="e_per_s",
+)
+
+MECHANISMS: tuple[Mechanism, ...] = (
+    DARK_CURRENT,
+    AMP_GLOW,
+    HOT_PIXELS,
+    CLOCK_INDUCED_CHARGE,
+    TEMPERATURE_DRIFT,
+)

@@ -1,0 +1,188 @@
+"""Mechanisms that alter the two noise steps themselves: the slope of the shot noise, the size and shape of
+the read noise, pixel by pixel."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from cannoise_jax.physics.core import scores, tukey_lambda
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Effect, Mechanism, Parameter
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+
+
+def _gain(noise, values, maps, context):
+    factor = 1 + values["error"]
+    # The read noise in DN stays: only the slope of the variance over the signal is wrong.
+    return noise._replace(
+        gain_dn_per_e=noise.gain_dn_per_e * factor, read_noise_e=noise.read_noise_e / factor
+    )
+
+
+def _gain_effect(values, maps, context):
+    factor, gain, mean = 1 + values["error"], context.gain_dn_per_e, context.mean_dn
+    return Effect(
+        variance=(factor - 1) * gain * mean,
+        third=(factor**2 - 1) * gain**2 * mean,
+        fourth=(factor**3 - 1) * gain**3 * mean,
+    )
+
+
+GAIN_ERROR = Mechanism(
+    id="gain_error",
+    stage="photons",
+    acts_on="charge",
+    point=Point("photons", "charge", "pixel", "redrawn", "multiply", signal=0.5),
+    parameters=(Parameter("error", "1", 0.05, -0.9, 10.0, "identity", "true over assumed gain, minus one"),),
+    equation=r"\mathrm{var} = (1+\epsilon)\,K\,(y-b) + K^2 s^2",
+    sentence="The number of electrons behind each DN is not what the metadata says, so shot noise is larger "
+    "or "
+    "smaller than predicted in proportion at every signal level.",
+    reference="EMVA 1288 release 4.0, section 2.2 (photon transfer)",
+    needs=("pair",),
+    confused_with=("in_camera_denoising", "crosstalk", "brighter_fatter", "excess_noise", "reference_error"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["error"],
+    baseline=_gain,
+    effect=_gain_effect,
+)
+
+
+def _read(noise, values, maps, context):
+    return noise._replace(read_noise_e=noise.read_noise_e * (1 + values["error"]))
+
+
+def _read_effect(values, maps, context):
+    read = (context.gain_dn_per_e * context.read_noise_e) ** 2
+    return Effect(variance=((1 + values["error"]) ** 2 - 1) * read)
+
+
+READ_NOISE_ERROR = Mechanism(
+    id="read_noise_error",
+    stage="readout",
+    acts_on="signal",
+    point=Point("readout", "signal", "pixel", "redrawn"),
+    parameters=(
+        Parameter("error", "1", 0.1, -0.99, 10.0, "identity", "true over assumed read noise, minus one"),
+    ),
+    equation=r"s \to (1+\epsilon)\,s",
+    sentence="The electronics are noisier or quieter than specified, by the same amount in every pixel and "
+    "at "
+    "every signal level.",
+    reference="EMVA 1288 release 4.0, section 2.2 (temporal dark noise)",
+    needs=("dark", "pair"),
+    confused_with=("quantization", "pixel_read_noise_map", "heavy_tails", "reference_error"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["error"],
+    baseline=_read,
+    effect=_read_effect,
+)
+
+
+def _tails(noise, values, maps, context):
+    return noise._replace(tukey_lambda=values["tukey_lambda"])
+
+
+def _tails_effect(values, maps, context):
+    read = (context.gain_dn_per_e * context.read_noise_e) ** 2
+    return Effect(fourth=tukey_lambda.excess_kurtosis(values["tukey_lambda"]) * read**2)
+
+
+HEAVY_TAILS = Mechanism(
+    id="heavy_tails",
+    stage="readout",
+    acts_on="signal",
+    point=Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"),
+    parameters=(
+        Parameter("tukey_lambda", "1", -0.1, -0.45, 0.3, "identity", "shape: 0.135 is near Gaussian"),
+    ),
+    equation=r"n = s\,Q(u)/\sqrt{V_\lambda},\quad Q(u) = \frac{u^\lambda-(1-u)^\lambda}{\lambda}",
+    sentence="Read noise throws outliers more often than a Gaussian of the same size would, in any pixel and "
+    "any frame alike.",
+    reference="Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, "
+    "section 3.2",
+    needs=("dark", "burst"),
+    confused_with=("pixel_read_noise_map", "rts", "quantization", "cosmic_rays"),
+    likelihood="approximate",
+    amplitude=lambda values, context: tukey_lambda.excess_kurtosis(values["tukey_lambda"]),
+    baseline=_tails,
+    effect=_tails_effect,
+)
+
+
+def _spread_maps(key, values, context):
+    width = values["spread"]
+    # Log-normal with unit mean square: the mean variance over the pixels is the baseline's.
+    log_width = jnp.sqrt(jnp.log1p(jnp.asarray(width, jnp.float32) ** 2))
+    normal = sample_normal(key, (1, *context.size))
+    return {"factor": jnp.exp(log_width * normal - log_width**2)}
+
+
+def _spread(noise, values, maps, context):
+    return noise._replace(read_noise_e=noise.read_noise_e * maps["factor"])
+
+
+def _spread_effect(values, maps, context):
+    read = (context.gain_dn_per_e * context.read_noise_e) ** 2
+    return Effect(variance=((maps["factor"] ** 2 - 1) * read)[0])
+
+
+PIXEL_READ_NOISE_MAP = Mechanism(
+    id="pixel_read_noise_map",
+    stage="pixel",
+    acts_on="signal",
+    point=Point("pixel", "signal", "pixel", "redrawn"),
+    parameters=(
+        Parameter(
+            "spread", "1", 0.3, 0.0, 3.0, "log", "standard deviation over mean of the pixels' read noise"
+        ),
+    ),
+    equation=r"s_{ij} = s\,e^{wz_{ij}-w^2},\quad w^2 = \ln(1+\mathrm{spread}^2)",
+    sentence="Every pixel has its own source follower, and some are noisier than others, always the same "
+    "ones.",
+    reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 3 "
+    "(pixel source follower)",
+    needs=("dark", "burst"),
+    confused_with=("heavy_tails", "rts"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["spread"],
+    baseline=_spread,
+    draw_maps=_spread_maps,
+    effect=_spread_effect,
+)
+
+
+def _skew(noise, values, maps, context):
+    return noise._replace(poisson_share=values["strength"])
+
+
+def _skew_effect(values, maps, context):
+    gain, mean, share = context.gain_dn_per_e, context.mean_dn, values["strength"]
+    return Effect(third=(share**3 - 1) * gain**2 * mean, fourth=(share**4 - 1) * gain**3 * mean)
+
+
+def _skew_score(z, values, maps, context):
+    gain, own = context.gain_dn_per_e, context.own_variance()
+    return scores.skew_score(z, gain**2 * context.mean_dn / own**1.5)
+
+
+POISSON_SKEW = Mechanism(
+    id="poisson_skew",
+    stage="photons",
+    acts_on="charge",
+    point=Point("photons", "charge", "pixel", "redrawn", signal=0.5),
+    parameters=(Parameter("strength", "1", 0.0, 0.0, 1.0, "identity", "0: Gaussian shot noise, 1: Poisson"),),
+    equation=r"N = \mu + \sigma_P\,(P(\mu)-\mu) + \sqrt{1-\sigma_P^2}\,\sqrt{\mu}\,z",
+    sentence="Photons are counted, so dark areas have rare bright pixels that a Gaussian does not have; this "
+    "baseline counts photons, and the strength says how much of that is kept.",
+    reference="EMVA 1288 release 4.0, section 2.1 (Poisson statistics of the light)",
+    needs=("pair",),
+    confused_with=("hot_pixels", "cosmic_rays", "black_clipping"),
+    likelihood="approximate",
+    amplitude=lambda values, context: values["strength"],
+    baseline=_skew,
+    effect=_skew_effect,
+    score=_skew_score,
+)
+
+MECHANISMS = (GAIN_ERROR, READ_NOISE_ERROR, HEAVY_TAILS, PIXEL_READ_NOISE_MAP, POISSON_SKEW)

@@ -1,0 +1,138 @@
+"""Mechanisms that act on the light and on the response of the pixels to it, in proportion to the signal."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from cannoise_jax.physics.core import scores
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
+
+_EMVA = "EMVA 1288 release 4.0, section 4.2 (PRNU1288)"
+
+PRNU = mechanism_from_grammar(
+    Point("photons", "mean", "pixel", "frozen", "multiply"),
+    id="prnu",
+    default=0.01,
+    equation=r"\mu_{ij} \to \mu_{ij}\,(1+\sigma p_{ij})",
+    sentence="Pixels differ a little in sensitivity, always by the same factor: a fixed pattern that a flat "
+    "field removes.",
+    reference=_EMVA,
+    needs=("flat", "pair_independent"),
+    confused_with=("dsnu", "column_gain", "nonlinearity", "reference_error"),
+)
+
+COLUMN_GAIN = mechanism_from_grammar(
+    Point("photons", "mean", "column", "frozen", "multiply"),
+    id="column_gain",
+    default=0.003,
+    equation=r"\mu_{ij} \to \mu_{ij}\,(1+\sigma g_j)",
+    sentence="Each column's converter has its own gain: vertical stripes that grow with the light.",
+    reference="EMVA 1288 release 4.0, section 8.2 (column nonuniformity)",
+    needs=("flat", "pair_independent"),
+    confused_with=("column_fpn", "prnu", "smear"),
+)
+
+
+def green_sites(cfa: str) -> tuple[int, int] | None:
+    """Mosaic sites (0 to 3) of the green pixels beside red and beside blue; None without colours."""
+    if cfa == "MONO":
+        return None
+    red = cfa.index("R")
+    return red ^ 1, red ^ 2
+
+
+def _green_maps(key, values, context: Context):
+    cell = np.zeros(4, np.float32)
+    sites = green_sites(context.cfa)
+    if sites:
+        cell[sites[0]], cell[sites[1]] = 1.0, -1.0
+    height, width = context.size
+    tiled = np.tile(cell.reshape(2, 2), ((height + 1) // 2, (width + 1) // 2))[:height, :width]
+    return {"field": jnp.asarray(tiled)[None]}
+
+
+GREEN_IMBALANCE = dataclasses.replace(
+    mechanism_from_grammar(
+        Point("photons", "mean", "channel", "frozen", "multiply"),
+        id="green_imbalance",
+        parameters=(
+            Parameter("sigma", "1", 0.01, -0.5, 0.5, "identity", "Gr gains and Gb loses this share"),
+        ),
+        equation=r"\mu_{Gr} \to \mu_{Gr}(1+a),\quad \mu_{Gb} \to \mu_{Gb}(1-a)",
+        sentence="Green pixels beside red and beside blue see different light leak in, so a fine "
+        "checkerboard "
+        "appears on green areas.",
+        reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 3",
+        needs=("flat", "pair_independent"),
+        confused_with=("channel_offset", "crosstalk", "prnu"),
+        amplitude=lambda values, context: jnp.abs(values["sigma"]),
+    ),
+    draw_maps=_green_maps,
+)
+
+
+def _shading_maps(key, values, context: Context):
+    height, width = context.size
+    y = (np.arange(height) - (height - 1) / 2)[:, None] / max((height - 1) / 2, 1)
+    x = (np.arange(width) - (width - 1) / 2)[None, :] / max((width - 1) / 2, 1)
+    return {"field": jnp.asarray(-(x**2 + y**2) / 2, jnp.float32)[None]}
+
+
+def _shading_score(z, values, maps, context):
+    return scores.mean_score(z, maps["field"] * context.mean_dn / jnp.sqrt(context.own_variance()))
+
+
+LENS_SHADING = dataclasses.replace(
+    mechanism_from_grammar(
+        Point("photons", "mean", "pixel", "frozen", "multiply"),
+        id="lens_shading",
+        parameters=(
+            Parameter("sigma", "1", 0.1, -1.0, 1.0, "identity", "share of the signal lost in the corners"),
+        ),
+        equation=r"\mu \to \mu\,(1 - v\,r^2/r_{corner}^2)",
+        sentence="The lens and the tilt of the rays take light from the corners, smoothly.",
+        reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 2",
+        needs=("flat",),
+        confused_with=("reference_error", "prnu"),
+    ),
+    draw_maps=_shading_maps,
+    score=_shading_score,
+)
+
+
+def _dead_maps(key, values, context: Context):
+    import jax
+
+    return {"dead": (jax.random.uniform(key, (1, *context.size)) < values["fraction"]).astype(jnp.float32)}
+
+
+def _dead_effect(values, maps, context):
+    lost = context.mean_dn[0] * maps["dead"][0]
+    gain = context.gain_dn_per_e
+    return Effect(mean=-lost, variance=(-gain * lost)[0])
+
+
+DEAD_PIXELS = Mechanism(
+    id="dead_pixels",
+    stage="pixel",
+    acts_on="mean",
+    point=Point("pixel", "mean", "pixel", "frozen", "multiply", distribution="sparse"),
+    parameters=(Parameter("fraction", "1", 0.001, 1e-7, 0.5, "logit", "share of the pixels"),),
+    equation=r"\mu_{ij} \to 0 \ \mathrm{at\ listed\ pixels}",
+    sentence="A broken pixel gives the black level whatever the light.",
+    reference="EMVA 1288 release 4.0, section 4.4 (defect pixels)",
+    needs=("flat", "pair_independent"),
+    confused_with=("prnu", "defect_correction"),
+    likelihood="exact",
+    amplitude=lambda values, context: values["fraction"],
+    sample=lambda key, x, values, maps, context: x * (1 - maps["dead"]),
+    draw_maps=_dead_maps,
+    effect=_dead_effect,
+    score=lambda z, values, maps, context: scores.low_score(z),
+)
+
+MECHANISMS: tuple[Mechanism, ...] = (LENS_SHADING, PRNU, COLUMN_GAIN, GREEN_IMBALANCE, DEAD_PIXELS)

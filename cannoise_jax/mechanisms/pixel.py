@@ -1,0 +1,203 @@
+"""Mechanisms of the pixel that act on collected charge: leaks, traps, the full well, and fixed offsets."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from cannoise_jax.physics.core import fields, scores
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling, effect_in_dn
+from cannoise_jax.physics.core.mosaic_ops import cut_above, shifted
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+
+_JANESICK = "Janesick, Photon Transfer, SPIE Press 2007"
+
+
+def _coefficient(values, context: Context):
+    """Loss per electron: at the white level the share `loss` of the signal is missing."""
+    return values["loss"] * context.gain_dn_per_e / context.span_dn
+
+
+def _bend_effect(values, maps, context):
+    c, mu = _coefficient(values, context), context.mean_charge()
+    # Moments of N - c N^2 for Poisson N.
+    variance = mu - 2 * c * (2 * mu**2 + mu) + c**2 * (4 * mu**3 + 6 * mu**2 + mu)
+    return effect_in_dn(context, -c * (mu**2 + mu), variance - mu)
+
+
+NONLINEARITY = Mechanism(
+    id="nonlinearity",
+    stage="pixel",
+    acts_on="charge",
+    point=Point("pixel", "charge", "whole", "frozen", "multiply", signal=1.0),
+    parameters=(Parameter("loss", "1", 0.02, -0.49, 0.49, "identity", "share of the signal lost at white"),),
+    equation=r"e \to e\,(1 - a\,K e/(W-b))",
+    sentence="Charge lowers the voltage that collects it, so bright signals read a little too low.",
+    reference="EMVA 1288 release 4.0, section 6.7 (linearity error); " + _JANESICK,
+    needs=("flat", "exposure"),
+    confused_with=("saturation", "prnu", "reference_error", "brighter_fatter"),
+    likelihood="approximate",
+    amplitude=lambda values, context: values["loss"],
+    sample=lambda key, x, values, maps, context: x * (1 - _coefficient(values, context) * x),
+    effect=_bend_effect,
+)
+
+
+def _saturation_effect(values, maps, context):
+    mu = context.mean_charge()
+    # Shot noise is near Gaussian at any full well.
+    mean, variance = cut_above(mu, jnp.maximum(mu, 1e-6), values["full_well_e"])
+    return effect_in_dn(context, mean - mu, variance - mu)
+
+
+SATURATION = Mechanism(
+    id="saturation",
+    stage="pixel",
+    acts_on="charge",
+    point=Point("pixel", "charge", "pixel", "frozen", "multiply"),
+    parameters=(Parameter("full_well_e", "e-", 1000.0, 1.0, 1e7, "log", "charge at which a pixel is full"),),
+    equation=r"e \to \min(e, e_{FW})",
+    sentence="A full pixel holds no more electrons: highlights flatten below the white level, without noise.",
+    reference="EMVA 1288 release 4.0, section 6.6 (saturation capacity)",
+    needs=("pair", "flat"),
+    confused_with=("nonlinearity", "bookkeeping"),
+    likelihood="approximate",
+    amplitude=lambda values, context: (
+        jnp.mean(context.gain_dn_per_e / context.span_dn) * values["full_well_e"]
+    ),
+    sample=lambda key, x, values, maps, context: jnp.minimum(x, values["full_well_e"]),
+    effect=_saturation_effect,
+)
+
+
+DSNU = mechanism_from_grammar(
+    Point("pixel", "charge", "pixel", "frozen"),
+    id="dsnu",
+    default=0.5,
+    equation=r"y_{tij} \to y_{tij} + \sigma d_{ij}",
+    sentence="Pixels differ a little in their dark value, always by the same amount: a fixed pattern that a "
+    "dark average removes.",
+    reference="EMVA 1288 release 4.0, section 4.2 (DSNU1288)",
+    needs=("dark", "pair_independent"),
+    confused_with=("prnu", "hot_pixels", "amp_glow", "row_fpn", "column_fpn"),
+)
+
+
+def _rts_maps(key, values, context: Context):
+    sites = jax.random.uniform(key, (1, *context.size)) < values["fraction"]
+    return {"sites": sites.astype(jnp.float32)}
+
+
+def _rts(key, x, values, maps, context: Context):
+    state = fields.telegraph(key, x.shape[0], context.size, values["rate"])
+    return x + values["jump_dn"] / context.gain_dn_per_e / 2 * maps["sites"] * state
+
+
+def _rts_effect(values, maps, context):
+    power = (values["jump_dn"] ** 2 / 4 * maps["sites"])[0]
+    memory = 1 - 2 * values["rate"]
+    return Effect(variance=power, fourth=-2 * power**2, temporal={n: power * memory**n for n in (1, 2)})
+
+
+RTS = Mechanism(
+    id="rts",
+    stage="pixel",
+    acts_on="charge",
+    point=Point("pixel", "charge", "pixel", "telegraph", distribution="sparse"),
+    parameters=(
+        Parameter("jump_dn", "DN", 10.0, 0.0, 1e4, "log", "distance of the two levels"),
+        Parameter("fraction", "1", 0.01, 1e-6, 1.0, "logit", "share of the pixels"),
+        Parameter("rate", "1/frame", 0.2, 0.0, 1.0, "logit", "chance of a jump from one frame to the next"),
+    ),
+    equation=r"y_{tij} \to y_{tij} \pm J/2 \ \mathrm{at\ listed\ pixels}",
+    sentence="A single trap in a pixel's transistor fills and empties: the pixel blinks between two values.",
+    reference="Wang, Rao, Mierop and Theuwissen, Random Telegraph Signal in CMOS Image Sensor Pixels, IEDM "
+    "2006",
+    needs=("dark", "burst"),
+    confused_with=("heavy_tails", "pixel_read_noise_map", "hot_pixels"),
+    likelihood="none",
+    amplitude=lambda values, context: values["jump_dn"] / 2 * jnp.sqrt(values["fraction"]),
+    sample=_rts,
+    draw_maps=_rts_maps,
+    effect=_rts_effect,
+    scaling=Scaling(gain=1.0),
+    scales="jump_dn",
+)
+
+
+def _cosmic(key, x, values, maps, context: Context):
+    where, charge = jax.random.split(key)
+    chance = values["rate"] * 1e-6 * context.exposure_s
+    hits = jax.random.uniform(where, x.shape) < chance
+    energy = hits * jax.random.exponential(charge, x.shape) * values["charge_e"]
+    return x + 0.5 * energy + 0.3 * shifted(energy, 0, 1) + 0.2 * shifted(energy, 1, 1)
+
+
+def _cosmic_effect(values, maps, context):
+    chance, q = values["rate"] * 1e-6 * context.exposure_s, values["charge_e"]
+    # An exponential charge has a second moment of 2 q^2; the track spreads it over three pixels.
+    power = chance * q**2 * (2 - chance) * (0.25 + 0.09 + 0.04)
+    ones = jnp.ones((1, *context.size))
+    return effect_in_dn(context, chance * q * ones, power * ones)
+
+
+COSMIC_RAYS = Mechanism(
+    id="cosmic_rays",
+    stage="pixel",
+    acts_on="charge",
+    point=Point("pixel", "charge", "pixel", "redrawn", distribution="sparse"),
+    parameters=(
+        Parameter("rate", "1/(Mpx s)", 5000.0, 0.0, 1e9, "log", "events per megapixel and second"),
+        Parameter("charge_e", "e-", 500.0, 1.0, 1e6, "log", "mean charge of an event"),
+    ),
+    equation=r"e \to e + \sum_k q_k\,h(\mathrm{r} - \mathrm{r}_k)",
+    sentence="A charged particle crosses the sensor: a bright short track in one frame that never returns.",
+    reference="Groom, Cosmic rays and other nonsense in astronomical CCD imagers, Exp. Astron. 14, 45 (2002)",
+    needs=("burst", "dark"),
+    confused_with=("hot_pixels", "heavy_tails"),
+    likelihood="none",
+    amplitude=lambda values, context: values["rate"],
+    sample=_cosmic,
+    effect=_cosmic_effect,
+    score=lambda z, values, maps, context: scores.high_score(z),
+)
+
+
+def _multiply(key, x, values, maps, context: Context):
+    """Gamma-distributed output of an electron multiplier, by the cube of a normal (Wilson and Hilferty)."""
+    excess = jnp.maximum(values["excess"], 1e-6)
+    shape = jnp.maximum(x, 1e-6) / excess
+    root = 1 - 1 / (9 * shape) + sample_normal(key, x.shape) / (3 * jnp.sqrt(shape))
+    return jnp.where(x > 0, excess * shape * jnp.maximum(root, 0.0) ** 3, x)
+
+
+def _multiply_effect(values, maps, context):
+    return effect_in_dn(context, variance=values["excess"] * context.mean_charge())
+
+
+def _excess_score(z, values, maps, context):
+    shot = context.gain_dn_per_e * context.mean_dn
+    return scores.variance_score(z, shot / context.own_variance())
+
+
+EXCESS_NOISE = Mechanism(
+    id="excess_noise",
+    stage="pixel",
+    acts_on="charge",
+    point=Point("pixel", "charge", "pixel", "redrawn", signal=0.5),
+    parameters=(Parameter("excess", "1", 0.3, 0.0, 3.0, "log", "excess noise factor F^2, minus one"),),
+    equation=r"e \to \Gamma(e/x,\ x),\quad F^2 = 1 + x",
+    sentence="Electron multiplication is itself random: shot noise grows though the signal is the same.",
+    reference="Robbins and Hadwen, The noise performance of electron multiplying CCDs, IEEE TED 50, 1227 "
+    "(2003)",
+    needs=("flat", "pair"),
+    confused_with=("gain_error",),
+    likelihood="none",
+    amplitude=lambda values, context: values["excess"],
+    sample=_multiply,
+    effect=_multiply_effect,
+    score=_excess_score,
+)
+
+MECHANISMS: tuple[Mechanism, ...] = (SATURATION, EXCESS_NOISE, NONLINEARITY, RTS, DSNU)

@@ -1,0 +1,282 @@
+"""The sensor model: a Poisson-Gaussian baseline and fitted mechanisms in the order of the signal chain."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key, UInt16
+
+from cannoise_jax.physics.core import ranges, registry
+from cannoise_jax.physics.core.chain import altered_noise, closed_form, maps_of, run_chain, to_codes
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
+from cannoise_jax.physics.core.settings import (
+    DEFAULT,
+    ExtrapolationWarning,
+    Fitted,
+    IsoTable,
+    Numbers,
+    Settings,
+    chain_order,
+    context_of,
+    context_of_nlf,
+    resolve,
+    warn_outside,
+)
+from cannoise_jax.physics.initial_noise import InitialNoise
+from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
+from cannoise_jax.recordings.recording import PerChannel
+
+__all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """A camera: per ISO the system gain (DN/e-) and read noise (e-), then mechanisms, sorted along the chain.
+
+    iso: [N] ascending. gain_dn_per_e, read_noise_e: [N, 4], mosaic order. black_level: [4] DN.
+    white_level: DN, the highest code. code_step: DN between codes; 0: not on a lattice (codes are rounded
+    to 1).
+    unit_key: from which the frozen patterns of this camera unit are drawn where none were measured.
+    """
+
+    iso: Numbers
+    gain_dn_per_e: Numbers
+    read_noise_e: Numbers
+    black_level: Numbers
+    white_level: Numbers
+    code_step: Numbers
+    unit_key: Key[Array, ""]
+    mechanisms: tuple[Fitted, ...]
+    cfa: str = field(metadata={"static": True})
+    camera: str = field(default="unknown", metadata={"static": True})
+
+    @staticmethod
+    def poisson_gaussian(
+        gain_dn_per_e,
+        read_noise_e,
+        black_level: float | PerChannel = 0.0,
+        white_level: float = 65535.0,
+        cfa: str = "RGGB",
+        *,
+        iso: float | tuple[float, ...] = 100.0,
+        code_step: float = 1.0,
+        camera: str = "unknown",
+        unit_key: Key[Array, ""] | None = None,
+    ) -> SensorModel:
+        """The baseline alone. Gain and read noise: one number, one per mosaic site, or [N, 1 or 4] for N
+        ISOs.
+
+        unit_key: default the key of 0. Numbers may be traced. Raises ValueError for counts that do not match
+        and for what `ranges.check_baseline` refuses.
+        """
+        ranges.check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa)
+        isos = _array(iso).reshape(-1)
+
+        def table(values) -> Numbers:
+            values = _array(values)
+            rows = isos.size if isos.size > 1 else 1
+            if values.size not in (rows, 4 * rows):
+                raise ValueError(
+                    f"expected 1 or 4 values for each of {isos.size} ISOs, got shape {values.shape}"
+                )
+            return _spread(values.reshape(rows, -1), (isos.size, 4))
+
+        return SensorModel(
+            iso=isos,
+            gain_dn_per_e=table(gain_dn_per_e),
+            read_noise_e=table(read_noise_e),
+            black_level=_spread(_array(black_level), (4,)),
+            white_level=_array(white_level),
+            code_step=_array(code_step),
+            unit_key=jax.random.key(0) if unit_key is None else unit_key,
+            mechanisms=(),
+            cfa=cfa,
+            camera=camera,
+        )
+
+    @staticmethod
+    def from_nlf(
+        shot,
+        read,
+        black_level: float | PerChannel = 0.0,
+        white_level: float = 65535.0,
+        cfa: str = "RGGB",
+        **more,
+    ) -> SensorModel:
+        """The baseline of a noise level function `var = shot * clean + read` in normalised units (mosaic
+        order); a read below 0, as metadata sometimes states, counts as 0. Raises ValueError as
+        `poisson_gaussian`."""
+        span = jnp.asarray(white_level) - jnp.asarray(black_level)
+        gain, read_noise = electrons_from_nlf(jnp.asarray(shot), jnp.asarray(read), jnp.asarray(span))
+        return SensorModel.poisson_gaussian(gain, read_noise, black_level, white_level, cfa, **more)
+
+    @staticmethod
+    def preset(name: str, iso: float | None = None) -> SensorModel:
+        """A camera from published tables, see `presets`; iso: keep only this ISO."""
+        from cannoise_jax.physics.core import presets
+
+        return presets.preset(name, iso)
+
+    def with_mechanism(
+        self,
+        id: str,
+        *,
+        scaling: Scaling | None = None,
+        maps: dict[str, Array] | None = None,
+        point: Point | None = None,
+        **parameters,
+    ) -> SensorModel:
+        """The model with one more mechanism; parameters not given take their typical values.
+
+        id: of the vocabulary; or any name with `point`, a bare place in the grammar. Parameters: numbers or
+        `IsoTable`s, maybe traced; they hold at the scaling law's reference setting. Raises ValueError for
+        unknown names, numbers outside the parameter's range (`registry.mechanism(id).parameters`), and maps
+        that the mechanism does not have.
+        """
+        if point is not None:
+            ranges.check_point(id, point)
+        record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
+        known = record.defaults()
+        unknown = sorted(set(parameters) - set(known))
+        if unknown:
+            raise ValueError(
+                f"{id} has no parameter {', '.join(unknown)}: it has {', '.join(known) or 'none'}"
+            )
+        fitted = Fitted(id, {**known, **parameters}, scaling or record.scaling, dict(maps or {}), point)
+        ranges.check_fitted(fitted)
+        ranges.check_maps(self, fitted)
+        return dataclasses.replace(self, mechanisms=chain_order((*self.mechanisms, fitted)))
+
+    def without(self, id: str) -> SensorModel:
+        """The model with every mechanism of this id taken out."""
+        return dataclasses.replace(self, mechanisms=tuple(f for f in self.mechanisms if f.mechanism != id))
+
+    def with_unit(self, key: Key[Array, ""]) -> SensorModel:
+        """Another unit of the same camera: frozen patterns are drawn anew, measured maps are dropped."""
+        bare = tuple(dataclasses.replace(f, maps={}) for f in self.mechanisms)
+        return dataclasses.replace(self, mechanisms=bare, unit_key=key)
+
+    def with_maps(self, size: tuple[int, int]) -> SensorModel:
+        """The same camera unit with its frozen patterns of [H, W] drawn once and kept, instead of at every
+        `sample`. Maps that scale with the settings are kept before scaling."""
+        return _with_drawn(self, _draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
+
+    def sample(
+        self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
+    ) -> UInt16[Array, "t h w"]:
+        """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
+        setting beyond the calibrated range draws one `ExtrapolationWarning`, and what `ranges.check_taken`
+        refuses raises ValueError."""
+        ranges.check_taken(clean, settings)
+        warn_outside(self, settings)
+        setting = (settings.iso, settings.exposure_s, settings.temperature_c)
+        # The frozen patterns are drawn by a program of their own: fused with the frames they would be
+        # drawn anew for each of them.
+        drawn = _draw_maps(self, setting, np.shape(clean))
+        return _sample_codes(_with_drawn(self, drawn), key, clean, setting, settings.frames)
+
+    def expected(self, clean: Float[Array, "h w"], settings: Settings = DEFAULT) -> Float[Array, "h w"]:
+        """Expected value in DN before rounding and clipping: black level, signal and the closed-form mean
+        shift of every mechanism (the few without one leave it alone). Raises as `sample`."""
+        ranges.check_taken(clean, settings)
+        warn_outside(self, settings)
+        clean = jnp.asarray(clean, jnp.float32)[None]
+        context = context_of(self, clean, settings)
+        values = resolve(self, context)
+        mean, _ = closed_form(self, context, values)
+        return jnp.broadcast_to(mean, clean.shape)[0]
+
+    def n_init(self, *, discretise: bool = True) -> InitialNoise:
+        """An initial noise for training: `(key, clean[B,h,w,4], shot[B,4], read[B,4]) -> (noise, sigma)`,
+        both [B,h,w,4], packed and normalised; sigma: the model's standard deviation in closed form.
+
+        The baseline is that of shot and read; the mechanisms are this model's, at the ISO whose gain is
+        theirs. Measured maps larger than the patch are cropped, at another even place in every call.
+        discretise: round to the code step and clip at the rails, as stored frames are.
+        """
+
+        def draw(key, clean, shot, read):
+            mosaic = unpack(clean, self.cfa)
+            place, key = jax.random.split(key)
+            model = _cropped(self, place, mosaic.shape[-2:])
+            levels = tuple(to_mosaic_order(v, self.cfa) for v in (shot, read))
+            context = context_of_nlf(model, mosaic, *levels)
+            values = resolve(model, context)
+            y, step = run_chain(model, key, context, values, mosaic.shape[0])
+            if discretise:
+                y = to_codes(model, key, y, step, context, values)
+            noise = (y - context.black_level) / context.span_dn - mosaic
+
+            def sigma(mosaic, shot, read):  # of one patch: closed forms know one frame
+                context = context_of_nlf(model, mosaic[None], shot[None], read[None])
+                values = resolve(model, context)
+                _, variance = closed_form(model, context, values)
+                rounding = jnp.maximum(altered_noise(model, context, values).code_step, 1.0) ** 2 / 12
+                variance = variance + rounding if discretise else variance
+                return (jnp.sqrt(jnp.maximum(variance, rounding)) / context.span_dn)[0]
+
+            return pack(noise, self.cfa), pack(jax.vmap(sigma)(mosaic, *levels), self.cfa)
+
+        return draw
+
+
+def _array(values) -> Any:
+    """Numbers as float32: of NumPy, or of JAX while they are traced."""
+    traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(values))
+    return jnp.asarray(values, jnp.float32) if traced else np.asarray(values, np.float32)
+
+
+def _spread(values: Any, shape: tuple[int, ...]) -> Any:
+    xp = jnp if isinstance(values, jax.core.Tracer) else np
+    return xp.broadcast_to(values, shape) + np.float32(0)
+
+
+def _cropped(model: SensorModel, key: Key[Array, ""], size: tuple[int, int]) -> SensorModel:
+    """The model with its measured maps cut to [H, W], all at the same even place, which keeps the colours."""
+    shapes = [m.shape[-2:] for f in model.mechanisms for m in f.maps.values()]
+    starts = []
+    for axis, axis_key in enumerate(jax.random.split(key)):
+        spare = [shape[axis] - size[axis] for shape in shapes if shape[axis] > size[axis]]
+        starts.append(2 * jax.random.randint(axis_key, (), 0, min(spare, default=0) // 2 + 1))
+
+    def cut(values):
+        for axis in (-2, -1):
+            if values.shape[axis] > size[axis]:
+                values = jax.lax.dynamic_slice_in_dim(
+                    jnp.asarray(values), starts[axis], size[axis], values.ndim + axis
+                )
+        return values
+
+    return _with_drawn(model, tuple({name: cut(m) for name, m in f.maps.items()} for f in model.mechanisms))
+
+
+@partial(jax.jit, static_argnames="size")
+def _draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tuple[dict[str, Array], ...]:
+    """The frozen maps of every mechanism, measured or drawn."""
+    context = context_of(model, jnp.zeros((1, *size)), Settings(*setting))
+    values = resolve(model, context)
+    return tuple(maps_of(model, i, values[i], context) for i in range(len(model.mechanisms)))
+
+
+def _with_drawn(model: SensorModel, maps: tuple[dict[str, Array], ...]) -> SensorModel:
+    kept = tuple(dataclasses.replace(f, maps=m) for f, m in zip(model.mechanisms, maps, strict=True))
+    return dataclasses.replace(model, mechanisms=kept)
+
+
+@partial(jax.jit, static_argnames="frames")
+def _sample_codes(model: SensorModel, key, clean, setting: tuple, frames: int) -> UInt16[Array, "t h w"]:
+    context = context_of(
+        model, jnp.asarray(clean, jnp.float32)[None], Settings(setting[0], setting[1], setting[2], frames)
+    )
+    values = resolve(model, context)
+    y, step = run_chain(model, key, context, values, frames)
+    return to_codes(model, key, y, step, context, values).astype(jnp.uint16)

@@ -1,0 +1,188 @@
+"""Sensor models on disk: `sensor.json` (schema cannoise/sensor/1) and, beside it, an `.npz` with maps.
+
+A parameter is a number, or {"iso": [...], "value": [...]}. A mechanism with a place of its own in the grammar
+carries it. Maps are named in the JSON file, which records the SHA-256 of the `.npz`; nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import os
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
+from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, entry_of, model_of
+from cannoise_jax.recordings.recording import BadInput
+
+SCHEMA = "cannoise/sensor/1"
+
+
+def write_sensor(path: str | Path, model: SensorModel) -> None:
+    """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically; that of the
+    model before goes where there are none now.
+
+    Raises BadInput where `path` is a folder, the `.npz` is there and not of the model at `path`, or the model
+    (changed with `dataclasses.replace`, say) holds what `read_sensor` would refuse.
+    """
+    path = Path(path)
+    maps: dict[str, Any] = {
+        f"{i}/{name}": np.asarray(values, np.float32)
+        for i, fitted in enumerate(model.mechanisms)
+        for name, values in fitted.maps.items()
+    }
+    check_place(path, bool(maps))
+    try:
+        document = sensor_document(model)
+        model_of(document, maps)
+    except (ValueError, TypeError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path}: not written, {said}: correct the model") from error
+    files: dict[Path, bytes] = {}
+    npz = path.with_suffix(".npz")
+    if maps:
+        content = io.BytesIO()
+        np.savez_compressed(content, **maps)
+        document["maps"] = {"file": npz.name, "sha256": hashlib.sha256(content.getvalue()).hexdigest()}
+        files[npz] = content.getvalue()
+    files[path] = (json.dumps(document, indent=1) + "\n").encode()
+    stale = not maps and npz.exists() and _owns(path, npz)
+    _replace(files)
+    if stale:
+        npz.unlink()
+
+
+def check_place(path: Path, maps: bool = True) -> None:
+    """Raises BadInput where `write_sensor` would not write a model, with maps or without."""
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder: name a file for the sensor model")
+    npz = path.with_suffix(".npz")
+    if maps and npz.exists() and not _owns(path, npz):
+        raise BadInput(f"{npz}: is there already and holds no maps of {path.name}: choose another name")
+
+
+def _owns(path: Path, npz: Path) -> bool:
+    """Whether the sensor model at `path` names the file as that of its maps."""
+    try:
+        return json.loads(path.read_text())["maps"]["file"] == npz.name
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _replace(files: dict[Path, bytes]) -> None:
+    """Writes all files beside their places first, so that a full disk leaves what was there as it was."""
+    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in files}
+    try:
+        for path, content in files.items():
+            temporary[path].write_bytes(content)
+        for path in files:
+            os.replace(temporary[path], path)
+    except OSError as error:
+        for path in temporary.values():
+            path.unlink(missing_ok=True)
+        name = list(files)[-1]
+        raise BadInput(f"{name}: cannot be written ({error.strerror}): choose another place") from error
+
+
+def sensor_document(model: SensorModel) -> dict[str, Any]:
+    """The model as plain JSON values; of the maps only the names."""
+    rows = zip(*map(np.asarray, (model.iso, model.gain_dn_per_e, model.read_noise_e)), strict=True)
+    return {
+        "schema": SCHEMA,
+        "camera": model.camera,
+        "cfa": model.cfa,
+        "black_level": _plain(model.black_level),
+        "white_level": _plain(model.white_level),
+        "code_step": _plain(model.code_step),
+        "baseline": [
+            {"iso": _plain(iso), "gain_dn_per_e": _plain(gain), "read_noise_e": _plain(read)}
+            for iso, gain, read in rows
+        ],
+        "mechanisms": [_mechanism(i, fitted) for i, fitted in enumerate(model.mechanisms)],
+        **_unit(model.unit_key),
+    }
+
+
+def _unit(key: jax.Array) -> dict[str, Any]:
+    """The key as whole numbers, and the name of its generator where that is not the usual one."""
+    name = str(jax.random.key_impl(key))
+    numbers = {"unit_key": np.asarray(jax.random.key_data(key)).tolist()}
+    return numbers if name == IMPLEMENTATION else {**numbers, "unit_key_impl": name}
+
+
+def _plain(value) -> Any:
+    """Numbers as float64 with the fewest digits that give the same float32."""
+    array = np.asarray(value, np.float32)
+    flat = [float(np.format_float_positional(v, unique=True)) for v in array.ravel()]
+    return flat[0] if array.ndim == 0 else flat
+
+
+def _mechanism(index: int, fitted) -> dict[str, Any]:
+    parameters = {
+        name: {"iso": _plain(v.iso), "value": _plain(v.value)} if isinstance(v, IsoTable) else _plain(v)
+        for name, v in fitted.parameters.items()
+    }
+    scaling = {
+        f.name: None if (v := getattr(fitted.scaling, f.name)) is None else _plain(v)
+        for f in dataclasses.fields(Scaling)
+    }
+    entry = {
+        "mechanism": fitted.mechanism,
+        "parameters": parameters,
+        "scaling": scaling,
+        "maps": {name: f"{index}/{name}" for name in fitted.maps},
+    }
+    if fitted.point is not None:
+        axes = dataclasses.asdict(fitted.point)
+        entry["grammar"] = {axis: list(v) if isinstance(v, tuple) else v for axis, v in axes.items()}
+    return entry
+
+
+def read_sensor(path: str | Path) -> SensorModel:
+    """The model of a `sensor.json`. Raises BadInput with one line for anything that is not one."""
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}): name a sensor.json") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path}: is not JSON ({error}): write it anew with bin/calibrate") from error
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise BadInput(f"{path}: has no schema {SCHEMA}: name a sensor.json written by bin/calibrate")
+    try:
+        return model_of(document, _read_maps(path, document))
+    except BadInput:
+        raise
+    except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path}: {said}: correct the entry, or write the file anew") from error
+
+
+def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
+    if document.get("maps") is None:
+        return {}
+    entry = entry_of(document, "maps", dict)
+    # Beside the JSON file, wherever both were moved.
+    npz = path.with_name(Path(entry_of(entry, "file", str, "maps: ")).name or path.stem)
+    try:
+        content = npz.read_bytes()
+    except OSError as error:
+        raise BadInput(f"{npz}: cannot be read ({error.strerror}): keep it beside {path.name}") from error
+    if hashlib.sha256(content).hexdigest() != entry_of(entry, "sha256", str, "maps: "):
+        raise BadInput(
+            f"{npz}: is not the file that {path.name} was written with: restore it, or calibrate anew"
+        )
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (ValueError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        raise BadInput(f"{npz}: holds no plain arrays: write it anew with bin/calibrate") from error

@@ -1,0 +1,1 @@
+"""The likelihood of stored codes under a camera model."""

@@ -1,0 +1,103 @@
+"""Dark current of one channel, from the mean and from the variance of darks of several exposures.
+
+The mean is what EMVA 1288 asks for, but many cameras subtract the dark signal of shielded pixels on the chip,
+which leaves the mean flat or falling. The shot noise of the charge cannot be subtracted, so the growth of the
+temporal variance gives the dark current all the same: slope / K^2. Where the two disagree the mean is not to
+be used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.physics.transfer.black import mean_error
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+
+RECORD = (
+    "record darks at three or more exposure times, the longest some tens of seconds, 2 frames each or more"
+)
+_HOT = 6.0  # robust standard deviations above the median of the longest dark
+_NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
+
+
+class Series(NamedTuple):
+    """Darks of one channel over exposure time: mean (e- above any constant) and temporal variance (e-^2),
+    and the errors of both."""
+
+    seconds: Float[np.ndarray, "n"]
+    mean: Float[np.ndarray, "n"]
+    mean_error: Float[np.ndarray, "n"]
+    variance: Float[np.ndarray, "n"]
+    error: Float[np.ndarray, "n"]
+
+
+def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> Series | NotMeasurable:
+    """One channel of repeated darks of known exposure, in electrons.
+
+    Pixels that clip, or that are hot in the longest dark, are left out (the rule: above the median by six
+    robust standard deviations).
+    """
+    series = sorted(
+        (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
+        key=lambda s: s.recording.exposure_s or 0.0,
+    )
+    if len({s.recording.exposure_s for s in series}) < 3:
+        return NotMeasurable(RECORD)
+    longest = site(series[-1].mean, channel)
+    middle = np.median(longest)
+    keep = longest < middle + _HOT * 1.4826 * np.median(np.abs(longest - middle))
+    for s in series:
+        keep &= ~site(s.clipped, channel)
+    rows = []
+    for s in series:
+        value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)
+        error = value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR)
+        mean = float(site(s.mean, channel)[keep].mean())
+        doubt = mean_error(s, channel) / gain
+        rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
+    return Series(*np.array(rows, np.float64).T)
+
+
+def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Estimate, bool, str]:
+    """Dark current by mean and by variance, e-/s per pixel, whether they agree, and a note that says so.
+
+    gain_error: relative standard error of the gain that made electrons of DN; the mean is divided by the
+    gain, the variance by its square.
+    """
+    even = np.ones(len(series.seconds))
+    by_mean = _slope(series.seconds, series.mean, even, series.mean_error, gain_error)
+    by_variance = _slope(series.seconds, series.variance, 1 / series.error, series.error, 2 * gain_error)
+    apart = by_mean.value - by_variance.value
+    error = float(np.hypot(by_mean.stderr, by_variance.stderr))
+    if abs(apart) < max(3 * error, 0.25 * abs(by_variance.value)):
+        return by_mean, by_variance, True, "agrees with the variance"
+    note = "disagrees with the variance: black is clamped on the chip, so the mean cannot be used"
+    if apart > 0:
+        note = "exceeds what the variance allows: light leak, or black level rising with exposure"
+    return by_mean, by_variance, False, note
+
+
+def _slope(
+    times: np.ndarray, values: np.ndarray, weight: np.ndarray, errors: np.ndarray, relative: float
+) -> Estimate:
+    """Weighted straight line; the error of its slope comes from the scatter about the line, and from the
+    relative error of the unit of the values. Few points may lie on a line by luck: against a slope of zero
+    the errors of the values count too."""
+    design = np.stack([np.ones_like(times), times], -1) * weight[:, None]
+    solve = np.linalg.pinv(design) * weight
+    offset, slope = solve @ values
+    rest = (values - offset - slope * times) * weight
+    dof = len(times) - 2
+    covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
+    line = normal_estimate(float(slope), float(np.sqrt(covariance[1, 1])), dof)
+    half = float(np.hypot(line.ci90[1] - line.value, 1.6449 * relative * line.value))
+    error = float(np.hypot(line.stderr, relative * line.value))
+    known = float(np.sqrt(np.sum((solve[1] * errors) ** 2)))
+    chance = normal_estimate(line.value, max(line.stderr, known)).by_chance
+    return Estimate(line.value, error, (line.value - half, line.value + half), chance)

@@ -1,0 +1,244 @@
+"""Charge that is not light: dark current, glow and hot pixels, from darks of known exposure."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize, special, stats
+
+from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, dark_series
+from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
+from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
+from cannoise_jax.physics.transfer.frames import FrameStatistics, site
+
+_SERIES = NotMeasurable(RECORD)
+_LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
+_GRID = 24
+
+
+def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """e_per_s, from the growth of the mean with exposure; from that of the variance where the two disagree
+    (see `transfer_dark`). Channels are averaged."""
+    if baseline is None:
+        return _SERIES
+    darks = darks_by_exposure(statistics)
+    channels = []
+    for c in range(4):
+        series = dark_series(darks, c, baseline.gain[c])
+        if isinstance(series, NotMeasurable):
+            return series
+        channels.append(series)
+    pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
+    relative = float(np.linalg.norm(np.divide(baseline.gain_stderr, baseline.gain)) / 4)
+    by_mean, by_variance, agree, _ = dark_currents(pooled, relative)
+    return {"e_per_s": by_mean if agree else by_variance}
+
+
+def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """e_per_s at the brightest point and length (in frame sides): least squares of G exp(-d/L) around a point
+    on the frame's edge, on the longest dark less the shortest, in blocks."""
+    found = _fitted_glow(statistics, baseline)
+    if found is None:
+        return _LONG
+    rate, length = float(np.exp(found.at[0])) / found.seconds, float(np.exp(found.at[1]))
+    strength = dataclasses.replace(_log_estimate(rate, found.errors[0]), chance=found.chance)
+    return {"e_per_s": strength, "length": _log_estimate(length, found.errors[1])}
+
+
+def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarray, "H W"] | None:
+    """exp(-d/L) around the point on the edge where the glow was found; None without suitable darks."""
+    found = _fitted_glow(statistics, baseline)
+    if found is None:
+        return None
+    height, width = statistics[0].recording.size
+    y0, x0 = _edge_point(found.at[2], height, width)
+    distance = np.hypot.outer(np.arange(height) - y0, np.arange(width) - x0) / max(height, width)
+    return np.exp(-distance / np.exp(found.at[1]))
+
+
+class _Glow(NamedTuple):
+    """Log peak charge, log length, place on the edge and level of a glow, their errors, the seconds it took,
+    and the chance with which an even dark shows one as good."""
+
+    at: np.ndarray
+    errors: np.ndarray
+    seconds: float
+    chance: float
+
+
+def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | None:
+    pair = _long_and_short(statistics)
+    if pair is None or baseline is None:
+        return None
+    long, short, seconds = pair
+    charge, variance = _charge_map(long, short, baseline)
+    height, width = charge.shape
+    rows, columns = (np.linspace(0, n, min(_GRID, n // 2) + 1).astype(int) for n in (height, width))
+    sums = np.add.reduceat(np.add.reduceat(charge, rows[:-1], 0), columns[:-1], 1)
+    pixels = np.outer(np.diff(rows), np.diff(columns))
+    y = 0.5 * (rows[:-1] + rows[1:] - 1)
+    x = 0.5 * (columns[:-1] + columns[1:] - 1)
+    spread = np.add.reduceat(np.add.reduceat(variance, rows[:-1], 0), columns[:-1], 1)
+    means, sigma = sums / pixels, np.sqrt(spread) / pixels
+    side = max(height, width)
+
+    def model(p: np.ndarray) -> np.ndarray:
+        y0, x0 = _edge_point(p[2], height, width)
+        distance = np.hypot.outer(y - y0, x - x0) / side
+        return p[3] + np.exp(p[0] - distance / np.exp(p[1]))
+
+    def cost(p: np.ndarray) -> np.ndarray:
+        return ((model(p) - means) / sigma).ravel()
+
+    top = np.unravel_index(np.argmax(means), means.shape)
+    peak = max(float(means[top] - np.median(means)), 1e-6)
+    starts = [
+        np.array([np.log(peak), np.log(length), around, float(np.median(means))])
+        for around in np.arange(0.05, 4, 0.2) for length in (0.1, 0.4)
+    ]  # fmt: skip
+    best = min(starts, key=lambda p: float(np.sum(cost(p) ** 2)))
+    fit = optimize.least_squares(cost, best, x_scale=[0.3, 0.3, 0.1, float(sigma.mean())])
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
+    excess = max(1.0, 2 * fit.cost / max(means.size - 4, 1))
+    even = np.sum(means / sigma**2) / np.sum(1 / sigma**2)
+    gain = (np.sum(((means - even) / sigma) ** 2) - 2 * fit.cost) / excess
+    places = 2 * sum(means.shape)  # blocks along the edge at which a glow may sit
+    chance = min(places * float(stats.chi2.sf(gain, 2)), 1.0)
+    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), seconds, chance)
+
+
+def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """e_per_s (mean over the hot pixels) and fraction: maximum likelihood of a mixture of healthy pixels and
+    hot ones with exponential heights, on the longest dark less the shortest.
+
+    The spread of the healthy ones, fixed pattern included, is taken from the quartiles. Of pixels that are
+    full it is known that they are hot, and at least as much as fills them.
+    """
+    pair = _long_and_short(statistics)
+    if pair is None or baseline is None:
+        return _LONG
+    long, short, seconds = pair
+    charge, sigma = _above_healthy(long, short, baseline)
+    values = charge[~long.clipped].ravel()
+    values = values[values > -8 * sigma]
+    tail = values[values > 6 * sigma]
+    full = charge[long.clipped & (long.mean > long.recording.white_level / 2)]
+    ceiling = float(np.median(full)) if full.size else 0.0
+    if len(tail) < 10:
+        return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
+
+    def negative(p: np.ndarray) -> float:
+        fraction, mean = special.expit(p[0]), np.exp(p[1])
+        healthy = np.exp(-0.5 * (values / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma
+        hot = 0.5 / mean * _exponential_tail(values, sigma, mean)
+        seen = float(np.sum(np.log((1 - fraction) * healthy + fraction * hot + 1e-300)))
+        return -seen - full.size * (np.log(fraction + 1e-300) - ceiling / mean)
+
+    share = (len(tail) + full.size) / (len(values) + full.size)
+    start = np.array([special.logit(min(1.2 * share, 0.4)), np.log(np.r_[tail, full].mean())])
+    fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
+    errors = np.sqrt(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.05, 0.05])))))
+    fraction = float(special.expit(fit.x[0]))
+    ends = special.expit(fit.x[0] + 1.6449 * errors[0] * np.array([-1, 1]))
+    return {
+        "e_per_s": _log_estimate(float(np.exp(fit.x[1])) / seconds, float(errors[1])),
+        "fraction": Estimate(
+            fraction, float(errors[0]) * fraction * (1 - fraction), (float(ends[0]), float(ends[1]))
+        ),
+    }
+
+
+def hot_map(
+    statistics: Sequence[FrameStatistics], baseline, e_per_s: float, fraction: float
+) -> Float[np.ndarray, "H W"] | None:
+    """Heights, in units of their mean, of the pixels that are more likely hot than healthy; 0 elsewhere."""
+    pair = _long_and_short(statistics)
+    if pair is None or baseline is None:
+        return None
+    long, short, seconds = pair
+    charge, sigma = _above_healthy(long, short, baseline)
+    mean = e_per_s * seconds
+    healthy = np.exp(-0.5 * np.minimum((charge / sigma) ** 2, 700)) / np.sqrt(2 * np.pi) / sigma
+    hot = 0.5 / mean * _exponential_tail(charge, sigma, mean)
+    likely = (fraction * hot > (1 - fraction) * healthy) & (charge > 0)
+    return np.where(likely, charge / mean, 0.0)
+
+
+def _above_healthy(
+    long: FrameStatistics, short: FrameStatistics | None, baseline
+) -> tuple[Float[np.ndarray, "H W"], float]:
+    """Charge above the median pixel, e-, and the spread of the healthy pixels, from the quartiles."""
+    charge, _ = _charge_map(long, short, baseline)
+    low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
+    return charge - middle, float(high - low) / 1.349
+
+
+def hessian(
+    function: Callable[[np.ndarray], float], at: np.ndarray, step: np.ndarray
+) -> Float[np.ndarray, "n n"]:
+    """Second derivatives by central differences."""
+    count = len(at)
+    out = np.empty((count, count))
+    unit = np.diag(step)
+    for i in range(count):
+        for j in range(i, count):
+            corners = [
+                a * b * function(at + a * unit[i] + b * unit[j]) for a in (1, -1) for b in (1, -1)
+            ]  # fmt: skip
+            out[i, j] = out[j, i] = sum(corners) / (4 * step[i] * step[j])
+    return out
+
+
+def _log_estimate(value: float, error: float) -> Estimate:
+    """A positive value whose logarithm has a Gaussian error; its ends stay within float64."""
+    low, high = np.exp(np.clip(np.log(max(value, 1e-300)) + 1.6449 * error * np.array([-1, 1]), -700, 700))
+    return Estimate(value, value * float(error), (float(low), float(high)))
+
+
+def _exponential_tail(x: np.ndarray, sigma: float, mean: float) -> np.ndarray:
+    """2 mean times the density of an exponential of a given mean plus a Gaussian, without overflow."""
+    argument = (sigma / mean - x / sigma) / np.sqrt(2)
+    safe = np.maximum(argument, -25.0)
+    bulk = np.exp(-0.5 * (x / sigma) ** 2) * special.erfcx(safe)
+    return np.where(argument > -25.0, bulk, 2 * np.exp(0.5 * (sigma / mean) ** 2 - x / mean))
+
+
+def _long_and_short(
+    statistics: Sequence[FrameStatistics],
+) -> tuple[FrameStatistics, FrameStatistics | None, float] | None:
+    """The longest dark, one of at most a tenth of its exposure if there is one, and the seconds between."""
+    darks = darks_by_exposure(statistics)
+    if not darks:
+        return None
+    long, short = darks[-1], darks[0]
+    long_s, short_s = long.recording.exposure_s or 0.0, short.recording.exposure_s or 0.0
+    if long_s <= 0:
+        return None
+    return (long, short, long_s - short_s) if short_s <= 0.1 * long_s else (long, None, long_s)
+
+
+def _charge_map(
+    long: FrameStatistics, short: FrameStatistics | None, baseline
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """Electrons that the long dark has more than the short one (or than black), and their variance."""
+    charge, variance = np.empty(long.mean.shape), np.zeros(long.mean.shape)
+    for c in range(4):
+        base = baseline.black_level[c] if short is None else site(short.mean, c)
+        site(charge, c)[...] = (site(long.mean, c) - base) / baseline.gain[c]
+        for s in (long,) if short is None else (long, short):
+            noise = baseline.read_noise[c] ** 2 if s.variance is None else site(s.variance, c)
+            site(variance, c)[...] += noise / baseline.gain[c] ** 2 / s.recording.count
+    return charge, variance
+
+
+def _edge_point(around: float, height: int, width: int) -> tuple[float, float]:
+    """The point on the frame's edge at `around` in [0, 4): top, right, bottom, left."""
+    side, share = int(np.floor(around)) % 4, around - np.floor(around)
+    down, across = share * (height - 1), share * (width - 1)
+    return [(0.0, across), (down, width - 1.0), (height - 1.0, width - 1 - across), (height - 1 - down, 0.0)][
+        side
+    ]

@@ -1,0 +1,242 @@
+"""What the light does from frame to frame and row to row, and how the mean follows it: from flats, and from
+recordings that come with a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.physics.core.mosaic_ops import shifted
+from cannoise_jax.physics.transfer.black import black_at, mean_error
+from cannoise_jax.physics.transfer.estimate import (
+    Estimate,
+    Estimates,
+    NotMeasurable,
+    normal_estimate,
+    root,
+    variance_difference,
+)
+from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
+from cannoise_jax.physics.transfer.estimators.pick import (
+    REPEATED_FLATS,
+    brightest_flat,
+)
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.recordings.recording import Recording
+
+_LEVELS = NotMeasurable("record flats of one steady light at three or more exposure times up to saturation")
+_HIGHEST = 0.48  # cycles per row: at 0.5 sine and cosine are one
+_REFERENCE = NotMeasurable("record repeated frames of a scene together with an independent reference")
+
+
+def illumination_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma: relative drift of the light, from the variance of frame means less what rows leave in them."""
+    flat = brightest_flat(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    rows = relative_rows(flat)
+    frames = rows.mean(1)
+    square, dof = temporal_mean_square(rows)
+    drift = variance_difference(frames.var(ddof=1), len(frames) - 1, square / rows.shape[1], dof)
+    return {"sigma": root(drift)}
+
+
+def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """amplitude (peak, fraction of the signal) and frequency (cycles per row) of the strongest sinusoid along
+    the rows of a flat, its phase free in every frame: least squares on a constant, sine and cosine."""
+    flat = brightest_flat(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    rows = relative_rows(flat)
+    rest = rows - rows.mean(0)
+    frames, height = rest.shape
+    grid = np.arange(2, int(_HIGHEST * 8 * height)) / (8 * height)
+    power = np.array([_explained(rest, f) for f in grid])
+    frequency, step = float(grid[np.argmax(power)]), 1 / (8 * height)
+    for _ in range(5):
+        near = np.clip(frequency + step * np.linspace(-1, 1, 9), 0.2 / height, _HIGHEST)
+        frequency, step = float(near[np.argmax([_explained(rest, f) for f in near])]), step / 4
+    total = float(np.sum((rest - rest.mean(1, keepdims=True)) ** 2))
+    # Per frame: a constant and two amplitudes fitted to `height` rows; the averages cost one frame.
+    noise = max(total - _explained(rest, frequency), 0.0) / ((frames - 1) * (height - 3))
+    waves = _waves(height, frequency)
+    coefficients = (rows - rows.mean()) @ np.linalg.pinv(waves - waves.mean(0)).T
+    amplitude, stderr = circle(coefficients[:, 0] + 1j * coefficients[:, 1], np.sqrt(2 * noise / height))
+    bound = np.sqrt(24 * noise / (max(amplitude, stderr) ** 2 * height**3 * (frames - 1))) / (2 * np.pi)
+    found = normal_estimate(amplitude, stderr)
+    chance = of_largest(_explained(rest, frequency) / (2 * noise), frames - 1, height)
+    return {
+        "amplitude": Estimate(found.value, found.stderr, found.ci90, chance),
+        "frequency": normal_estimate(frequency, float(bound)),
+    }
+
+
+def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """loss: share of the signal missing at the white level, from the means of flats whose relative exposure
+    is known (exposure time of one light, or their references).
+
+    Every flat is taken above the black level at its own exposure (`transfer_black`), whose error all share.
+    """
+    flats = [s for s in statistics if s.recording.kind == "flat" and _exposure(s.recording) is not None]
+    if len({_exposure(s.recording) for s in flats}) < 3:
+        return _LEVELS
+    darks = [black_at(statistics, s.recording.exposure_s, s.recording.temperature_c) for s in flats]
+    for found in darks:
+        if not found.certain:
+            return NotMeasurable(f"black level {found.note}, or darks of three exposures")
+    white = flats[0].recording.white_level
+    values, weights = [], []
+    for c in range(4):
+        black, doubt = (np.array([v[c] for v in part]) for part in zip(*(d[:2] for d in darks), strict=True))
+        light = np.array([_exposure(s.recording) for s in flats], np.float64)
+        signal = np.array([s.frame_means[:, c].mean() for s in flats]) - black
+        error = np.array([mean_error(s, c) for s in flats])
+        use = signal < 0.95 * (white - black)
+        if use.sum() < 3:
+            continue
+        # signal = g x - a x^2 with loss = a (W - b) / g^2.
+        light, signal = light[use] / light[use].max(), signal[use]
+        design = np.stack([light, -(light**2)], -1)
+        precision = np.linalg.inv(np.diag(error[use] ** 2) + np.outer(doubt[use], doubt[use]))
+        covariance = np.linalg.inv(design.T @ precision @ design)
+        g, a = covariance @ (design.T @ precision @ signal)
+        span = white - float(black[use].mean())
+        slope = np.array([-2 * a / g**3, 1 / g**2]) * span
+        values.append(a / g**2 * span)
+        weights.append(1 / float(slope @ covariance @ slope))
+    if not values:
+        return _LEVELS
+    weight = np.array(weights)
+    return {
+        "loss": normal_estimate(float(np.sum(weight * values) / weight.sum()), float(weight.sum() ** -0.5))
+    }
+
+
+def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """full_well_e: mean level of flats whose noise has collapsed below half the shot noise, over the gain."""
+    if baseline is None:
+        return _LEVELS
+    found = []
+    for s in statistics:
+        for c in range(4) if s.recording.kind == "flat" and s.variance is not None else ():
+            signal = s.frame_means[:, c].mean() - baseline.black_level[c]
+            noise = float(pixel_variance(s, c).mean()) - baseline.read_noise[c] ** 2
+            if noise < 0.25 * baseline.gain[c] * signal and np.isnan(s.high[c]):
+                pixels = site(s.mean, c).size * s.recording.count
+                error = np.sqrt(float(pixel_variance(s, c).mean()) / pixels + s.code_step**2 / 12 / pixels)
+                found.append((signal / baseline.gain[c], error / baseline.gain[c]))
+    if not found:
+        return NotMeasurable("no flat is bright enough to fill the pixels: record one that saturates")
+    weight = 1 / np.square([e for _, e in found])
+    value = float(np.sum(weight * [v for v, _ in found]) / weight.sum())
+    return {"full_well_e": normal_estimate(value, float(weight.sum() ** -0.5))}
+
+
+def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn, blur, shift_y, shift_x and scale of a reference: regression of (average frame - reference) on
+    the reference, its high-pass and its gradients; what is left beyond temporal noise is sigma_dn."""
+    scenes = [s for s in statistics if s.recording.kind == "scene" and s.recording.clean is not None]
+    paired = [s for s in scenes if s.recording.clean is not None and s.recording.clean.ndim == 2]
+    repeated = [s for s in paired if s.variance is not None]
+    if not repeated:
+        return _REFERENCE
+    s = max(repeated, key=lambda s: s.recording.count)
+    recording = s.recording
+    black = recording.black_map().astype(np.float64)
+    reference = np.asarray(recording.clean, np.float64) * (recording.white_level - black)
+    inner = np.zeros(reference.shape, bool)
+    inner[3:-3, 3:-3] = True
+    inner &= ~s.clipped
+    assert s.variance is not None
+    target = (s.mean - black)[inner]
+    noise = s.variance[inner] / recording.count
+    found = dict.fromkeys(("scale", "blur", "shift_y", "shift_x"), 0.0)
+    for _ in range(4):  # Gauss and Newton: blur, shift and scale act on each other
+        expected, slopes = _referred(reference, **found)
+        names = [n for n, t in slopes.items() if np.std(t[inner]) > 1e-9 * max(np.abs(reference).max(), 1)]
+        if not names:
+            return _REFERENCE  # a reference without any structure shows no error of it
+        design = np.stack([slopes[n][inner] for n in names], -1)
+        rest = target - expected[inner]
+        move, *_ = np.linalg.lstsq(design, rest, rcond=None)
+        for name, by in zip(names, move, strict=True):
+            found[name] += float(by)
+    rest = rest - design @ move
+    dof = rest.size - len(names)
+    square = float(rest @ rest) / dof
+    inverse = np.linalg.inv(design.T @ design)
+    spread = inverse @ (design.T * rest**2) @ design @ inverse  # sandwich: pixels differ in noise
+    out = {
+        n: normal_estimate(found[n], float(np.sqrt(v))) for n, v in zip(names, np.diag(spread), strict=True)
+    }
+    return {
+        "sigma_dn": root(variance_difference(square, dof, float(noise.mean()), noise.size * s.dof)),
+        **out,
+    }
+
+
+def _referred(reference: Float[np.ndarray, "H W"], scale: float, blur: float, shift_y: float, shift_x: float):
+    """The true mean that belongs to a reference with these errors, and its slope by each of them, DN."""
+
+    def along(x: np.ndarray, step: float, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        # Between pixels two of one colour mix: the slope is that towards the side it comes from, and at rest
+        # that of both.
+        sides = [
+            _nearest(x, [(2, 0) if axis == 0 else (0, 2)]),
+            _nearest(x, [(-2, 0) if axis == 0 else (0, -2)]),
+        ]
+        if step == 0:
+            return x, (sides[0] - sides[1]) / 4
+        slope = (sides[0] - x if step > 0 else x - sides[1]) / 2
+        return x + step * slope, slope
+
+    detail = reference - _nearest(reference, [(2, 0), (-2, 0), (0, 2), (0, -2)])
+    down, slope_y = along(reference + blur * detail, shift_y, 0)
+    moved, slope_x = along(down, shift_x, 1)
+    moved_detail = along(along(detail, shift_y, 0)[0], shift_x, 1)[0]
+    gain = 1 + scale
+    return gain * moved, {
+        "scale": moved,
+        "blur": gain * moved_detail,
+        "shift_y": gain * along(slope_y, shift_x, 1)[0],
+        "shift_x": gain * slope_x,
+    }
+
+
+def relative_rows(s: FrameStatistics) -> Float[np.ndarray, "T H"]:
+    """Row means over the mean of their channel above black, both colours of a row averaged."""
+    black = np.asarray(s.recording.black_level)
+    level = s.frame_means.mean(0) - black
+    out = np.empty(s.row_means.shape[:2])
+    for parity in (0, 1):
+        c = 2 * parity
+        rows = s.row_means[:, parity::2]
+        out[:, parity::2] = np.mean([(rows[..., p] - black[c + p]) / level[c + p] for p in (0, 1)], 0)
+    return out
+
+
+def _explained(rest: Float[np.ndarray, "T n"], frequency: float) -> float:
+    """Sum of squares that a sinusoid of free phase in every row explains beyond a constant."""
+    waves = _waves(rest.shape[1], frequency)
+    wave, _ = np.linalg.qr(waves - waves.mean(0))
+    return float(np.sum((rest @ wave) ** 2))
+
+
+def _waves(count: int, frequency: float) -> Float[np.ndarray, "n 2"]:
+    at = 2 * np.pi * frequency * (np.arange(count) - (count - 1) / 2)
+    return np.stack([np.cos(at), np.sin(at)], -1)
+
+
+def _exposure(recording: Recording) -> float | None:
+    """Relative amount of light: the mean of the reference if there is one, else the exposure time."""
+    if recording.clean is not None:
+        return float(np.mean(recording.clean))
+    return recording.exposure_s
+
+
+def _nearest(x: Float[np.ndarray, "H W"], steps: Sequence[tuple[int, int]]) -> Float[np.ndarray, "H W"]:
+    """Mean of x at the given steps (dy, dx)."""
+    return np.mean([shifted(x, *step) for step in steps], axis=0)  # type: ignore[arg-type]

@@ -1,0 +1,155 @@
+"""Offsets that whole rows, columns and frames share: temporal and fixed, from repeated darks.
+
+Row means of frame t hold: fixed row pattern + temporal row noise + (pixel noise)/W. Their mean square over
+frames gives the temporal part, that of their average over frames the fixed part, each less what the smaller
+structures leave in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.physics.transfer.estimate import (
+    Estimates,
+    heavy_dof,
+    root,
+    variance_difference,
+)
+from cannoise_jax.physics.transfer.estimators.pick import (
+    REPEATED_DARKS,
+    column_offsets,
+    darkest,
+    mean_variance,
+    pooled_variance,
+    row_offsets,
+    steady_pixels,
+)
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.spatial import correlation_loss, temporal_mean_square
+
+_MOST_ROWS = 8  # read together
+
+
+def row_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of temporal row noise: mean square of row means over frames less the pixels' share. Rows that
+    are read together count once, see `row_groups`."""
+    return _temporal(statistics, axis=0)
+
+
+def row_groups(dark: FrameStatistics) -> tuple[int, int] | None:
+    """Rows that are read together, as (how many, how many of the first lie before the frame); None: each by
+    itself.
+
+    Next rows of one group are then nearly the same, those of two groups not alike at all; the arrangement
+    that parts the two best is taken, where it parts them by six standard errors.
+    """
+    rest = row_offsets(dark)
+    rest = rest - rest.mean(0)
+    frames, height = rest.shape
+    if frames < 2 or height < 16:
+        return None
+    alike = (rest[:, 1:] * rest[:, :-1]).mean(0) / np.mean(rest**2)  # of a row and the next
+    best, found = 0.0, None
+    for count in range(2, _MOST_ROWS + 1):
+        for phase in range(count):
+            within = (np.arange(height - 1) + phase) % count != count - 1
+            inside, across = alike[within].mean(), alike[~within].mean()
+            error = np.sqrt((1 / within.sum() + 1 / (~within).sum()) / (frames - 1))
+            parted = inside - across
+            if parted > max(best, 6 * error) and inside > 0.5 and abs(across) < max(0.25 * inside, 3 * error):
+                best, found = parted, (count, phase)
+    return found
+
+
+def column_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of temporal column noise."""
+    return _temporal(statistics, axis=1)
+
+
+def row_fpn(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of the fixed row pattern."""
+    return _fixed(statistics, axis=0)
+
+
+def column_fpn(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of the fixed column pattern."""
+    return _fixed(statistics, axis=1)
+
+
+def offset_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of the frame offsets: variance of frame means less what rows (and pixels) leave in them."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    frames = dark.frame_means.mean(1)
+    rows, dof = temporal_mean_square(dark.row_means.mean(-1))
+    # Correlated rows average out more slowly: their mean keeps (1 + 2 sum rho) times the white share.
+    share = rows * _long_run(row_offsets(dark)) / dark.recording.size[0]
+    drift = variance_difference(frames.var(ddof=1), len(frames) - 1, share, dof)
+    return {"sigma_dn": root(drift)}
+
+
+def columns_apart(dark: FrameStatistics) -> bool:
+    """Whether even and odd columns of a row have row offsets of their own: both as strong, and not alike."""
+    rest = dark.row_means - dark.row_means.mean(0)
+    rest = rest - rest.mean(1, keepdims=True)
+    frames, height, _ = rest.shape
+    even, odd = rest[..., 0], rest[..., 1]
+    alike = float(np.mean(even * odd) / np.sqrt(np.mean(even**2) * np.mean(odd**2)))
+    variance, _ = mean_variance(dark)
+    white = 2 * variance / dark.recording.size[1]
+    shares = [float(np.mean(r**2)) * frames / (frames - 1) / white for r in (even, odd)]
+    return min(shares) > 2 and max(shares) < 2 * min(shares) and abs(alike) < max(0.1, 3 / np.sqrt(rest.size))
+
+
+def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
+    square, dof = temporal_mean_square(means)
+    groups = row_groups(dark) if axis == 0 else None
+    if groups is not None:  # the likeness that thins them out is not that of a stationary sequence
+        dof = min(dof, (len(means) - 1) * (means.shape[1] // groups[0]))
+    pixel, pixel_dof = mean_variance(dark)
+    white = pixel / dark.recording.size[1 - axis]
+    return {"sigma_dn": root(variance_difference(square, dof, white, pixel_dof))}
+
+
+def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    offsets = row_offsets(dark) if axis == 0 else column_offsets(dark)
+    frames, count = offsets.shape
+    temporal, dof = temporal_mean_square(offsets)
+    # The pixels' own fixed pattern also leaves something in the average of a line.
+    keep = steady_pixels(dark)
+    lines = dark.mean.mean(1 - axis, keepdims=True)
+    rest = np.where(keep, dark.mean - lines, 0.0)
+    for c in range(4):
+        part = rest[c // 2 :: 2, c % 2 :: 2]
+        part -= part.mean()
+    pixel, _ = pooled_variance(dark)
+    frozen = max(float(np.mean(rest**2)) - pixel / frames, 0.0) / dark.recording.size[1 - axis]
+    average = offsets.mean(0)
+    square = average.var(ddof=1)
+    fixed_dof = max(heavy_dof(average, count - 1) / correlation_loss(average[None]), 2.0)
+    return {"sigma_dn": root(variance_difference(square, fixed_dof, temporal / frames + frozen, dof))}
+
+
+def _long_run(rest: Float[np.ndarray, "T n"], lags: int = 16) -> float:
+    """1 + 2 sum of autocorrelations along a line, at least one tenth; insignificant lags do not count."""
+    rest = rest - rest.mean(0)
+    power = np.mean(rest**2)
+    if power <= 0:
+        return 1.0
+    total = 1.0
+    for lag in range(1, min(lags, rest.shape[1] // 4) + 1):
+        rho = float(np.mean(rest[:, :-lag] * rest[:, lag:]) / power)
+        if abs(rho) > 4 / np.sqrt(rest[:, lag:].size):
+            total += 2 * rho
+    return max(total, 0.1)

@@ -1,0 +1,233 @@
+"""What differs from pixel to pixel: fixed offsets, sensitivities and read noise, from repeated frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.physics.transfer.estimate import (
+    Estimate,
+    Estimates,
+    heavy_dof,
+    normal_estimate,
+    root,
+    variance_difference,
+)
+from cannoise_jax.physics.transfer.estimators.pick import (
+    REPEATED_DARKS,
+    REPEATED_FLATS,
+    brightest_flat,
+    darkest,
+    pooled_variance,
+    steady_pixels,
+)
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site, steady_frames
+from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
+
+_HOT = 6.0
+
+
+class Pattern(NamedTuple):
+    """A fixed pattern by pixels and columns.
+
+    pixels: with channel, row and column means taken out. columns: means per row parity. keep: which pixels
+    count. noise: temporal variance that the average of frames still holds. smooth: degree of the shading
+    taken out.
+    """
+
+    pixels: Float[np.ndarray, "H W"]
+    columns: Float[np.ndarray, "2 W"]
+    keep: Bool[np.ndarray, "H W"]
+    noise: float
+    noise_dof: float
+    smooth: int = 0
+
+
+def offset_pattern(dark: FrameStatistics) -> Pattern:
+    """The fixed offsets of a dark, DN. Pixels more than six robust standard deviations out do not count: they
+    are hot, and have a mechanism of their own."""
+    variance, dof = pooled_variance(dark)
+    keep = steady_pixels(dark)
+    offsets, _ = _split(dark.mean, keep)
+    keep &= np.abs(offsets) < _HOT * 1.4826 * float(np.median(np.abs(offsets[keep])))
+    pixels, columns = _split(dark.mean, keep)
+    return Pattern(pixels, columns, keep, variance / dark.recording.count, dof)
+
+
+def response_pattern(flat: FrameStatistics) -> Pattern:
+    """The fixed relative sensitivities of a flat; smooth shading is taken out."""
+    relative = np.empty(flat.mean.shape)
+    keep = steady_pixels(flat)
+    noise, dof = 0.0, 0.0
+    for c in range(4):
+        level = flat.level[c]
+        gains = (site(flat.mean, c) - flat.recording.black_level[c]) / level
+        site(relative, c)[...] = gains - shading(gains)
+        variance = pixel_variance(flat, c)[site(keep, c)]
+        noise += float(variance.mean()) / level**2 / 4
+        dof += variance.size * flat.dof
+    pixels, columns = _split(relative, keep)
+    return Pattern(pixels, columns, keep, noise / flat.recording.count, dof, SHADING_DEGREE)
+
+
+def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn of the pixels' fixed offsets, row and column patterns apart."""
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    return {"sigma_dn": root(_pixel_part(offset_pattern(dark)))}
+
+
+def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma of the pixels' relative sensitivity, from a flat; the fixed offsets of the dark, where there is
+    one, are taken out of it."""
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    offsets = 0.0
+    if dark is not None:
+        offsets = _pixel_part(offset_pattern(dark)).value * float(np.mean(1 / np.square(flat.level)))
+    return {"sigma": root(_pixel_part(response_pattern(flat), max(offsets, 0.0)))}
+
+
+def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma of the columns' relative gain, from a flat: variance of column means less the pixels' share."""
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    if flat is None:
+        return REPEATED_FLATS
+    offsets = 0.0
+    if dark is not None:
+        offsets = _column_part(offset_pattern(dark)).value / float(np.mean(flat.level)) ** 2
+    return {"sigma": root(_column_part(response_pattern(flat), max(offsets, 0.0)))}
+
+
+def pixel_read_noise_map(
+    statistics: Sequence[FrameStatistics], baseline=None, without: Bool[np.ndarray, "H W"] | None = None
+) -> Estimates:
+    """spread (std over mean) of the pixels' read noise, from what the log variances of two halves of the
+    frames have in common: cov(ln v1, ln v2) = 4 w^2 for log-normal read noise, whatever the shape of the
+    noise, for the halves share nothing but the pixel.
+
+    without: pixels to leave out, as those that are known for telegraph pixels.
+    """
+    dark = darkest(statistics)
+    if dark is None or dark.recording.count < 4:
+        return REPEATED_DARKS
+    rounding = dark.code_step**2 / 12
+    halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
+    products, means = [], []
+    for c in range(4):
+        keep = ~site(dark.clipped if without is None else dark.clipped | without, c)
+        logs = [site(v, c)[keep] - site(v, c)[keep].mean() for v in halves]
+        # Every way to halve the frames measures the same; their mean is a little surer than one alone.
+        products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))
+        means.append(float(pixel_variance(dark, c)[keep].mean()))
+    values = np.concatenate(products)
+    square = normal_estimate(float(values.mean()), float(values.std() / np.sqrt(values.size)))
+    width = root(square.scaled(0.25))
+    row, mean = 1 / (dark.recording.size[1] // 2), float(np.mean(means))
+    own = max((mean - rounding) / (1 - row), 0.1 * mean)
+    # Rounding, and the row mean taken out, add the same to the variances of all pixels.
+    shared = (row * own + rounding) / (1 - 2 * row) / own
+    grid = np.linspace(0.0, 2.0, 401)
+    seen = _narrowed(grid, shared)
+    rising = slice(0, int(np.argmax(seen)) + 1)  # beyond, most pixels have no more than what is shared
+    grid, seen = grid[rising], seen[rising]
+    spread = np.sqrt(np.expm1(grid**2))
+    value, low, high = (float(np.interp(w, seen, spread)) for w in (width.value, *width.ci90))
+    slope = float(np.interp(width.value, seen, np.gradient(spread, seen)))
+    return {"spread": Estimate(value, width.stderr * slope, (low, high), width.chance)}
+
+
+_POINTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(80)
+
+
+def _narrowed(widths: Float[np.ndarray, "n"], shared: float) -> Float[np.ndarray, "n"]:
+    """Half the standard deviation of ln(v + shared) over pixels of log-normal read noise: v has mean 1, ln v
+    the standard deviation 2 width."""
+    weights = _WEIGHTS / _WEIGHTS.sum()
+    logs = np.log(np.exp(2 * widths[:, None] * (_POINTS - widths[:, None])) + shared)
+    return np.sqrt((logs - (logs @ weights)[:, None]) ** 2 @ weights) / 2
+
+
+def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
+    """Temporal variance of every pixel in one half of the frames and in the other, for the three ways to make
+    halves of four groups of frames that take turns, one after the other."""
+    counts, sums, squares = np.zeros(4), [], []
+    for at, frame in enumerate(steady_frames(dark)):
+        values = frame - dark.mean  # shifted, so that sums of squares do not cancel
+        if at < 4:
+            sums.append(values)
+            squares.append(values**2)
+        else:
+            sums[at % 4] += values
+            squares[at % 4] += values**2
+        counts[at % 4] += 1
+    out = []
+    for pair in ((0, 1), (2, 3), (0, 2), (1, 3), (0, 3), (1, 2)):
+        count = sum(counts[k] for k in pair)
+        mean = sum(sums[k] for k in pair) / count
+        out.append((sum(squares[k] for k in pair) / count - mean**2) * count / (count - 1))
+    return out
+
+
+def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma: half of the relative difference of the two greens, that beside red less that beside blue."""
+    flat = brightest_flat(statistics)
+    greens = [] if flat is None else green_sites(flat.recording.cfa)
+    if flat is None or not greens:
+        return REPEATED_FLATS
+    first, second = greens
+    # Lamp drift hits both greens alike, so the difference of logs is taken frame by frame.
+    black = np.asarray(flat.recording.black_level)
+    levels = flat.frame_means - black
+    logs = np.log(levels[:, first] / levels[:, second])
+    spread = 0.0
+    for c in (first, second):
+        gains = (site(flat.mean, c) - black[c]) / flat.level[c]
+        spread += float(np.var(gains - shading(gains))) / gains.size
+    return {"sigma": normal_estimate(float(np.tanh(logs.mean() / 2)), float(np.sqrt(spread)) / 2)}
+
+
+def green_sites(cfa: str) -> list[int]:
+    """Mosaic sites of the green beside red and of the green beside blue; none for a monochrome sensor."""
+    return {"RGGB": [1, 2], "BGGR": [2, 1], "GRBG": [0, 3], "GBRG": [3, 0]}.get(cfa, [])
+
+
+def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels without channel, row and column means, and column means per row parity, channel means out."""
+    pixels = np.where(keep, values, 0.0)
+    columns = np.zeros((2, values.shape[1]))
+    for c in range(4):
+        part, inside = site(pixels, c), site(keep, c)
+        counts = [np.maximum(inside.sum(axis, keepdims=True), 1) for axis in (0, 1)]
+        part -= np.where(inside, part.sum() / max(inside.sum(), 1), 0.0)
+        column = part.sum(0, keepdims=True) / counts[0]
+        row = part.sum(1, keepdims=True) / counts[1]
+        columns[c // 2, c % 2 :: 2] = column[0]
+        part -= np.where(inside, row + column, 0.0)
+    return pixels, columns
+
+
+def _pixel_part(pattern: Pattern, other: float = 0.0) -> Estimate:
+    """Variance of the pixels' own fixed pattern; other: known variance that is no part of it."""
+    height, width = pattern.pixels.shape
+    inside = pattern.pixels[pattern.keep]
+    count = inside.size - 2 * (height + width) + 4
+    square = float(np.sum(inside**2)) / count
+    return variance_difference(square, heavy_dof(inside, count), pattern.noise + other, pattern.noise_dof)
+
+
+def _column_part(pattern: Pattern, other: float = 0.0) -> Estimate:
+    """Variance of the fixed pattern of columns, both row parities of a column together; other: as above."""
+    means = pattern.columns.mean(0)
+    height, width = pattern.pixels.shape
+    inside = pattern.pixels[pattern.keep]
+    share = float(np.sum(inside**2)) / (inside.size - 2 * (height + width) + 4) / height
+    # Channel means, and the smooth shading of a flat, have been taken out of both sets of columns.
+    count = width - 2 * (pattern.smooth + 1)
+    dof = max(heavy_dof(means, count) / correlation_loss(means[None]), 2.0)
+    return variance_difference(float(np.sum(means**2)) / count, dof, share + other, inside.size)

@@ -1,0 +1,212 @@
+"""Size and shape of the noise of single pixels: errors of a baseline, heavy tails, telegraph pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize, special
+
+from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate, root
+from cannoise_jax.physics.transfer.estimators.charge import hessian
+from cannoise_jax.physics.transfer.estimators.pick import REPEATED_DARKS, darkest, steady_pixels
+from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.photon_transfer import channel_lines
+from cannoise_jax.recordings.codes import code_histograms
+from cannoise_jax.recordings.metadata import chunks
+
+_ASSUMED = NotMeasurable("give the baseline that is assumed: shot and read coefficients of the recording")
+_FEWEST = 100.0  # counts of a class of codes in the tails
+
+
+def gain_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """error: system gain by photon transfer over the assumed one, minus one; channels weighted."""
+    if baseline is None:
+        return _ASSUMED
+    lines = channel_lines(statistics)
+    found = [
+        line.slope.scaled(1 / g)
+        for line, g in zip(lines, baseline.gain, strict=True)
+        if hasattr(line, "slope")
+    ]
+    if not found:
+        return next(line for line in lines if isinstance(line, NotMeasurable))
+    return {"error": _weighted(found).shifted(-1.0)}
+
+
+def read_noise_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """error: temporal dark noise of the pixels over the assumed one, minus one."""
+    dark = darkest(statistics)
+    if baseline is None or dark is None:
+        return _ASSUMED if baseline is None else REPEATED_DARKS
+    found = []
+    for c in range(4):
+        variance = pixel_variance(dark, c)
+        square, keep = robust_mean_square(variance, dark.dof)
+        stderr = float(variance[keep].std() / np.sqrt(keep.sum()))
+        sigma = root(normal_estimate(square - dark.code_step**2 / 12, stderr))
+        found.append(sigma.scaled(1 / baseline.read_noise[c]))
+    return {"error": _weighted(found).shifted(-1.0)}
+
+
+def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """tukey_lambda: maximum likelihood of the histograms of codes in the dark, discretised to the code step;
+    centre and width of every channel are fitted along.
+
+    Telegraph pixels and a spread of read noise over the pixels make the same histogram: a lambda below 0.135
+    only means heavy tails where those are absent.
+    """
+    dark = darkest(statistics)
+    if dark is None:
+        return REPEATED_DARKS
+    step = dark.code_step if dark.code_step > 0 else 1.0
+    histograms = np.zeros((4, 1 << 16), np.int64)
+    for part in chunks(dark.recording.frames):
+        histograms += code_histograms(part)
+    found = []
+    for histogram in histograms:
+        edges, counts = _classes(histogram, step)
+        if len(counts) < 5:
+            return NotMeasurable("the noise spans too few codes: record darks at a higher gain")
+        found.append(_tail_shape(edges, counts))
+    return {"tukey_lambda": _weighted(found)}
+
+
+def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """jump_dn, fraction and rate: maximum likelihood of two-state Markov chains in Gaussian noise, mixed with
+    quiet pixels; the level of every pixel is that of its channel."""
+    dark = darkest(statistics)
+    if dark is None or dark.recording.count < 8:
+        return NotMeasurable("record at least 8 frames with the cap on, better 100")
+    series, sigma = standardised(dark)
+    spread = series.std(0)
+    loud = spread > 2.0
+    if loud.sum() < 10:
+        return NotMeasurable("fewer than ten pixels jump visibly: record more darks, or a larger frame")
+    jump = float(2 * np.median(spread[loud]))
+    start = np.array([np.log(jump), special.logit(min(2 * loud.mean(), 0.4)), special.logit(0.2)])
+
+    def negative(p: np.ndarray) -> float:
+        return -_telegraph_loglik(
+            series, float(np.exp(p[0])), float(special.expit(p[1])), float(special.expit(p[2]))
+        )
+
+    fit = optimize.minimize(
+        negative, start, method="Nelder-Mead", options={"xatol": 2e-4, "fatol": 2e-3, "maxfev": 250}
+    )
+    errors = np.sqrt(np.abs(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.03, 0.05, 0.05]))))))
+    sides = np.array([-1.6449, 0.0, 1.6449])
+    jumps = np.exp(fit.x[0] + errors[0] * sides) * sigma
+    shares = [special.expit(fit.x[k] + errors[k] * sides) for k in (1, 2)]
+    return {
+        "jump_dn": Estimate(float(jumps[1]), float(jumps[1] * errors[0]), (float(jumps[0]), float(jumps[2]))),
+        **{
+            name: Estimate(float(v[1]), float(e * v[1] * (1 - v[1])), (float(v[0]), float(v[2])))
+            for name, v, e in zip(("fraction", "rate"), shares, errors[1:], strict=True)
+        },
+    }
+
+
+def telegraph_sites(
+    dark: FrameStatistics, jump_dn: float, fraction: float, rate: float
+) -> Float[np.ndarray, "H W"]:
+    """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0."""
+    series, sigma = standardised(dark)
+    odds = telegraph_odds(series, jump_dn / sigma, rate) + np.log(fraction) - np.log1p(-fraction)
+    sites = np.zeros(dark.mean.shape)
+    for c, part in enumerate(np.split(odds > 0, 4)):
+        site(sites, c)[...] = part.reshape(site(sites, c).shape)
+    return sites
+
+
+def _weighted(found: list[Estimate]) -> Estimate:
+    weight = np.array([1 / max(f.stderr, 1e-12) ** 2 for f in found])
+    value = float(np.sum(weight * [f.value for f in found]) / weight.sum())
+    return normal_estimate(value, float(weight.sum() ** -0.5))
+
+
+def _classes(histogram: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Inner edges between classes of codes, DN, and counts; codes in the tails are joined to 100 counts."""
+    codes = np.flatnonzero(histogram)
+    lattice = np.arange(codes[0], codes[-1] + 1, int(step))
+    counts = histogram[lattice].astype(np.float64)
+    low = int(np.searchsorted(np.cumsum(counts), _FEWEST))
+    high = len(counts) - 1 - int(np.searchsorted(np.cumsum(counts[::-1]), _FEWEST))
+    joined = np.concatenate([[counts[: low + 1].sum()], counts[low + 1 : high], [counts[high:].sum()]])
+    return lattice[low:high] + step / 2, joined
+
+
+def _tail_shape(edges: Float[np.ndarray, "n-1"], counts: Float[np.ndarray, "n"]) -> Estimate:
+    """Tukey's lambda of a histogram with two open ends, by scoring steps on (centre, log width, lambda)."""
+    total = counts.sum()
+    share = np.cumsum(counts)[:-1] / total
+    centre = float(np.interp(0.5, share, edges))
+    width = float(np.interp(0.84, share, edges) - np.interp(0.16, share, edges)) / 2
+    at = np.array([centre, np.log(max(width, 1e-3)), 0.05])
+    steps = np.array([1e-3 * width, 1e-3, 1e-3])
+
+    def chances(p: np.ndarray) -> np.ndarray:
+        shape = float(np.clip(p[2], -0.45, 0.9))
+        scale = np.exp(p[1]) / float(np.sqrt(tukey_lambda.variance(shape)))
+        cumulative = special.tklmbda((edges - p[0]) / scale, shape)
+        return np.maximum(np.diff(np.concatenate([[0.0], cumulative, [1.0]])), 1e-12)
+
+    information = np.eye(3)
+    for _ in range(25):
+        model = chances(at)
+        slope = np.stack([(chances(at + d) - chances(at - d)) / (2 * d.sum()) for d in np.diag(steps)], -1)
+        information = total * (slope / model[:, None]).T @ slope
+        move = np.linalg.solve(information, slope.T @ (counts / model))
+        move *= min(1.0, 0.3 / max(abs(move[1]), abs(move[2]), 1e-12))
+        at = at + move
+        at[2] = np.clip(at[2], -0.45, 0.9)
+        if np.all(np.abs(move) < 1e-2 * steps):
+            break
+    return normal_estimate(float(at[2]), float(np.sqrt(np.linalg.inv(information)[2, 2])))
+
+
+def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float]:
+    """Pixels over frames less their channel's level, in units of the quiet pixels' noise, and that noise."""
+    squares = [robust_mean_square(pixel_variance(dark, c), dark.dof)[0] for c in range(4)]
+    keep = steady_pixels(dark)
+    levels = [float(site(dark.mean, c)[site(keep, c)].mean()) for c in range(4)]
+    middle = np.median([np.median(pixel_variance(dark, c)) for c in range(4)])
+    sigma = float(np.sqrt(min(np.mean(squares), middle / _median_share(dark.dof))))
+    frames = np.concatenate([part.astype(np.float64) for part in chunks(dark.recording.frames)])
+    columns = []
+    for c in range(4):
+        values = site(frames, c) - levels[c]
+        # Rows are levelled by their quiet pixels alone, for a jump would move the mean of its row.
+        quiet = np.sqrt(pixel_variance(dark, c)) < 2 * sigma
+        rows = np.sum(values * quiet, -1) / np.maximum(quiet.sum(-1), 1)
+        columns.append((values - (rows - rows.mean(0))[..., None]).reshape(len(frames), -1))
+    return np.concatenate(columns, 1) / sigma, sigma
+
+
+def _median_share(dof: float) -> float:
+    return float(special.gammaincinv(dof / 2, 0.5) * 2 / dof)
+
+
+def _telegraph_loglik(series: Float[np.ndarray, "T n"], jump: float, fraction: float, rate: float) -> float:
+    """Log-likelihood of pixels that are telegraph signals of +-jump/2 with chance `fraction`, else quiet, all
+    with unit noise, up to a constant (each frame's exp(-x^2/2))."""
+    odds = telegraph_odds(series, jump, rate)
+    return float(np.sum(np.logaddexp(np.log1p(-fraction), np.log(fraction) + odds)))
+
+
+def telegraph_odds(series: Float[np.ndarray, "T n"], jump: float, rate: float) -> Float[np.ndarray, "n"]:
+    """Log-likelihood of each pixel as a telegraph signal less that as a quiet one; forward recursion."""
+    half = jump / 2
+    up, down = np.full(series.shape[1], 0.5), np.full(series.shape[1], 0.5)
+    loglik = np.zeros(series.shape[1])
+    for x in series:
+        lean = np.clip(half * x, -300, 300)
+        up, down = up * np.exp(lean), down * np.exp(-lean)
+        total = up + down
+        loglik += np.log(total) - half**2 / 2
+        up, down = up / total, down / total
+        up, down = up + rate * (down - up), down + rate * (up - down)
+    return loglik

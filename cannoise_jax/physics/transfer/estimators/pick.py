@@ -1,0 +1,75 @@
+"""Which recordings an estimator looks at, and what it says when they are not there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+
+REPEATED_DARKS = NotMeasurable("record at least 2 frames with the cap on, better 16")
+REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady light, better 16")
+
+
+def darkest(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
+    """The repeated darks with the most frames; among equals the shortest exposure."""
+    darks = [
+        s for s in statistics if s.recording.kind in ("dark", "bias") and s.variance is not None
+    ]  # fmt: skip
+    return min(darks, key=lambda s: (-s.recording.count, s.recording.exposure_s or 0.0), default=None)
+
+
+def darks_by_exposure(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
+    """Darks of known exposure, shortest first."""
+    darks = [
+        s for s in statistics if s.recording.kind in ("dark", "bias") and s.recording.exposure_s is not None
+    ]
+    return sorted(darks, key=lambda s: s.recording.exposure_s or 0.0)
+
+
+def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
+    """The brightest repeated flat of which hardly a pixel is clipped."""
+    flats = [
+        s for s in statistics
+        if s.recording.kind == "flat" and s.variance is not None and s.clipped.mean() < 1e-3
+    ]  # fmt: skip
+    return max(flats, key=lambda s: float(np.mean(s.level)), default=None)
+
+
+def steady_pixels(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
+    """Pixels that pass the rule for outliers of `transfer_fit` and never touched a rail."""
+    keep = np.zeros(s.mean.shape, bool)
+    for c in range(4):
+        _, inside = robust_mean_square(pixel_variance(s, c), s.dof)
+        site(keep, c)[...] = inside & ~site(s.clipped, c)
+    return keep
+
+
+def pooled_variance(s: FrameStatistics) -> tuple[float, float]:
+    """Temporal pixel variance over all channels by the rule for outliers, DN^2, and degrees of freedom."""
+    found = [robust_mean_square(pixel_variance(s, c), s.dof) for c in range(4)]
+    return float(np.mean([f[0] for f in found])), float(sum(f[1].sum() for f in found) * s.dof)
+
+
+def mean_variance(s: FrameStatistics) -> tuple[float, float]:
+    """Temporal pixel variance, the mean over all pixels, loud ones included, DN^2, and the degrees of freedom
+    that its scatter is worth: what the noise of pixels leaves in means of rows and columns."""
+    values = np.concatenate([pixel_variance(s, c).ravel() for c in range(4)])
+    mean = float(values.mean())
+    return mean, 2 * mean**2 * values.size / max(float(values.var()), 1e-12)
+
+
+def row_offsets(s: FrameStatistics) -> Float[np.ndarray, "T H"]:
+    """Mean of every row of every frame above the frame's mean, DN, both colours of the row together."""
+    means = s.row_means.mean(-1)
+    return means - means.mean(1, keepdims=True)
+
+
+def column_offsets(s: FrameStatistics) -> Float[np.ndarray, "T W"]:
+    """Mean of every column of every frame above the frame's mean, DN."""
+    means = s.column_means.mean(1)
+    return means - means.mean(1, keepdims=True)

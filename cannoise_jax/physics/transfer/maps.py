@@ -1,0 +1,268 @@
+"""The fixed patterns of one camera unit, as its recordings show them.
+
+An average of frames holds the pattern and the noise that is left. Of what is seen, each pixel (or row, or
+column) keeps the share w = pattern / (pattern + noise) of the variances, its mean value given the recordings
+(James and Stein), so that a map is no picture of noise. What the recordings leave open, the share 1 - w of
+the pattern's variance, is drawn from the unit's key, so that the pattern has the strength that was measured.
+Hot and telegraph pixels are those that are more likely so than not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import special, stats
+
+from cannoise_jax.physics.core.chain import mechanism_key
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
+from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimators import charge, noise
+from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
+from cannoise_jax.physics.transfer.estimators.pick import (
+    brightest_flat,
+    column_offsets,
+    darkest,
+    row_offsets,
+    steady_pixels,
+)
+from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+
+Statistics = Sequence[FrameStatistics]
+_SPREAD_CHARGE = ("dark_current", "amp_glow")
+_DARK_CHARGE = (*_SPREAD_CHARGE, "hot_pixels")
+"""Mechanisms that add dark charge: to all pixels, whose noise it is too; or to few, which the read noise
+leaves out."""
+
+
+class Seen(NamedTuple):
+    """What a map is made of: recordings, the baseline that was measured on them, standard normal numbers of a
+    shape from the unit's key, and the mechanisms before it in the chain with their maps, by id."""
+
+    statistics: Statistics
+    baseline: Baseline
+    draw: Callable[[tuple[int, ...]], np.ndarray]
+    known: dict[str, Fitted]
+
+
+def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Baseline) -> SensorModel:
+    """The model with the maps of the unit that was recorded, where its mechanisms have any and the recordings
+    show them; the others stay as they are drawn from the unit's key."""
+    kept: list[Fitted] = []
+    for i, fitted in enumerate(model.mechanisms):
+        key = mechanism_key(model.unit_key, model, i)
+
+        def draw(shape: tuple[int, ...], key=key) -> np.ndarray:
+            return np.asarray(sample_normal(key, shape), np.float64)
+
+        measure = _MEASURED.get(fitted.mechanism)
+        seen = Seen(statistics, baseline, draw, {f.mechanism: f for f in kept})
+        maps = measure(fitted.parameters, seen) if measure else {}
+        stored = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
+        kept.append(dataclasses.replace(fitted, maps=stored))
+    return dataclasses.replace(model, mechanisms=tuple(kept))
+
+
+def without_charge(model: SensorModel, exposures: Sequence[float], size: tuple[int, int]) -> SensorModel:
+    """The model with a black level and a read noise that leave out the dark charge of the darks they were
+    measured on, which its mechanisms add. exposures: of that dark at every ISO of the baseline, seconds.
+    """
+    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
+    read2, black = np.asarray(read, np.float64) ** 2, np.asarray(model.black_level, np.float64)
+    for n, seconds in enumerate(exposures):
+        spread = _charge(model, _SPREAD_CHARGE, n, seconds, size)
+        read2[n] = np.maximum(read2[n] - gain[n] * spread, 0.01 * read2[n])
+    black = black - _charge(model, _DARK_CHARGE, 0, exposures[0], size)
+    return dataclasses.replace(
+        model,
+        black_level=black.astype(np.float32),
+        read_noise_e=(np.sqrt(read2) / gain).astype(np.float32),
+    )
+
+
+def _charge(
+    model: SensorModel, some: tuple[str, ...], n: int, seconds: float, size: tuple[int, int]
+) -> Float[np.ndarray, "4"]:
+    """Mean of what some mechanisms add in a dark at the n-th ISO, DN per mosaic site."""
+    bare = dataclasses.replace(model, mechanisms=tuple(f for f in model.mechanisms if f.mechanism in some))
+    at = Settings(float(np.asarray(model.iso)[n]), seconds)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a dark outside the range of its own calibration is no news
+        mean = np.asarray(bare.expected(jnp.zeros(size), at), np.float64)
+    return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - np.asarray(model.black_level)
+
+
+def without_repetition(model: SensorModel, statistics: Statistics) -> SensorModel:
+    """The model with a baseline that leaves out what its mechanisms add or take away; dark charge:
+    `without_charge`.
+
+    Photon transfer measures the baseline on frames that show all mechanisms. Crosstalk and in-camera
+    denoising have lowered the slope of the variance, the second also the read noise; telegraph pixels that
+    the rule for outliers keeps have raised the read noise. What was found in electrons stays the same in DN.
+    """
+    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
+    for fitted in model.mechanisms:
+        if fitted.mechanism in ("crosstalk", "in_camera_denoising"):
+            share = next(iter(fitted.parameters.values()))
+            kept = (1 - share) ** 2 + share**2 / 4  # of the variance of white noise
+            gain = gain / kept
+            read = read if fitted.mechanism == "crosstalk" else read / np.sqrt(kept)
+        dark = darkest(statistics)
+        if fitted.mechanism == "rts" and fitted.maps and dark is not None:
+            quiet, keep = np.asarray(fitted.maps["sites"])[0] == 0, steady_pixels(dark)
+            for c in range(4):
+                variance, inside = pixel_variance(dark, c), site(keep, c)
+                alone = float(variance[inside & site(quiet, c)].mean() / variance[inside].mean())
+                read[:, c] = read[:, c] * np.sqrt(min(alone, 1.0))
+    grown = float(np.mean(gain / model.gain_dn_per_e))
+    return dataclasses.replace(
+        model,
+        gain_dn_per_e=gain.astype(np.float32),
+        read_noise_e=(read / gain).astype(np.float32),
+        mechanisms=tuple(_in_electrons(fitted, 1 / grown) for fitted in model.mechanisms),
+    )
+
+
+def _in_electrons(fitted: Fitted, factor: float) -> Fitted:
+    """The mechanism with its parameters in electrons multiplied."""
+    named = {p.name for p in fitted.record.parameters if p.unit.startswith("e-")}
+    changed = {name: v * factor if name in named else v for name, v in fitted.parameters.items()}
+    return dataclasses.replace(fitted, parameters=changed)
+
+
+def shrunk(shown: np.ndarray, sigma: float, noise_variance: float, rest: np.ndarray) -> np.ndarray:
+    """A pattern in units of its rms `sigma`: the seen one shrunk by its noise, filled up with standard normal
+    numbers `rest`."""
+    share = sigma**2 / (sigma**2 + noise_variance)
+    return share * shown / sigma + np.sqrt(1 - share) * rest
+
+
+def _dsnu(values, seen: Seen):
+    dark = darkest(seen.statistics)
+    if dark is None:
+        return {}
+    found = offset_pattern(dark)
+    rest = seen.draw(found.pixels.shape)
+    field = shrunk(found.pixels, values["sigma_dn"], found.noise, rest)
+    # Of a pixel far out nothing is noise, and of a hot one everything is its heat.
+    out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
+    far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(found.noise)
+    field = np.where(found.keep, field, np.where(far, out, rest))
+    hot = seen.known.get("hot_pixels")
+    return {
+        "field": np.where(np.asarray(hot.maps["heat"])[0] > 0, 0.0, field)[None]
+        if hot and hot.maps
+        else field[None]
+    }
+
+
+def _prnu(values, seen: Seen):
+    flat, dark = brightest_flat(seen.statistics), darkest(seen.statistics)
+    if flat is None:
+        return {}
+    found, offsets = response_pattern(flat), np.zeros(flat.mean.shape)
+    if dark is not None:
+        offsets = offset_pattern(dark).pixels / float(np.mean(flat.level))
+    rest = seen.draw(found.pixels.shape)
+    field = shrunk(found.pixels - offsets, values["sigma"], found.noise, rest)
+    return {"field": np.where(found.keep, field, rest)[None]}
+
+
+def _column_gain(values, seen: Seen):
+    flat = brightest_flat(seen.statistics)
+    if flat is None:
+        return {}
+    found = response_pattern(flat)
+    height, width = found.pixels.shape
+    share = float(np.mean(found.pixels[found.keep] ** 2)) / height
+    field = shrunk(found.columns.mean(0), values["sigma"], share, seen.draw((width,)))
+    return {"field": field[None, None]}
+
+
+def _lines(offsets: Float[np.ndarray, "T n"], sigma: float, draw) -> np.ndarray:
+    temporal, _ = temporal_mean_square(offsets)
+    return shrunk(offsets.mean(0), sigma, temporal / len(offsets), draw(offsets.shape[1:]))
+
+
+def _row_fpn(values, seen: Seen):
+    dark = darkest(seen.statistics)
+    return (
+        {}
+        if dark is None
+        else {"field": _lines(row_offsets(dark), values["sigma_dn"], seen.draw)[None, :, None]}
+    )
+
+
+def _column_fpn(values, seen: Seen):
+    dark = darkest(seen.statistics)
+    if dark is None:
+        return {}
+    return {"field": _lines(column_offsets(dark), values["sigma_dn"], seen.draw)[None, None]}
+
+
+def _read_noise_map(values, seen: Seen):
+    dark = darkest(seen.statistics)
+    if dark is None:
+        return {}
+    # Log-normal read noise of unit mean square: the variances have logs of rms 2 w, w^2 = ln(1 + spread^2).
+    width, half = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2))), dark.dof / 2
+    telegraph, ratio, jumps = seen.known.get("rts"), np.empty(dark.mean.shape), np.zeros(dark.mean.shape)
+    if telegraph is not None and telegraph.maps:
+        jumps = np.asarray(telegraph.maps["sites"])[0] * telegraph.parameters["jump_dn"] ** 2 / 4
+    for c in range(4):
+        square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
+        rounding = dark.code_step**2 / 12
+        site(ratio, c)[...] = (pixel_variance(dark, c) - site(jumps, c) - rounding) / (square - rounding)
+    ratio = np.maximum(ratio, 0.05)
+    logs = np.log(ratio) - (special.digamma(half) - np.log(half)) + width**2 / 2
+    unit = shrunk(logs, width, float(special.polygamma(1, half)), seen.draw(logs.shape))
+    factor = np.where(jumps > 0, 1.0, np.exp(width / 2 * unit - width**2 / 4))
+    return {"factor": np.where(_loud(ratio * np.exp(-2 * width), dark.dof), np.sqrt(ratio), factor)[None]}
+
+
+def _loud(ratio: np.ndarray, dof: float) -> np.ndarray:
+    """Whether a variance over the usual one is more likely of a loud pixel (any factor up to a hundred,
+    evenly in its logarithm) than chance; the share of loud pixels from what lies beyond one chance in
+    10^4."""
+    share = float(np.mean(ratio > stats.chi2.isf(1e-4, dof) / dof))
+    chance = stats.chi2.logpdf(ratio * dof, dof) + np.log(dof)
+    loud = np.log(max(share, 1e-9)) - np.log(ratio * np.log(100.0))
+    return (ratio > 1.0) & (loud > chance)
+
+
+def _hot_pixels(values, seen: Seen):
+    found = charge.hot_map(seen.statistics, seen.baseline, values["e_per_s"], values["fraction"])
+    return {} if found is None else {"heat": found[None]}
+
+
+def _glow(values, seen: Seen):
+    found = charge.glow_map(seen.statistics, seen.baseline)
+    return {} if found is None else {"glow": found[None]}
+
+
+def _telegraph(values, seen: Seen):
+    dark = darkest(seen.statistics)
+    if dark is None:
+        return {}
+    return {"sites": noise.telegraph_sites(dark, **values)[None]}
+
+
+_MEASURED = {
+    "dsnu": _dsnu,
+    "prnu": _prnu,
+    "column_gain": _column_gain,
+    "row_fpn": _row_fpn,
+    "column_fpn": _column_fpn,
+    "pixel_read_noise_map": _read_noise_map,
+    "hot_pixels": _hot_pixels,
+    "amp_glow": _glow,
+    "rts": _telegraph,
+}

@@ -1,0 +1,254 @@
+"""The lines of the photon transfer table, one channel at a time: noise, patterns, dark current, saturation.
+
+Definitions follow EMVA 1288 release 4.0; `transfer` puts the lines together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cannoise_jax.physics.transfer.black import DARK_KINDS, Black
+from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
+from cannoise_jax.physics.transfer.estimate import (
+    Estimate,
+    NotMeasurable,
+    Outcome,
+    normal_estimate,
+    root,
+    scatter_estimate,
+    variance_difference,
+)
+from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.spatial import (
+    Split,
+    TemporalParts,
+    shading,
+    spatial_split,
+    temporal_mean_square,
+    total_of,
+)
+from cannoise_jax.recordings.recording import PerChannel
+
+_UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden
+
+RECORD_FLATS = "record at least 2 frames of an even, steady light, best at several levels up to saturation"
+RECORD_DARKS = "record at least 2 frames with the cap on, at the exposure time of the flats"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One cell of the table: what was measured and the outcome. channel: of `channel_names`, or all."""
+
+    name: str
+    unit: str
+    channel: str
+    outcome: Outcome
+    note: str = ""
+
+
+def noise_quantities(
+    name: str, c: int, line: Line | NotMeasurable, lit: list, dark: FrameStatistics | None, step: float,
+    black: Black,
+) -> list[Quantity]:  # fmt: skip
+    """Black level, gain, and temporal noise in the dark."""
+    out: list[Quantity] = []
+    if dark is not None:
+        level = scatter_estimate(dark.frame_means[:, c])
+        if black.level[c] != level.value:
+            level = normal_estimate(black.level[c], black.error[c])
+        out.append(Quantity("black level", "DN", name, level, black.note))
+    if isinstance(line, NotMeasurable):
+        out += [Quantity("system gain", "DN/e-", name, line), Quantity("inverse gain", "e-/DN", name, line)]
+    else:
+        inverse = Estimate(
+            1 / line.slope.value, line.slope.stderr / line.slope.value**2,
+            (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
+        )  # fmt: skip
+        dropped = f"{100 * line.dropped:.2f} % of pixels set aside"
+        out.append(Quantity("system gain", "DN/e-", name, line.slope, dropped))
+        out.append(Quantity("inverse gain", "e-/DN", name, inverse))
+    sigma = _read_noise(line, dark, step, c)
+    out.append(Quantity("temporal dark noise", "DN", name, sigma, "pixels; row noise taken out"))
+    out.append(Quantity("temporal dark noise", "e-", name, _in_electrons(sigma, line)))
+    if dark is not None and dark.total is not None:
+        total, _ = robust_mean_square(site(dark.total, c), dark.recording.count - 1.0)
+        pixel, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
+        count = site(dark.total, c).size * (dark.recording.count - 1)
+        value = float(np.sqrt(max(total - step**2 / 12, 0)))
+        error = 0.5 * np.sqrt(2 / count) * total / max(value, 1e-9)
+        error = float(
+            np.hypot(
+                error,
+                np.sqrt(2 / dark.row_means[1:, :, 0].size) * max(total - pixel, 0) / max(value, 1e-9) / 2,
+            )
+        )
+        with_rows = normal_estimate(value, error)
+        out.append(Quantity("temporal dark noise, rows included", "DN", name, with_rows))
+        out.append(Quantity("temporal dark noise, rows included", "e-", name, _in_electrons(with_rows, line)))
+    return out
+
+
+def _read_noise(
+    line: Line | NotMeasurable, dark: FrameStatistics | None, step: float, c: int
+) -> Estimate | NotMeasurable:
+    """Temporal dark noise in DN: the line's offset, or from darks alone when there is no line."""
+    if isinstance(line, Line) and line.offset.ci90[0] > 0:
+        return root(line.offset)
+    if dark is None or dark.variance is None:
+        return NotMeasurable(RECORD_DARKS)
+    if np.isfinite(dark.low[c]) and float(np.mean(site(dark.clipped, c))) > 0.01:
+        return NotMeasurable("darks are cut off at black: raise the camera's offset and record darks again")
+    variance = pixel_variance(dark, c)
+    square, keep = robust_mean_square(variance, dark.dof)
+    stderr = float(variance[keep].std() / np.sqrt(keep.sum()))
+    return root(normal_estimate(square - step**2 / 12, stderr))
+
+
+def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
+    if isinstance(value, NotMeasurable):
+        return value
+    if isinstance(line, NotMeasurable):
+        return line
+    gain = line.slope
+    ratio = value.value / gain.value
+    error = float(np.hypot(value.stderr / gain.value, ratio * gain.stderr / gain.value))
+    sides = [
+        np.hypot((end - value.value) / gain.value, ratio * 1.6449 * gain.stderr / gain.value)
+        for end in value.ci90
+    ]
+    return Estimate(ratio, error, (max(ratio - float(sides[0]), 0.0), ratio + float(sides[1])))
+
+
+def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> TemporalParts:
+    """Temporal variances of one channel of a repeated recording, for `spatial_split`. relative: of the
+    signal, each frame divided by its mean above black, instead of DN."""
+    rows = s.row_means[:, c // 2 :: 2, c % 2]
+    columns = s.column_means[:, c // 2, c % 2 :: 2]
+    square, keep = robust_mean_square(pixel_variance(s, c), s.dof)
+    if relative:
+        black = s.recording.black_level[c]
+        level = s.frame_means[:, c] - black
+        rows, columns = ((v - black) / level[:, None] for v in (rows, columns))
+        square /= float(1 / np.mean(1 / level)) ** 2
+    row, row_dof = temporal_mean_square(rows)
+    column, column_dof = temporal_mean_square(columns)
+    return TemporalParts(square, keep.sum() * s.dof, row, row_dof, column, column_dof, s.recording.count)
+
+
+def _dark_split(dark: FrameStatistics, c: int) -> Split:
+    _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
+    return spatial_split(site(dark.mean, c), keep & ~site(dark.clipped, c), temporal_parts(dark, c))
+
+
+def pattern_quantities(
+    name: str, c: int, line: Line | NotMeasurable, flats: list[FrameStatistics], dark: FrameStatistics | None,
+    black: PerChannel,
+) -> list[Quantity]:  # fmt: skip
+    """DSNU1288 and PRNU1288, whole and by rows, columns and pixels."""
+    out: list[Quantity] = []
+    split = None
+    parts = ("total", "row", "column", "pixel")
+    titles = {p: f"{{}}1288{'' if p == 'total' else f', {p}s'}" for p in parts}
+    for part in parts:
+        title = titles[part].format("DSNU")
+        if dark is None:
+            out.append(Quantity(title, "DN", name, NotMeasurable(RECORD_DARKS)))
+            continue
+        split = split or _dark_split(dark, c)
+        sigma = root(getattr(split, part))
+        out.append(Quantity(title, "DN", name, sigma))
+        if part == "total":
+            out.append(Quantity(title, "e-", name, _in_electrons(sigma, line)))
+    repeated = [s for s in flats if s.relative and s.variance is not None]
+    # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
+    flat = min(
+        repeated, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
+    )
+    for part in parts:
+        title = titles[part].format("PRNU")
+        if flat is None:
+            out.append(Quantity(title, "%", name, NotMeasurable(RECORD_FLATS)))
+        else:
+            outcome, note = _prnu(flat, split, c, part, black)
+            out.append(Quantity(title, "%", name, outcome, note if part == "total" else ""))
+    return out
+
+
+def _prnu(
+    flat: FrameStatistics, dark: Split | None, c: int, part: str, black: PerChannel
+) -> tuple[Outcome, str]:
+    parts = temporal_parts(flat, c, relative=True)
+    level = flat.frame_means[:, c].mean() - black[c]
+    unsteady = np.sqrt(parts.row_mean) > _UNSTEADY
+    if unsteady and part == "row":
+        return NotMeasurable(
+            "the light flickers between rows: use direct-current light, or whole mains periods"
+        ), ""
+    gains = (site(flat.mean, c) - black[c]) / level
+    gains = gains - shading(gains)
+    if unsteady:
+        gains = gains - gains.mean(1, keepdims=True)
+    _, keep = robust_mean_square(
+        pixel_variance(flat, c) / np.maximum(site(flat.mean, c) - black[c], 1), flat.dof
+    )
+    split = spatial_split(gains, keep & ~site(flat.clipped, c), parts)
+    found: Estimate = getattr(split, part)
+    if unsteady and part == "total":
+        found = total_of(split.column, split.pixel)
+    if dark is not None:
+        offset: Estimate = getattr(dark, part)
+        found = found.shifted(-max(offset.value, 0.0) / level**2)
+    note = f"at {level:.0f} DN, shading taken out" + (
+        "; rows left out: the light flickers" if unsteady else ""
+    )
+    return root(found).scaled(100.0), note
+
+
+def dark_current_quantities(
+    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics]
+) -> list[Quantity]:
+    """Dark current by both ways."""
+    darks = [s for s in statistics if s.recording.kind in DARK_KINDS]
+    names = ("dark current, by mean", "dark current, by variance")
+    series = line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
+    if isinstance(series, NotMeasurable):
+        return [Quantity(title, "e-/s", name, series) for title in names]
+    assert isinstance(line, Line)
+    by_mean, by_variance, _, note = dark_currents(series, line.slope.stderr / line.slope.value)
+    return [
+        Quantity(names[0], "e-/s", name, by_mean, note),
+        Quantity(names[1], "e-/s", name, by_variance),
+    ]
+
+
+def saturation_quantities(
+    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics], black: PerChannel
+) -> list[Quantity]:
+    """The level at which codes pile up, above black."""
+    tops = [s.high[c] for s in statistics if np.isfinite(s.high[c])]
+    if not tops:
+        missing = NotMeasurable("no pixel reached its end: record a flat that saturates")
+        return [Quantity("saturation", unit, name, missing) for unit in ("DN", "e-")]
+    value = max(tops) - black[c]
+    step = max([s.code_step for s in statistics], default=1.0)
+    outcome = Estimate(value, step / np.sqrt(12), (value - step / 2, value + step / 2))
+    note = f"codes pile up at {max(tops):.0f} DN"
+    return [
+        Quantity("saturation", "DN", name, outcome, note),
+        Quantity("saturation", "e-", name, _in_electrons(outcome, line)),
+    ]
+
+
+def line_noise_quantity(title: str, dark: FrameStatistics | None, axis: int) -> Quantity:
+    """Temporal noise that whole rows (axis 0) or columns (axis 1) share."""
+    if dark is None or dark.variance is None:
+        return Quantity(title, "DN", "all", NotMeasurable(RECORD_DARKS))
+    means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
+    square, dof = temporal_mean_square(means)
+    white = float(dark.variance.mean()) / dark.recording.size[1 - axis]
+    white_dof = dark.variance.size * dark.dof
+    return Quantity(title, "DN", "all", root(variance_difference(square, dof, white, white_dof)))

@@ -1,0 +1,76 @@
+"""Photon transfer as a plain-text table: a line per quantity, a column per channel, intervals in brackets."""
+
+from __future__ import annotations
+
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
+from cannoise_jax.physics.transfer.quantities import Quantity
+from cannoise_jax.physics.transfer.shape import dark_lines, lamp_notes
+
+
+def format_transfer(result: PhotonTransfer) -> str:
+    """The table of one ISO setting. Intervals are 90 %."""
+    setting = "" if result.iso is None else f", ISO {result.iso:g}"
+    names = channel_names(result.cfa)
+    lines = [["", "unit", *names]]
+    notes: list[str] = []
+    missing: dict[str, list[str]] = {}
+    for name, unit in dict.fromkeys((q.name, q.unit) for q in result.quantities):
+        group = [q for q in result.quantities if (q.name, q.unit) == (name, unit)]
+        cells = _cells(group, names)
+        reasons = {q.outcome.record for q in group if isinstance(q.outcome, NotMeasurable)}
+        if any(isinstance(q.outcome, Estimate) for q in group):
+            lines.append([name, unit, *cells])
+        for reason in sorted(reasons):
+            missing.setdefault(reason, []).append(f"{name} ({unit})" if len(reasons) > 1 else name)
+        notes += [f"{name}: {note}" for note in _notes(group)]
+    table = aligned(lines)
+    out = [f"{result.camera}{setting}: photon transfer (EMVA 1288 definitions), 90 % intervals", "", *table]
+    darks = dark_lines(result.statistics)
+    if darks:
+        out += ["", "Darks over exposure, DN, all channels:", *aligned(darks)]
+    notes += lamp_notes(result.statistics)
+    if notes:
+        out += ["", *dict.fromkeys(notes)]
+    if missing:
+        out += ["", "Not measurable:"]
+        out += [f"  {'; '.join(dict.fromkeys(names_))}: {reason}" for reason, names_ in missing.items()]
+    return "\n".join(out)
+
+
+def format_outcome(outcome: Outcome) -> str:
+    """`value [low, high]` with as many digits as the interval is worth, or `not measurable`."""
+    if isinstance(outcome, NotMeasurable):
+        return "not measurable"
+    width = outcome.ci90[1] - outcome.ci90[0]
+    digits = 0
+    while digits < 7 and width > 0 and 10**-digits > width / 8:
+        digits += 1
+    value, low, high = (f"{v:.{digits}f}" for v in (outcome.value, *outcome.ci90))
+    return f"{value} [{low}, {high}]" if width > 0 else f"{outcome.value:g}"
+
+
+def _cells(group: list[Quantity], names: tuple[str, ...]) -> list[str]:
+    whole = [q for q in group if q.channel == "all"]
+    if whole:
+        return [format_outcome(whole[0].outcome)]
+    by_channel = {q.channel: q for q in group}
+    return [format_outcome(by_channel[n].outcome) if n in by_channel else "" for n in names]
+
+
+def _notes(group: list[Quantity]) -> list[str]:
+    notes = {q.channel: q.note for q in group if q.note}
+    if len(set(notes.values())) == 1 and len(notes) > 1:
+        return [next(iter(notes.values()))]
+    return ["; ".join(note if c == "all" else f"{c} {note}" for c, note in notes.items())] if notes else []
+
+
+def aligned(lines: list[list[str]]) -> list[str]:
+    """Cells padded to columns."""
+    count = max(len(line) for line in lines)
+    # A line with one value for all channels does not widen the first channel's column.
+    widths = [max(len(line[i]) for line in lines if len(line) == count or i < 2) for i in range(count)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=False)).rstrip()
+        for line in lines
+    ]
