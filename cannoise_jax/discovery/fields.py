@@ -155,8 +155,8 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
             if chosen.any():
                 values = f.contrasts[:, chosen]
                 limit = 5 * max(1.0, float(np.median(np.abs(values))))
-                # Of noise far below a step a pixel that changes by a code is no outlier.
-                limit = max(limit, f.step * float(np.median(f.weight[chosen])))
+                # Of noise far below a step a pixel that changes by a code or two is no outlier.
+                limit = max(limit, 2 * f.step * float(np.median(f.weight[chosen])))
                 power = np.mean(values[np.abs(values) < limit] ** 2)
                 if power > 1e-6:  # less is what rounding leaves of a channel that never moves
                     factor[channel == c] = 1 / np.sqrt(power)

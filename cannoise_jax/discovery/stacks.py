@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.fields import channel_index, contrast_matrix, least_squares, site
+from cannoise_jax.discovery.smooth import beyond
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 MOST_FRAMES = 16
@@ -198,7 +199,8 @@ def plane_blur(image: np.ndarray) -> np.ndarray:
 
 
 def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
-    """Mean of a flat (a surface of degree 4 per channel) or of a dark (a constant per channel), DN."""
+    """Mean of a flat (a surface per channel, of degree 4 or as the light needs, see `smooth`) or of a dark (a
+    constant per channel), DN."""
     mean, size = stacked.mean, stacked.mean.shape
     channel = channel_index(size)
     out = np.zeros(size, np.float32)
@@ -215,7 +217,10 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
             beta = least_squares(basis[kept], values[kept])
             rest = values - np.einsum("nk,k->n", basis, beta)
             kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
-        out[chosen] = np.einsum("nk,k->n", basis, beta)
+        fitted = np.einsum("nk,k->n", basis, beta)
+        at = site(c)
+        out[chosen] = fitted
+        out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
     return out
 
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.discovery.fields import Fields, helmert
 from cannoise_jax.discovery.statistics.lines import (
     LEVELS,
     SCALES,
@@ -110,8 +110,9 @@ def pixel_score(fields: tuple[Fields, ...], *, probe: str, scaling: str) -> Scor
 
 
 def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...]) -> float:
-    """Variance of the log of the noise variance under a pooled static map: each field's comes from
-    contrasts."""
+    """Variance of the log of the noise variance under a pooled static map: each field's comes from contrasts,
+    whose squares, like those of the map itself, scatter by more where the noise has tails (noise far below a
+    code is rare steps)."""
     shares, errors = [], []
     for f in fields:
         if f.static is None or f.kind not in kinds or (scaling == "thermal" and not f.exposure_s):
@@ -119,9 +120,23 @@ def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, .
         r = response(f, "relative" if scaling == "relative" else "additive").astype(np.float64)
         r = r * f.exposure_s if scaling == "thermal" and f.exposure_s else r
         shares.append(f.frames * float(np.sum(r**2)))
-        errors.append(2 / max(len(f.contrasts), 1) / f.mean.size)
+        tails, shared = noise_tails(f)
+        contrasts = max(len(f.contrasts), 1)
+        errors.append(((2 + tails * shared) / contrasts + tails / f.frames) / f.mean.size)
     total = max(sum(shares), 1e-30)
     return float(sum((s / total) ** 2 * e for s, e in zip(shares, errors, strict=True)))
+
+
+def noise_tails(field: Fields) -> tuple[float, float]:
+    """Excess kurtosis of the noise of single frames by that of the contrasts, not below 0, and the share of
+    it that a contrast keeps."""
+    values = field.contrasts[:, field.usable][: field.frames - 1]
+    matrix = helmert(field.frames)
+    shared = float(np.mean(np.sum(matrix**4, 1))) if len(matrix) else 1.0
+    second = float(np.mean(values**2)) if values.size else 0.0
+    if second == 0:
+        return 0.0, shared
+    return max(float(np.mean(values**4)) / second**2 - 3, 0.0) / shared, shared
 
 
 def pixel_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:

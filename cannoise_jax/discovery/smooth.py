@@ -1,0 +1,68 @@
+"""The smooth part of a flat: the light that falls on it, whatever the lens and the lamp make of it.
+
+A surface of degree 4 follows a lamp that leans; the fall-off of a lens (cos^4) at a signal of many electrons
+leaves more than that, which would be read as sensitivities of rows, columns and pixels. So products of
+orthonormal polynomials are added, two degrees at a time, as long as those of the next degrees hold more than
+chance: judged against the scatter of the pixels themselves, and, for terms that vary along one axis only,
+against the scatter of the means of rows or columns, so that a pattern of columns is not followed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+START, STOP = 4, 16
+"""Degree of the surface that is always fitted, and the highest one that is tried."""
+_CHANCE = 1e-3
+"""Chance with which a step is taken where the light has no more to follow: two terms more or less of
+thousands of pixels matter little, so it is not small."""
+_FAR = 6.0
+"""Robust standard deviations beyond which a pixel counts as no more than that."""
+
+
+def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP) -> Float[np.ndarray, "h w"]:
+    """What polynomials of degree above `start` add to a fit of degree `start` that leaves `rest` of one site
+    of the mosaic; zeros where they hold no more than chance. Units of `rest`."""
+    height, width = rest.shape
+    stop = min(stop, height // 4, width // 4)
+    spread = 1.4826 * float(np.median(np.abs(rest)))
+    fitted = np.zeros(rest.shape)
+    if spread == 0 or stop <= start:
+        return fitted
+    rows, columns = polynomials(height, stop), polynomials(width, stop)
+    for degree in range(start, stop, 2):
+        limited = fitted + np.clip(rest - fitted, -_FAR * spread, _FAR * spread)
+        if not _needed(limited, rows, columns, degree, min(degree + 2, stop)):
+            break
+        fitted = _project(limited, rows, columns, start, min(degree + 2, stop))
+        spread = 1.4826 * float(np.median(np.abs(rest - fitted)))
+    return fitted
+
+
+def polynomials(count: int, degree: int) -> Float[np.ndarray, "n k"]:
+    """Orthonormal polynomials of degree 0 to `degree` at `count` even places."""
+    at = np.linspace(-1, 1, count)
+    return np.linalg.qr(np.polynomial.legendre.legvander(at, degree))[0]
+
+
+def _project(values, rows, columns, above: int, upto: int) -> Float[np.ndarray, "h w"]:
+    """The part of the values in products of a total degree in (above, upto]."""
+    inner = rows.T @ values @ columns
+    total = np.add.outer(np.arange(len(inner)), np.arange(inner.shape[1]))
+    return rows @ np.where((total > above) & (total <= upto), inner, 0.0) @ columns.T
+
+
+def _needed(values, rows, columns, above: int, upto: int) -> bool:
+    """Whether terms of a total degree in (above, upto] hold more than the scatter of what they leave."""
+    inner = rows.T @ values @ columns
+    i, j = np.indices(inner.shape)
+    new = (i + j > above) & (i + j <= upto)
+    left = values - _project(values, rows, columns, -1, upto)
+    tests = [(inner[new & (i > 0) & (j > 0)], float(np.mean(left**2)), left.size)]
+    for lines, chosen in ((left.mean(1), new & (j == 0)), (left.mean(0), new & (i == 0))):
+        number = left.size // lines.size
+        tests.append((inner[chosen], number * float(np.mean(lines**2)), lines.size - upto - 1))
+    chances = [stats.f.sf(np.mean(c**2) / max(v, 1e-300), c.size, max(n, 1)) for c, v, n in tests]
+    return bool(min(chances) < _CHANCE / len(chances))
