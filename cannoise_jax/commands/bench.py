@@ -1,9 +1,10 @@
-"""bin/bench simulate|coverage|likelihood|train: speeds, and how exact what the physics says is.
+"""bin/bench simulate|coverage|likelihood|train|docs: speeds, how exact the physics is, published results.
 
 simulate     megapixels per second of SensorModel.sample beside getframes on the effects that both have.
 coverage     how often the 90 % intervals of every mechanism's estimator hold the truth.
 likelihood   errors of the likelihood's integrals against brute force, and coverage of its 90 % intervals.
 train        patches per second of the training step on random patches.
+docs         renders README.md and docs/ from docs/results, and takes in what commands wrote.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from cannoise_jax.commands.bench_docs import add_docs
 from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.likelihood import accuracy
@@ -73,7 +75,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
-    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|likelihood|train")
+    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|likelihood|train|docs")
     simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
     simulate.add_argument(
         "--sizes", type=int, nargs="+", default=[256, 1024, 2048], help="frame sides, pixels"
@@ -99,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     exact.add_argument("--simulations", type=int, default=300, help="for the coverage (default 300)")
     exact.add_argument("--seed", type=int, default=0)
     exact.set_defaults(run=_run_likelihood)
+    add_docs(commands)
     return parser
 
 
