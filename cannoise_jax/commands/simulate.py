@@ -50,7 +50,7 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(format="bin/simulate: %(message)s", level=logging.WARNING)
     try:
         if arguments.catalogue:
-            from cannoise_jax.physics.catalogue import write_catalogue
+            from cannoise_jax.mechanisms.catalogue import write_catalogue
 
             write_catalogue(arguments.out)
             print(f"{arguments.out}: the catalogue of mechanisms")
