@@ -25,8 +25,8 @@ from cannoise_jax.discovery.report import document
 from cannoise_jax.discovery.stacks import Stack
 from cannoise_jax.discovery.statistics.hot import Heat
 from cannoise_jax.discovery.statistics.score import Score
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import CaptureSet
-from cannoise_jax.vocabulary import VOCABULARY
 
 ALPHA = 0.01
 

@@ -34,9 +34,9 @@ from cannoise_jax.discovery.sparse import hot_found, telegraph_found
 from cannoise_jax.discovery.statistics.patterns import pixel_sums
 from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.discovery.statistics.shape import DARK, darks
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
-from cannoise_jax.vocabulary import VOCABULARY
 
 SIMULATORS = ("poisson-gaussian", "nlf")
 

@@ -17,7 +17,7 @@ from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.discovery.wording import sentence
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.mechanisms import VOCABULARY
 
 SCHEMA = "cannoise/diagnosis/1"
 _PLACES: dict[str, tuple[str, ...]] = {
