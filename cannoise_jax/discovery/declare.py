@@ -4,9 +4,9 @@ what to record."""
 from __future__ import annotations
 
 from cannoise_jax.discovery.locate import Located
-from cannoise_jax.discovery.statistics.score import Probe
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.signatures.signature import Signature
 
 NEEDS = {entry.id: entry.needs for entry in LISTED}
 
@@ -39,10 +39,10 @@ def registered(without: tuple[str, ...] = (), mechanisms: tuple[str, ...] | None
 
 
 def testable(
-    located: Located, probes: tuple[Probe, ...], ids: tuple[str, ...]
+    located: Located, signatures: tuple[Signature, ...], ids: tuple[str, ...]
 ) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Ids that some probe could test on these recordings, and the others with what to record."""
-    tested = {p.mechanism for p in probes if p.name in located.scores}
+    """Ids that some signature could test on these recordings, and the others with what to record."""
+    tested = {p.mechanism for p in signatures if p.name in located.scores}
     yes = tuple(id for id in ids if id in tested)
     return yes, tuple((id, needs(id)) for id in ids if id not in tested)
 

@@ -23,7 +23,7 @@ from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, iso_numbers, s
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 from cannoise_jax.sampling import SMALLEST, load_model, sample_noise
 
 Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
@@ -106,7 +106,7 @@ def codes_of(
 
     def codes(number: int, clean: np.ndarray, settings: Settings) -> np.ndarray | None:
         recording = capture.recordings[number]
-        if recording.kind in ("dark", "bias") and not dark:
+        if recording.kind in DARK and not dark:
             return None
         own = jax.random.fold_in(key, number)
         given = jnp.asarray(clean)
@@ -168,7 +168,7 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
 
 def expected_signal(recording: Recording, number: int, step: float, look: list[int]) -> np.ndarray | None:
     """Normalised noise-free signal: 0 for darks, the reference, or the smooth surface of a flat."""
-    if recording.kind in ("dark", "bias"):
+    if recording.kind in DARK:
         return np.zeros(recording.size, np.float32)
     if recording.clean is not None:
         clean = np.asarray(recording.clean, np.float32)

@@ -15,6 +15,8 @@ from jaxtyping import Float, UInt16
 
 CFA_PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR", "MONO")
 KINDS = ("scene", "flat", "dark", "bias")
+DARK = ("dark", "bias")
+"""Kinds that no light fell on."""
 REFERENCES = ("independent", "burst_mean")
 
 Kind = Literal["scene", "flat", "dark", "bias"]

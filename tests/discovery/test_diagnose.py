@@ -162,7 +162,7 @@ def test_the_minimum_detectable_row_noise_is_that_of_its_probe():
     for seed in range(6):
         capture = capture_set(seed, row_offsets(limit * 2))
         prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
-        probe = next(p for p in prepared.probes if p.name == "row_additive_temporal")
+        probe = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
         score = probe.score(prepared.fields)
         assert score is not None
         shifts.append(score.amplitude**2 / score.shift**2)
