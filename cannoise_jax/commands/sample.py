@@ -6,6 +6,7 @@ Synthetic noisy frames of a folder of clean images or recordings, as one camera 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,12 +48,14 @@ class Clean:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """The camera and setting to imitate. reference: packed `[n, h, w, 4]`; shot, read: packed order."""
+    """The camera and setting to imitate. reference: packed `[n, h, w, 4]`; nlf: shot and read, packed order;
+    given: whether these are stated somewhere, or else estimated from the reference."""
 
     camera: str
     iso: float | None
     reference: Float[np.ndarray, "n h w 4"]
     nlf: tuple[Any, Any]
+    given: bool
     black_level: PerChannel | None = None
     white_level: float | None = None
     code_step: float = 1.0
@@ -82,6 +85,18 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
 
     model = load_model(arguments.model)
     target = _target(arguments, model)
+    if model.level == "estimated":
+        if arguments.reference in model.cameras:
+            raise BadInput(
+                f"{arguments.reference}: this model reads the level off references of one setting: "
+                "name a recording instead of a camera"
+            )
+        target = dataclasses.replace(target, given=False)
+    if model.level == "given" and not target.given:
+        raise BadInput(
+            f"{arguments.reference}: this model must be told shot and read, which the file does not state: "
+            "use a file that does, or a model trained with config.level=both"
+        )
     sources = _clean_images(arguments)
     outputs = [arguments.out / f"{source.path.stem}_{target.camera}.h5" for source in sources]
     levels = [_levels(arguments, source, target) for source in sources]
@@ -102,7 +117,8 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
         frames = []
         for t in range(arguments.frames):
             key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
-            noise = np.asarray(sample(model, key, packed, target.reference, target.nlf))
+            nlf = target.nlf if target.given else None
+            noise = np.asarray(sample(model, key, packed, target.reference, nlf))
             mosaic = source.image + unpack(noise, source.cfa)
             frames.append(_codes(mosaic, black, white, target.code_step))
         shot, read = (
@@ -190,7 +206,7 @@ def _target(arguments, model) -> Target:
         if not found:
             raise BadInput(f"--iso {iso:g}: {name} is known at ISO {known}")
         nlf = (np.asarray(found[0].shot), np.asarray(found[0].read))
-        return Target(name, iso, np.asarray(camera.reference), nlf)
+        return Target(name, iso, np.asarray(camera.reference), nlf, True)
     if not Path(name).exists():
         cameras = ", ".join(model.cameras) or "none"
         raise BadInput(f"{name}: neither a file nor a camera of the model, which are {cameras}")
@@ -221,6 +237,7 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
         y, x = ((size - s) * p // 3 for size, s, p in zip((height, width), side, divmod(i, 4), strict=True))
         patches.append(packed[y : y + side[0], x : x + side[1]])
     reference = np.stack(patches)
+    given = recording.shot is not None and recording.read is not None
     if recording.shot is not None and recording.read is not None:
         nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in (recording.shot, recording.read))
     elif recording.kind in ("dark", "bias"):
@@ -232,7 +249,7 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
         nlf = tuple(np.asarray(v) for v in estimate_nlf(repeated(jnp.asarray(reference))))
     step = recording.code_step or detect_code_step(np.asarray(recording.frames[:1])) or 1.0
     return Target(
-        recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), recording.black_level,
+        recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), given, recording.black_level,
         recording.white_level, step,
     )  # fmt: skip
 
