@@ -32,6 +32,8 @@ from cannoise_jax.recordings.recording import BadInput
 SMALLEST = 16
 """Least height and width of clean images, packed pixels; smaller references are repeated up to it."""
 MODEL_FILE = "model.npz"
+_BRIGHTEST = 4.0
+"""Median of a clean image beyond which it must be in DN: scenes may pass the white level, not by that."""
 _FORMAT = "cannoise/model/1"
 _MULTIPLE, _MARGIN = 32, 32
 """G works on multiples of 32; a reflected margin keeps the zero padding of its layers out of the image."""
@@ -104,7 +106,8 @@ def sample_noise(
     constant or all zero, then gives next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
     Pure; use `jax.vmap` for one reference per clean image.
 
-    Raises ValueError for images of other shapes.
+    Raises ValueError for images of other shapes, for a `clean` in DN, and for an nlf that is negative or not
+    finite (of what is traced under jit only shapes are known).
     """
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
     _check(clean, "clean")
@@ -117,7 +120,8 @@ def sample_noise(
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
     if height % 2 or width % 2:
         raise ValueError(f"clean must have even height and width, got {height}x{width}")
-    shot, read = estimate_nlf(noisy_ref) if nlf is None else nlf
+    shot, read = estimate_nlf(noisy_ref) if nlf is None else _checked_nlf(nlf)
+    _check_units(clean)
     images = clean.reshape(-1, height, width, 4)
     per_image = (*clean.shape[:-3], 4)
     shot, read = (
@@ -131,6 +135,26 @@ def sample_noise(
         params.generator, padded, n_init, latent, sigma, train=False, rngs={"noise": row_key}
     )
     return noise[:, _MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width].reshape(clean.shape)
+
+
+def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
+    for name, value in zip(("shot", "read"), nlf, strict=True):
+        if isinstance(value, jax.core.Tracer):
+            continue
+        values = np.asarray(value, np.float64)
+        if not (np.isfinite(values).all() and (values >= 0).all()):
+            raise ValueError(f"nlf: {name} must be finite and 0 or more, got {values.min():g} at least")
+    return nlf
+
+
+def _check_units(clean: Array) -> None:
+    if isinstance(clean, jax.core.Tracer) or not clean.size:
+        return
+    middle = float(jnp.median(clean))
+    if not abs(middle) <= _BRIGHTEST:
+        raise ValueError(
+            f"clean has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
+        )
 
 
 def _check(image, name):

@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording, reading
 from cannoise_jax.recordings.opened import Opened, check_claim
@@ -60,6 +61,7 @@ def write_recording(path: str | Path, recording: Recording) -> None:
     Reads the frames in chunks. Raises BadInput when it cannot be written, and leaves nothing behind.
     """
     path = Path(path)
+    remove_leftovers(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         try:
