@@ -36,6 +36,8 @@ MODEL_FILE = "model.npz"
 _FORMAT = "cannoise/model/2"
 LEVELS = ("estimated", "given", "both")
 """Where the level of the initial noise comes from: the references, whoever asks for noise, or either."""
+_BRIGHTEST = 4.0
+"""Median of a clean image beyond which it must be in DN: scenes may pass the white level, not by that."""
 _MULTIPLE, _MARGIN = 32, 32
 """G works on multiples of 32; a reflected margin keeps the zero padding of its layers out of the image."""
 
@@ -117,7 +119,8 @@ def sample_noise(
     next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
     Pure; use `jax.vmap` for one reference per clean image.
 
-    Raises ValueError for images of other shapes, and for a level of another source than the model was
+    Raises ValueError for images of other shapes, for a `clean` in DN, for an nlf that is negative or infinite
+    (of what is traced under jit only shapes are known), and for a level of another source than the model was
     trained with (`Model.level`), which would be corrected twice or not at all.
     """
     check_level(params.level, nlf is not None)
@@ -132,7 +135,8 @@ def sample_noise(
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
     if height % 2 or width % 2:
         raise ValueError(f"clean must have even height and width, got {height}x{width}")
-    shot, read = estimate_nlf(noisy_ref) if nlf is None else nlf
+    shot, read = estimate_nlf(noisy_ref) if nlf is None else _checked_nlf(nlf)
+    _check_units(clean)
     images = clean.reshape(-1, height, width, 4)
     per_image = (*clean.shape[:-3], 4)
     shot, read = (
@@ -179,6 +183,26 @@ def check_level(level: str, given: bool) -> None:
     if level == "given" and not given:
         raise ValueError(
             "nlf: missing: this model was trained with levels handed over: give nlf=(shot, read)"
+        )
+
+
+def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
+    for name, value in zip(("shot", "read"), nlf, strict=True):
+        if isinstance(value, jax.core.Tracer):
+            continue
+        values = np.asarray(value, np.float64)
+        if not (np.isfinite(values).all() and (values >= 0).all()):
+            raise ValueError(f"nlf: {name} must be finite and 0 or more, got {values.min():g} at least")
+    return nlf
+
+
+def _check_units(clean: Array) -> None:
+    if isinstance(clean, jax.core.Tracer) or not clean.size:
+        return
+    middle = float(jnp.median(clean))
+    if not abs(middle) <= _BRIGHTEST:
+        raise ValueError(
+            f"clean has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
         )
 
 

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.commands.parser import OneLineParser, count, numbers
+from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.parser import OneLineParser, count, level, numbers
 from cannoise_jax.recordings.codes import detect_code_step
-from cannoise_jax.recordings.load import load_recording, recording_paths
+from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order, unpack
 from cannoise_jax.recordings.recording import (
@@ -61,6 +62,7 @@ class Target:
     code_step: float = 1.0
 
 
+@command("sample")
 def main(argv: list[str] | None = None) -> int:
     """Samples; returns 0, or 2 after one line on stderr when something cannot be used."""
     arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
@@ -105,13 +107,14 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             f"{arguments.clean}: two files of one name would be written to one: rename one of them"
         )
     for path in outputs:
-        if path.exists() and not arguments.overwrite:
-            raise BadInput(f"{path}: exists: name another folder, or replace it with --overwrite")
+        if path.exists() and not arguments.force:
+            raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{arguments.out}: cannot be made: {error.strerror}") from error
     sample = jax.jit(sample_noise)
+    tell = progress("sampling frames")
     for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
         packed = pack(source.image, source.cfa)
         frames = []
@@ -121,6 +124,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             noise = np.asarray(sample(model, key, packed, target.reference, nlf))
             mosaic = source.image + unpack(noise, source.cfa)
             frames.append(_codes(mosaic, black, white, target.code_step))
+            tell(i * arguments.frames + t + 1, len(sources) * arguments.frames)
         shot, read = (
             per_channel(np.asarray(to_mosaic_order(np.broadcast_to(v, 4), source.cfa))) for v in target.nlf
         )
@@ -210,7 +214,15 @@ def _target(arguments, model) -> Target:
     if not Path(name).exists():
         cameras = ", ".join(model.cameras) or "none"
         raise BadInput(f"{name}: neither a file nor a camera of the model, which are {cameras}")
-    return _target_recording(load_recording(name, **_overrides(arguments)), iso)
+    stated = {
+        "cfa": arguments.reference_cfa,
+        "black_level": arguments.reference_black_level,
+        "white_level": arguments.reference_white_level,
+    }
+    if Path(name).is_file():  # the flags of the clean images fill in what the file leaves out
+        silent = {k for k in stated if open_file(Path(name)).known.get(k) is None}
+        stated |= {k: v for k, v in _overrides(arguments).items() if k in silent and stated[k] is None}
+    return _target_recording(load_recording(name, **stated), iso)
 
 
 def _target_recording(recording: Recording, iso: float | None) -> Target:
@@ -239,7 +251,9 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
     reference = np.stack(patches)
     given = recording.shot is not None and recording.read is not None
     if recording.shot is not None and recording.read is not None:
-        nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in (recording.shot, recording.read))
+        # Metadata may state a read noise below 0: as everywhere, it counts as none.
+        stated = (recording.shot, tuple(max(v, 0.0) for v in recording.read))
+        nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in stated)
     elif recording.kind in ("dark", "bias"):
         raise BadInput(
             f"{recording.path}: a {recording.kind} frame shows no shot noise: use a lit recording, or one "
@@ -255,10 +269,10 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
 
 
 def _levels(arguments, source: Clean, target: Target) -> tuple[PerChannel, float]:
-    """Black and white level of what is written: from the flags, the reference, or the clean recording."""
+    """Black and white level of what is written: of the reference, from the flags, or of the clean one."""
     own = source.recording
-    blacks = (arguments.black_level, target.black_level, own.black_level if own else None)
-    whites = (arguments.white_level, target.white_level, own.white_level if own else None)
+    blacks = (target.black_level, arguments.black_level, own.black_level if own else None)
+    whites = (target.white_level, arguments.white_level, own.white_level if own else None)
     black_level = next((v for v in blacks if v is not None), None)
     white = next((v for v in whites if v is not None), None)
     if black_level is None or white is None:
@@ -296,13 +310,25 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR")
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
-    parser.add_argument("--seed", type=_seed, default=0)
-    parser.add_argument(
-        "--cfa", choices=CFA_PATTERNS, help="colour order, of the clean images and a reference file"
+    parser.add_argument("--seed", type=_seed, default=0, help="of the noise")
+    add = parser.add_argument
+    add("--cfa", choices=CFA_PATTERNS, help="colour order of the clean images")
+    add(
+        "--black-level",
+        type=numbers,
+        metavar="DN",
+        help="of the clean images, and of what is written without a reference file",
     )
-    parser.add_argument("--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d")
-    parser.add_argument("--white-level", type=float, metavar="DN")
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    add("--white-level", type=level, metavar="DN", help="likewise")
+    add("--reference-cfa", choices=CFA_PATTERNS, help="of a reference file, in place of its own")
+    add(
+        "--reference-black-level",
+        type=numbers,
+        metavar="DN",
+        help="of a reference file, in place of its own",
+    )
+    add("--reference-white-level", type=level, metavar="DN", help="likewise")
+    add("--force", action="store_true", help="replace files that exist")
     return parser
 
 
