@@ -27,20 +27,20 @@ from cannoise_jax.blind.page import page
 from cannoise_jax.blind.score import score
 from cannoise_jax.blind.seal import seal, write_atomically
 from cannoise_jax.blind.table import text
-from cannoise_jax.commands.blind_analysis import (
+from cannoise_jax.commands.parser import OneLineParser, count
+from cannoise_jax.discovery.report import plain
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.trials.analysis import (
     ALPHA,
     diagnosed,
     fingerprint,
     located,
 )
-from cannoise_jax.commands.blind_develop import develop
-from cannoise_jax.commands.blind_know import know
-from cannoise_jax.commands.blind_real import PARTS, real_trial
-from cannoise_jax.commands.blind_real import text as real_text
-from cannoise_jax.commands.blind_size import true_size
-from cannoise_jax.commands.parser import OneLineParser, count
-from cannoise_jax.discovery.report import plain
-from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.trials.develop import develop
+from cannoise_jax.trials.know import know
+from cannoise_jax.trials.real import PARTS, real_trial
+from cannoise_jax.trials.real import text as real_text
+from cannoise_jax.trials.size import true_size
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -6,6 +6,7 @@ Synthetic noisy frames of a folder of clean images or recordings, as one camera 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +15,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.commands.parser import OneLineParser, count, numbers
+from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.parser import OneLineParser, count, level, numbers
 from cannoise_jax.recordings.codes import detect_code_step
-from cannoise_jax.recordings.load import load_recording, recording_paths
+from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order, unpack
 from cannoise_jax.recordings.recording import (
@@ -47,17 +49,20 @@ class Clean:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """The camera and setting to imitate. reference: packed `[n, h, w, 4]`; shot, read: packed order."""
+    """The camera and setting to imitate. reference: packed `[n, h, w, 4]`; nlf: shot and read, packed order;
+    given: whether these are stated somewhere, or else estimated from the reference."""
 
     camera: str
     iso: float | None
     reference: Float[np.ndarray, "n h w 4"]
     nlf: tuple[Any, Any]
+    given: bool
     black_level: PerChannel | None = None
     white_level: float | None = None
     code_step: float = 1.0
 
 
+@command("sample")
 def main(argv: list[str] | None = None) -> int:
     """Samples; returns 0, or 2 after one line on stderr when something cannot be used."""
     arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
@@ -82,6 +87,18 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
 
     model = load_model(arguments.model)
     target = _target(arguments, model)
+    if model.level == "estimated":
+        if arguments.reference in model.cameras:
+            raise BadInput(
+                f"{arguments.reference}: this model reads the level off references of one setting: "
+                "name a recording instead of a camera"
+            )
+        target = dataclasses.replace(target, given=False)
+    if model.level == "given" and not target.given:
+        raise BadInput(
+            f"{arguments.reference}: this model must be told shot and read, which the file does not state: "
+            "use a file that does, or a model trained with config.level=both"
+        )
     sources = _clean_images(arguments)
     outputs = [arguments.out / f"{source.path.stem}_{target.camera}.h5" for source in sources]
     levels = [_levels(arguments, source, target) for source in sources]
@@ -90,21 +107,24 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             f"{arguments.clean}: two files of one name would be written to one: rename one of them"
         )
     for path in outputs:
-        if path.exists() and not arguments.overwrite:
-            raise BadInput(f"{path}: exists: name another folder, or replace it with --overwrite")
+        if path.exists() and not arguments.force:
+            raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{arguments.out}: cannot be made: {error.strerror}") from error
     sample = jax.jit(sample_noise)
+    tell = progress("sampling frames")
     for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
         packed = pack(source.image, source.cfa)
         frames = []
         for t in range(arguments.frames):
             key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
-            noise = np.asarray(sample(model, key, packed, target.reference, target.nlf))
+            nlf = target.nlf if target.given else None
+            noise = np.asarray(sample(model, key, packed, target.reference, nlf))
             mosaic = source.image + unpack(noise, source.cfa)
             frames.append(_codes(mosaic, black, white, target.code_step))
+            tell(i * arguments.frames + t + 1, len(sources) * arguments.frames)
         shot, read = (
             per_channel(np.asarray(to_mosaic_order(np.broadcast_to(v, 4), source.cfa))) for v in target.nlf
         )
@@ -190,11 +210,19 @@ def _target(arguments, model) -> Target:
         if not found:
             raise BadInput(f"--iso {iso:g}: {name} is known at ISO {known}")
         nlf = (np.asarray(found[0].shot), np.asarray(found[0].read))
-        return Target(name, iso, np.asarray(camera.reference), nlf)
+        return Target(name, iso, np.asarray(camera.reference), nlf, True)
     if not Path(name).exists():
         cameras = ", ".join(model.cameras) or "none"
         raise BadInput(f"{name}: neither a file nor a camera of the model, which are {cameras}")
-    return _target_recording(load_recording(name, **_overrides(arguments)), iso)
+    stated = {
+        "cfa": arguments.reference_cfa,
+        "black_level": arguments.reference_black_level,
+        "white_level": arguments.reference_white_level,
+    }
+    if Path(name).is_file():  # the flags of the clean images fill in what the file leaves out
+        silent = {k for k in stated if open_file(Path(name)).known.get(k) is None}
+        stated |= {k: v for k, v in _overrides(arguments).items() if k in silent and stated[k] is None}
+    return _target_recording(load_recording(name, **stated), iso)
 
 
 def _target_recording(recording: Recording, iso: float | None) -> Target:
@@ -221,8 +249,11 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
         y, x = ((size - s) * p // 3 for size, s, p in zip((height, width), side, divmod(i, 4), strict=True))
         patches.append(packed[y : y + side[0], x : x + side[1]])
     reference = np.stack(patches)
+    given = recording.shot is not None and recording.read is not None
     if recording.shot is not None and recording.read is not None:
-        nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in (recording.shot, recording.read))
+        # Metadata may state a read noise below 0: as everywhere, it counts as none.
+        stated = (recording.shot, tuple(max(v, 0.0) for v in recording.read))
+        nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in stated)
     elif recording.kind in ("dark", "bias"):
         raise BadInput(
             f"{recording.path}: a {recording.kind} frame shows no shot noise: use a lit recording, or one "
@@ -232,16 +263,16 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
         nlf = tuple(np.asarray(v) for v in estimate_nlf(repeated(jnp.asarray(reference))))
     step = recording.code_step or detect_code_step(np.asarray(recording.frames[:1])) or 1.0
     return Target(
-        recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), recording.black_level,
+        recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), given, recording.black_level,
         recording.white_level, step,
     )  # fmt: skip
 
 
 def _levels(arguments, source: Clean, target: Target) -> tuple[PerChannel, float]:
-    """Black and white level of what is written: from the flags, the reference, or the clean recording."""
+    """Black and white level of what is written: of the reference, from the flags, or of the clean one."""
     own = source.recording
-    blacks = (arguments.black_level, target.black_level, own.black_level if own else None)
-    whites = (arguments.white_level, target.white_level, own.white_level if own else None)
+    blacks = (target.black_level, arguments.black_level, own.black_level if own else None)
+    whites = (target.white_level, arguments.white_level, own.white_level if own else None)
     black_level = next((v for v in blacks if v is not None), None)
     white = next((v for v in whites if v is not None), None)
     if black_level is None or white is None:
@@ -279,13 +310,25 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR")
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
-    parser.add_argument("--seed", type=_seed, default=0)
-    parser.add_argument(
-        "--cfa", choices=CFA_PATTERNS, help="colour order, of the clean images and a reference file"
+    parser.add_argument("--seed", type=_seed, default=0, help="of the noise")
+    add = parser.add_argument
+    add("--cfa", choices=CFA_PATTERNS, help="colour order of the clean images")
+    add(
+        "--black-level",
+        type=numbers,
+        metavar="DN",
+        help="of the clean images, and of what is written without a reference file",
     )
-    parser.add_argument("--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d")
-    parser.add_argument("--white-level", type=float, metavar="DN")
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    add("--white-level", type=level, metavar="DN", help="likewise")
+    add("--reference-cfa", choices=CFA_PATTERNS, help="of a reference file, in place of its own")
+    add(
+        "--reference-black-level",
+        type=numbers,
+        metavar="DN",
+        help="of a reference file, in place of its own",
+    )
+    add("--reference-white-level", type=level, metavar="DN", help="likewise")
+    add("--force", action="store_true", help="replace files that exist")
     return parser
 
 

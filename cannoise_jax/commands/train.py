@@ -139,7 +139,7 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     from cannoise_jax.training.check import check_config
     from cannoise_jax.training.data import load_data
     from cannoise_jax.training.loop import NonFiniteLoss, check_workdir, train
-    from cannoise_jax.training.result import compare, sampler_of, write_model
+    from cannoise_jax.training.result import compare, samplers_of, write_model
 
     check_config(config)
     check_workdir(config, workdir)
@@ -167,7 +167,7 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     check()
     model = write_model(config, outcome.state, data, workdir)
     check()
-    sampler = sampler_of(model, config)
+    sampler = samplers_of(model, config)
     results = compare(sampler, config, data)
     check()
     print(f"\nHeld-out test scenes, checkpoint of step {outcome.step} (best on validation scenes)\n")
@@ -177,7 +177,7 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
         write_results(workdir / "results.json", results, round(seconds, 1))
         noise_figure(
             workdir / "noise.png",
-            sampler,
+            sampler.usual,
             data.test,
             data.cameras,
             jax.random.key(config.seed),

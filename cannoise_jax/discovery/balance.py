@@ -9,11 +9,11 @@ import numpy as np
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import own_variance
-from cannoise_jax.discovery.fields import channel_index
 from cannoise_jax.discovery.stacks import FLICKER
 from cannoise_jax.physics.core.chain import closed_form
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
+from cannoise_jax.signatures.fields import channel_index
 
 _WHOLE = (
     "offset_drift",

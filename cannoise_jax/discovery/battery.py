@@ -1,4 +1,4 @@
-"""The battery for one capture set: its fields under the fitted baseline, and every probe that applies."""
+"""The battery for one capture set: its fields under the fitted baseline, and every signature that applies."""
 
 from __future__ import annotations
 
@@ -6,31 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.discovery.calibrate import Baseline, fit_baseline, gain_groups, standardise, stated_black
-from cannoise_jax.discovery.fields import Fields, refit
+from cannoise_jax.discovery.calibrate import fit_baseline, gain_groups, standardise, stated_black
 from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detected_step, iso_numbers, stack
-from cannoise_jax.discovery.statistics import (
-    codes,
-    covariance,
-    curve,
-    flicker,
-    glow,
-    groups,
-    hot,
-    levels,
-    light,
-    lines,
-    means,
-    patterns,
-    pixels,
-    reference,
-    shape,
-    spectra,
-    taps,
-    waves,
-)
-from cannoise_jax.discovery.statistics.score import Probe
-from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.mechanisms.looked_for import looked_for
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet
+from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.levels import frame_jitter
+from cannoise_jax.signatures.recorded import Baseline, Codes, Recorded
+from cannoise_jax.signatures.signature import Signature
 
 BROAD = 3.0
 """Standard deviation, in codes, from which a pixel's noise is broad enough to judge the lattice of codes."""
@@ -48,7 +31,7 @@ class Prepared(NamedTuple):
 
     fields: tuple[Fields, ...]
     baselines: tuple[Baseline, ...]
-    probes: tuple[Probe, ...]
+    signatures: tuple[Signature, ...]
     stacks: tuple[Stack, ...]
     step: float
     span: float
@@ -104,7 +87,7 @@ def prepare(
     drawn: CaptureSet | None = None,
     before: list[list[int]] | None = None,
 ) -> Prepared:
-    """Reads the chosen frames of every recording once, fits the baseline and builds fields and probes.
+    """Reads the chosen frames of every recording once, fits the baseline and builds fields and signatures.
 
     chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
     read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given. before:
@@ -145,10 +128,20 @@ def prepare(
         stated = drawn_parameters(drawn, baselines, step)
     elif judge_stated:
         stated = stated_parameters(capture, baselines)
+    recorded = Recorded(
+        *described(capture, step),
+        frame_jitter(fields),
+        collect_codes(capture, stacks, fields, chosen, step),
+        baselines,
+        stated,
+        drawn is not None,
+        step,
+        span,
+    )
     return Prepared(
         fields,
         baselines,
-        build_probes(capture, stacks, fields, baselines, chosen, stated, step, span, drawn is not None),
+        looked_for(recorded),
         stacks,
         step,
         span,
@@ -170,43 +163,14 @@ def _check_noise(stacks: tuple[Stack, ...]) -> None:
         )
 
 
-def build_probes(
-    capture, stacks, fields, baselines, chosen, stated, step, span, fitted_too
-) -> tuple[Probe, ...]:
-    """All probes, with what they need to know about the files."""
-    described = describe(capture, step)
-    jitter = levels.frame_jitter(fields)
-    lattice = collect_codes(capture, stacks, fields, chosen, step)
-    return (
-        *lines.probes(),
-        *groups.probes(),
-        *patterns.probes(),
-        *spectra.probes(),
-        *waves.probes(),
-        *flicker.probes(),
-        *covariance.probes(),
-        *shape.probes(),
-        *pixels.probes(),
-        *hot.probes(),
-        *means.probes(),
-        *taps.probes(),
-        *glow.probes(),
-        *light.probes(described, span),
-        *reference.probes(span),
-        *levels.probes(described, jitter),
-        *curve.probes(baselines, stated, step, span, fitted_too),
-        *codes.probes(lattice, float(described.black.mean())),
-    )
-
-
-def describe(capture: CaptureSet, step: float) -> means.Described:
-    """Stated black level, and the sites of the two greens."""
-    dark = capture.of_kind("dark", "bias") or capture.recordings
+def described(capture: CaptureSet, step: float) -> tuple[np.ndarray, tuple[int, int] | None, float]:
+    """Stated black level, DN, the sites of the two greens, and how far the black level may be rounded, DN."""
+    dark = capture.of_kind(*DARK) or capture.recordings
     black = stated_black(list(dark))
     cfa = capture.recordings[0].cfa
     greens = None if cfa == "MONO" else tuple(n for n, letter in enumerate(cfa) if letter == "G")
     on_lattice = np.allclose(black / step, np.round(black / step), atol=1e-4)
-    return means.Described(black, greens, 0.5 * step if on_lattice else 0.0)  # type: ignore[arg-type]
+    return black, greens, 0.5 * step if on_lattice else 0.0  # type: ignore[return-value]
 
 
 def drawn_parameters(drawn: CaptureSet, baselines: tuple[Baseline, ...], step: float) -> tuple:
@@ -246,7 +210,7 @@ def _smoothing(field: Fields, wide: np.ndarray, step: float) -> float:
     return float(read if apart else field.sigma[wide].min()) / step
 
 
-def collect_codes(capture, stacks, fields, chosen, step: float) -> codes.Codes:
+def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
     """Histograms of the stored codes: of pixels with broad noise, and of every dark."""
     broad = np.zeros(int(65536 // step) + 1)
     dark, lowest = [], []
@@ -259,7 +223,7 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> codes.Codes:
             & (f.mean > s.low + 6 * f.sigma)
             & (f.mean < s.high - 6 * f.sigma)
         )
-        is_dark = f.kind in ("dark", "bias")
+        is_dark = f.kind in DARK
         if not is_dark and wide.mean() < 0.02:
             continue
         counts = np.zeros_like(broad)
@@ -275,7 +239,7 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> codes.Codes:
             dark.append(counts)
             lowest.append(0)
     stated = {r.code_step for r in capture.recordings if r.code_step}
-    return codes.Codes(
+    return Codes(
         broad,
         narrowest if np.isfinite(narrowest) else 0.0,
         tuple(dark),

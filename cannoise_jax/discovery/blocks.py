@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cannoise_jax.discovery.fields import Fields, helmert
+from cannoise_jax.signatures.fields import Fields, helmert
 
 
 def bands(size: tuple[int, int], most: int) -> list[np.ndarray]:

@@ -9,14 +9,11 @@ per channel, that of a scene its reference after an affine refit per channel.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields, channel_index
-from cannoise_jax.discovery.full import Level, mark_full, unshared
+from cannoise_jax.discovery.full import mark_full, unshared
 from cannoise_jax.discovery.stacks import (
     Stack,
     affine,
@@ -29,21 +26,11 @@ from cannoise_jax.discovery.stacks import (
     smooth_mean,
     without_flicker,
 )
-from cannoise_jax.recordings.recording import CaptureSet, Recording, mosaic_map
+from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, mosaic_map
+from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.recorded import Baseline, Level
 
 _BINS = 8
-
-
-class Baseline(NamedTuple):
-    """Poisson-Gaussian parameters of one gain setting: per mosaic site, DN and DN/e-; error: of the gain."""
-
-    iso: float | None
-    black: Float[np.ndarray, "4"]
-    gain: Float[np.ndarray, "4"]
-    read_dn: Float[np.ndarray, "4"]
-    gain_error: Float[np.ndarray, "4"]
-    read_error: Float[np.ndarray, "4"]
-    levels: tuple[Level, ...]
 
 
 def gain_groups(capture: CaptureSet) -> list[float | None]:
@@ -60,7 +47,7 @@ def stated_black(recordings: list[Recording]) -> np.ndarray:
 def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
     """Black level, gain and read noise per channel of one gain setting, weighted least squares on the
     curve."""
-    dark = [s for s in stacks if s.recording.kind in ("dark", "bias")]
+    dark = [s for s in stacks if s.recording.kind in DARK]
     black = stated_black([s.recording for s in stacks])
     if dark:
         shortest = min(dark, key=lambda s: s.recording.exposure_s or 0.0)
@@ -147,7 +134,7 @@ def _levels(
 def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
     """Signal of every pixel for the photon-transfer curve, DN: the reference, else the smoothed mean."""
     recording = stacked.recording
-    if recording.kind == "flat" or recording.kind in ("dark", "bias"):
+    if recording.kind == "flat" or recording.kind in DARK:
         return smooth_mean(stacked) - mosaic_map(black, recording.size)
     if recording.clean is not None:
         clean = reference(recording)
@@ -226,7 +213,7 @@ def standardise(stacked: Stack, baseline: Baseline, group: int) -> Fields:
     variance = gain * signal + read**2 + stacked.step**2 / 12
     clean = None if recording.clean is None else reference(recording)
     static, mean = None, signal + baseline.black[channel]
-    if recording.kind in ("dark", "bias"):
+    if recording.kind in DARK:
         mean = expected + mosaic_map(baseline.black, size)
         variance = own_variance(stacked, channel, variance, mean)
         static = stacked.mean - mean

@@ -13,21 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.fit import Step
-from cannoise_jax.discovery.statistics.covariance import LAGS, lag_sums
-from cannoise_jax.discovery.statistics.lines import line_power
-from cannoise_jax.discovery.statistics.score import Probe, Score
+from cannoise_jax.signatures.covariance import LAGS, lag_sums
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.lines import line_power
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import Signature
 
-_SCALES = {"relative": "signal", "thermal": "exposure"}
-_TWINS = (("temporal", "static"), ("redrawn", "frozen"))
 _POWERS = (0.0, 0.5, 1.0, 2.0)
 _NEAR = 2
 """Lags up to which the correlations of neighbours are listed."""
 
 
 def card(
-    step: Step, probes: tuple[Probe, ...], ids: frozenset[str], others: tuple[Step, ...] = ()
+    step: Step, signatures: tuple[Signature, ...], ids: frozenset[str], others: tuple[Step, ...] = ()
 ) -> dict[str, Any]:
     """What is known of a structure that no registered mechanism explains.
 
@@ -39,21 +38,15 @@ def card(
     `ids` that may be named, and that are not among the `others` found, the one with the next best evidence,
     and by how many nats it is worse.
     """
-    probe, score, fields = step.named.probe, step.named.score, step.before
-    axes = {k: _SCALES.get(v, v) if k == "scales" else v for k, v in probe.axes.items()}
-    by_name = {p.name: p for p in probes}
-    names = (
-        probe.name.replace("relative", "additive").replace("thermal", "additive"),
-        probe.name.replace("_relative", ""),
-    )
-    additive = next((by_name[n] for n in names if n in by_name), probe)
-    told = {n for o in others if o is not step for n in (o.named.probe.name, *o.named.probe.covers)}
-    nearest, gap = _nearest(step, tuple(p for p in probes if p.mechanism in ids and p.name not in told))
+    signature, score, fields = step.named.signature, step.named.score, step.before
+    additive = _kin(signature, signatures, time=signature.axes.time, scales="additive") or signature
+    told = {n for o in others if o is not step for n in (o.named.signature.name, *o.named.signature.covers)}
+    nearest, gap = _nearest(step, tuple(p for p in signatures if p.mechanism in ids and p.name not in told))
     return {
-        "axes": axes,
-        "probe": probe.name,
-        "static_or_temporal": probe.axes.get("time"),
-        "static_share": static_share(fields, probe, score, by_name),
+        "axes": signature.axes._asdict(),
+        "probe": signature.name,
+        "static_or_temporal": signature.axes.time,
+        "static_share": static_share(fields, signature, score, signatures),
         "dependence": {
             "signal": dependence(additive, fields, _level),
             "exposure": dependence(
@@ -61,8 +54,8 @@ def card(
             ),
             "gain": dependence(additive, fields, lambda f: round(float(np.mean(f.gain)), 6)),
         },
-        "row_spectrum": line_spectrum(fields, "row", probe),
-        "column_spectrum": line_spectrum(fields, "column", probe),
+        "row_spectrum": line_spectrum(fields, "row", signature),
+        "column_spectrum": line_spectrum(fields, "column", signature),
         "covariance": neighbours(fields),
         "excess_kurtosis": excess_kurtosis(fields),
         "gain_nats": score.gain,
@@ -83,13 +76,13 @@ def _level(field: Fields) -> float:
 
 
 def dependence(
-    probe: Probe, fields: tuple[Fields, ...], of: Callable[[Fields], float]
+    signature: Signature, fields: tuple[Fields, ...], of: Callable[[Fields], float]
 ) -> dict[str, Any] | None:
-    """Amplitude of a probe in the recordings of each value x of a setting, and the power of x that it follows
-    best; None where there are fewer than two values at which the probe applies."""
+    """Amplitude of a signature in the recordings of each value x of a setting, and the power of x that it
+    follows best; None where there are fewer than two values at which the signature applies."""
     points = []
     for x in sorted({of(f) for f in fields}):
-        part = probe.score(tuple(f for f in fields if of(f) == x))
+        part = signature.score(tuple(f for f in fields if of(f) == x))
         if part is not None and np.isfinite(part.error) and part.error > 0:
             points.append((float(x), abs(float(part.amplitude)), float(part.error)))
     if len(points) < 2:
@@ -108,25 +101,29 @@ def dependence(
 
 
 def static_share(
-    fields: tuple[Fields, ...], probe: Probe, score: Score, by_name: dict[str, Probe]
+    fields: tuple[Fields, ...], signature: Signature, score: Score, signatures: tuple[Signature, ...]
 ) -> float | None:
     """Share of the structure's variance that stays from frame to frame; None where its twin in time was not
     looked for."""
-    for moving, still in _TWINS:
-        for mine, other in ((moving, still), (still, moving)):
-            twin = by_name.get(probe.name.replace(mine, other)) if mine in probe.name else None
-            told = twin.score(fields) if twin is not None else None
-            if told is not None:
-                a, b = score.amplitude**2, told.amplitude**2
-                static = a if mine == still else b
-                return float(static / max(a + b, 1e-30))
-    return None
+    other = {"redrawn": "frozen", "frozen": "redrawn"}.get(signature.axes.time, "")
+    twin = _kin(signature, signatures, time=other, scales=signature.axes.scales)
+    told = twin.score(fields) if twin is not None else None
+    if told is None:
+        return None
+    a, b = score.amplitude**2, told.amplitude**2
+    return float((a if signature.frozen else b) / max(a + b, 1e-30))
 
 
-def line_spectrum(fields: tuple[Fields, ...], axis: str, probe: Probe) -> dict[str, float] | None:
+def _kin(signature: Signature, signatures: tuple[Signature, ...], *, time: str, scales: str):
+    """The signature of the same thing with this behaviour in time and scaling; None where there is none."""
+    alike = (p for p in signatures if p.kin and p.kin == signature.kin)
+    return next((p for p in alike if (p.axes.time, p.axes.scales) == (time, scales)), None)
+
+
+def line_spectrum(fields: tuple[Fields, ...], axis: str, signature: Signature) -> dict[str, float] | None:
     """Spectrum of the means of rows or columns, of what stays or of what is new in every frame: the exponent
     a of 1/f^a by its Whittle likelihood, and the frequency of the largest power."""
-    frozen = probe.axes.get("time") == "frozen"
+    frozen = signature.frozen
     size = fields[0].mean.shape[0 if axis == "row" else 1]
     power, number = np.zeros(size // 2 + 1), 0
     for f in fields:
@@ -210,13 +207,13 @@ def lines(card: dict[str, Any]) -> list[tuple[str, str]]:
     return out
 
 
-def _nearest(step: Step, probes: tuple[Probe, ...]) -> tuple[str | None, float]:
+def _nearest(step: Step, signatures: tuple[Signature, ...]) -> tuple[str | None, float]:
     """The mechanism with most evidence in the same fields, and how much less that is, nats."""
     best, name = 0.0, None
-    for probe in probes:
-        if probe.name == step.named.probe.name:
+    for signature in signatures:
+        if signature.name == step.named.signature.name:
             continue
-        told = probe.score(step.before)
+        told = signature.score(step.before)
         if told is not None and told.evidence > best:
-            best, name = told.evidence, probe.mechanism
+            best, name = told.evidence, signature.mechanism
     return name, step.named.score.evidence - best

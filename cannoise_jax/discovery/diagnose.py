@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Array, Key
-from scipy import stats
 
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import (
@@ -22,22 +22,19 @@ from cannoise_jax.discovery.battery import (
     split_recordings,
     stated_parameters,
 )
-from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.fit import SPENT, Fitted, Step, part_of, stepwise
-from cannoise_jax.discovery.limits import NO_STRENGTH
-from cannoise_jax.discovery.locate import weight
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
-from cannoise_jax.discovery.sparse import hot_found, telegraph_found
-from cannoise_jax.discovery.statistics.patterns import pixel_sums
-from cannoise_jax.discovery.statistics.reference import quoted
-from cannoise_jax.discovery.statistics.shape import DARK, darks
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.signatures.fields import refit
+from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
 
+ROWS = Axes("readout", "row", "redrawn", "additive", "white")
+"""Offsets of rows, of which some are added to draws for the control of the two-sample test."""
 SIMULATORS = ("poisson-gaussian", "nlf")
 
 
@@ -74,6 +71,15 @@ class Diagnosis:
         """Mechanisms found, in the order of acceptance; without what is part of another."""
         aside = part_of(self.fitted.steps)
         return [s.named.mechanism for n, s in enumerate(self.fitted.steps) if n not in aside]
+
+    def save(self, folder: str | Path, *, force: bool = False) -> dict[str, Any]:
+        """Writes report.html, report.json and sensor.json into a folder, and returns the report.
+
+        Raises BadInput where one exists (without force) or cannot be written.
+        """
+        from cannoise_jax.discovery.save import save
+
+        return save(self, folder, force=force)
 
 
 def diagnose(
@@ -117,7 +123,7 @@ def diagnose(
     seen = prepare_split(capture, splits, judged, drawn)
     own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
     first = _without(seen, own)
-    tell(f"locate: {len(first.probes)} probes on {sum(len(a) for a, _ in splits)} frames")
+    tell(f"locate: {len(first.signatures)} signatures on {sum(len(a) for a, _ in splits)} frames")
     chosen = [b for _, b in splits]
 
     @cache
@@ -126,8 +132,8 @@ def diagnose(
 
     log_alpha = float(np.log(alpha))
     again = (lambda: every().fields) if any(chosen) else None
-    fitted = stepwise(first.fields, first.probes, frozenset(ids), log_alpha, tell, again)
-    yes, no = declare.testable(fitted.first, first.probes, ids)
+    fitted = stepwise(first.fields, first.signatures, frozenset(ids), log_alpha, tell, again)
+    yes, no = declare.testable(fitted.first, first.signatures, ids)
     second = unseen = None
     proven = unproven(fitted.steps)
     if any(chosen):
@@ -144,7 +150,7 @@ def diagnose(
     quality = None
     if compare and unseen is not None:
         tell("prove: draws of the simulator before and after")
-        row = first.probes and fitted.first.scores.get("row_additive_temporal")
+        row = fitted.first.scores.get(next((s.name for s in first.signatures if s.axes == ROWS), ""))
         # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
         share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
         sigma = 2 * row.mde * share**0.25 if row else None
@@ -177,80 +183,34 @@ def contrasts(prepared: Prepared) -> int:
 def _own_effects(drawn: CaptureSet, ids: frozenset[str], log_alpha: float) -> tuple[Step, ...]:
     """What the simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
     prepared = prepare_split(drawn, split_recordings(drawn))
-    return stepwise(prepared.fields, prepared.probes, ids, log_alpha).steps
+    return stepwise(prepared.fields, prepared.signatures, ids, log_alpha).steps
 
 
 def _without(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
-    """A split with what the simulator has already taken out, and the probes set aside that cannot be trusted
-    beside it."""
+    """A split with what the simulator has already taken out, and the signatures set aside that cannot be
+    trusted beside it."""
     fields = prepared.fields
     for step in own:
-        fields = refit(step.named.probe.absorb(fields, step.named.score))
-    aside = {name for s in own for name in s.named.probe.covers} - {s.named.probe.name for s in own}
-    return prepared._replace(fields=fields, probes=tuple(p for p in prepared.probes if p.name not in aside))
+        fields = refit(step.named.signature.absorb(fields, step.named.score))
+    aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
+    return prepared._replace(
+        fields=fields, signatures=tuple(p for p in prepared.signatures if p.name not in aside)
+    )
 
 
 def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
     """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for
     one whose amplitude is no strength but a level or a period."""
-    if mechanism in NO_STRENGTH:
-        return None
-    log_alpha = np.log(diagnosis.alpha / diagnosis.fitted.first.tests)
-    if mechanism in ("hot_pixels", "rts"):
-        best = _sparse_detectable(diagnosis, mechanism, log_alpha)
-        return (best, VOCABULARY[mechanism].unit) if np.isfinite(best) else None
-    if mechanism == "banding" and "wave_redrawn" in diagnosis.fitted.first.scores:
-        return _wave_detectable(diagnosis, log_alpha), VOCABULARY[mechanism].unit
-    threshold = float(stats.norm.isf(np.exp(log_alpha)))
-    best = np.inf
-    for probe in diagnosis.first.probes:
-        score = diagnosis.fitted.first.scores.get(probe.name)
-        if probe.mechanism == mechanism and score is not None and np.isfinite(score.shift):
-            best = min(best, quoted(score, mechanism).shift * threshold ** (1 / score.power))
-    return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
-
-
-def _looks(diagnosis: Diagnosis) -> list[tuple[Fields, ...]]:
-    """The fields of the frames that looked, and of those held back where there are any."""
-    return [p.fields for p in (diagnosis.first, diagnosis.second) if p is not None]
-
-
-def _sparse_detectable(diagnosis: Diagnosis, mechanism: str, log_alpha: float) -> float:
-    """Of a few far pixels no shift in standard deviations tells how often they are found: their probe's own
-    p-value does, of all frames where those held back get a second look."""
-    looks = _looks(diagnosis)
-    probes = [p for p in diagnosis.first.probes if p.mechanism == mechanism]
-    if not probes:
-        return float("inf")
-    log_p = float(log_alpha + np.log(weight(probes[0]) * (SPENT[1] if diagnosis.second else 1.0)))
-    if mechanism == "rts":
-        frames: dict[int, int] = {}
-        for f in (f for fields in looks for f in darks(fields)):
-            frames[f.number] = frames.get(f.number, 0) + f.frames
-        seen = darks(looks[0])
-        sigma = float(np.mean([np.median(f.sigma) for f in seen])) if seen else 0.0
-        return telegraph_found(tuple(frames.values()), sigma, looks[0][0].mean.size, log_p)
-    # Their charge grows with the exposure where the files state one.
-    longest = max((f.exposure_s or 0.0 for f in looks[0] if not f.lit), default=0.0)
-    scaling = "thermal" if longest else "additive"
-    sums = [s for s in (pixel_sums(fields, scaling, DARK) for fields in looks) if s is not None]
-    if not sums:
-        return float("inf")
-    return hot_found(np.sum([s.information for s in sums], axis=0), log_p) * (longest or 1.0)
-
-
-def _wave_detectable(diagnosis: Diagnosis, log_alpha: float) -> float:
-    """A wave whose phase is new in every frame is found where the mean power of all frames, by their
-    information, exceeds what the strongest of all frequencies tried has by chance: a gamma law."""
-    looks = _looks(diagnosis)
-    each = [
-        (float(np.sum(f.weight.astype(np.float64) ** 2)), f.contrasts) for fields in looks for f in fields
+    scores = diagnosis.fitted.first.scores
+    mine = [s for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in scores]
+    mine = [s for s in mine if s.decides][:1] or mine
+    log_p = float(np.log(diagnosis.alpha / diagnosis.fitted.first.tests))
+    looks = tuple(p.fields for p in (diagnosis.first, diagnosis.second) if p is not None)
+    share = SPENT[1] if diagnosis.second else 1.0
+    found = [
+        s.detectable(Asked(looks, log_p, share, s.weight), scores[s.name], mechanism)
+        for s in mine
+        if s.detectable is not NO_STRENGTH
     ]
-    # Between two points of the padded grid of frequencies a wave shows less of its power.
-    shown = float(np.mean(np.sinc(np.linspace(0, 0.25, 101)) ** 2)) ** 2
-    information = np.array([i * shown for i, contrasts in each for _ in contrasts])
-    tried = 2 * looks[0][0].mean.size
-    p = np.exp(log_alpha) * (SPENT[1] if diagnosis.second else 1.0) / tried
-    shape = float(np.sum(information) ** 2 / np.sum(information**2))
-    excess = (float(stats.gamma.isf(p, shape)) - shape) / np.sqrt(shape)
-    return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))
+    best = min(found, default=np.inf)
+    return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None

@@ -13,9 +13,9 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import standardise
-from cannoise_jax.discovery.fields import Fields, frame_fields
 from cannoise_jax.discovery.stacks import stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.signatures.fields import Fields, frame_fields
 
 CHUNK = 4
 """Frames drawn at once: one compiled program serves recordings of any length."""

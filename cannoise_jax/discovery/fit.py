@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.discovery.fields import Fields, refit
-from cannoise_jax.discovery.locate import Located, locate, weight
+from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import Named, name
-from cannoise_jax.discovery.statistics.score import Probe, sidak
-from cannoise_jax.discovery.statistics.spectra import below_frame
+from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.score import Score, sidak
+from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
 SPENT = (0.6, 0.4)
@@ -24,13 +24,15 @@ SPENT = (0.6, 0.4)
 rate of the whole is kept whatever the two looks have in common."""
 SUSPECT = 0.3
 """Family-wise p of the frames that look from which on a second look is worth its time."""
+_Z90 = 1.645
+"""Standard errors on each side of a 90 % interval."""
 _CANDIDATE = 0.05
-"""p of a single probe, of the frames that look, from which on it takes part in the second."""
+"""p of a single signature, of the frames that look, from which on it takes part in the second."""
 
 
 class Step(NamedTuple):
-    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its probe with
-    all other accepted mechanisms in the model. late: it took all frames together to see it."""
+    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
+    with all other accepted mechanisms in the model. late: it took all frames together to see it."""
 
     named: Named
     before: tuple[Fields, ...]
@@ -47,21 +49,23 @@ class Fitted(NamedTuple):
     first: Located
 
 
-def _known(located: Located, before: tuple[Fields, ...], after: tuple[Fields, ...], probes: list[Probe]):
-    """Scores that stand because what they look at was not touched: those of contrasts when only static fields
-    changed."""
-    same = all(
-        a.contrasts is b.contrasts and a.usable is b.usable for a, b in zip(before, after, strict=True)
-    )
-    names = {p.name for p in probes if p.axes.get("time") in ("redrawn", "telegraph")} if same else set()
-    # These see the static fields too.
-    names -= {"kurtosis", "light_tails", "skewness", "wave_redrawn", "flicker"}
-    return {n: s for n, s in located.scores.items() if n in names}
+def known(
+    located: Located,
+    before: tuple[Fields, ...],
+    after: tuple[Fields, ...],
+    signatures: tuple[Signature, ...],
+) -> dict[str, Score]:
+    """Scores that stand because nothing that they read of the fields has changed."""
+    pairs = list(zip(before, after, strict=True))
+    same = {what for what in Fields._fields if all(getattr(a, what) is getattr(b, what) for a, b in pairs)}
+    return {
+        s.name: located.scores[s.name] for s in signatures if s.name in located.scores and s.reads <= same
+    }
 
 
 def stepwise(
     fields: tuple[Fields, ...],
-    probes: tuple[Probe, ...],
+    signatures: tuple[Signature, ...],
     allowed: frozenset[str],
     log_alpha: float,
     tell: Callable[[str], None] = lambda text: None,
@@ -73,35 +77,35 @@ def stepwise(
     """
     shares = SPENT if every else (1.0, 0.0)
     level = log_alpha + float(np.log(shares[0]))
-    first = last = locate(fields, probes)
+    first = last = locate(fields, signatures)
     start = fields
     steps: list[Step] = []
     given_up: set[str] = set()
     while True:
         steps, fields, last = _forward(
-            steps, fields, last, first.tests, probes, given_up, allowed, level, tell
+            steps, fields, last, first.tests, signatures, given_up, allowed, level, tell
         )
         final = _in_final_model(steps, first.tests)
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > level]
         if not weak:
             late = None
             if every and len(steps) < MOST_STEPS:
-                active = _active(probes, steps, given_up)
+                active = _active(signatures, steps, given_up)
                 late = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
             if late is None:
                 charged = (s if s.late else s._replace(log_p=charge(s.log_p, shares[0])) for s in final)
                 return Fitted(tuple(charged), fields, last, first)
             named, log_p = late
-            tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.probe.name})")
+            tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.signature.name})")
             steps.append(Step(named, fields, log_p, late=True))
-            fields = refit(named.probe.absorb(fields, named.score), fields)
-            last = locate(fields, _active(probes, steps, given_up), first.tests)
+            fields = refit(named.signature.absorb(fields, named.score), fields)
+            last = locate(fields, _active(signatures, steps, given_up), first.tests)
             continue
         gone = steps.pop(max(weak, key=lambda n: final[n].log_p))
-        tell(f"given up: {gone.named.mechanism} ({gone.named.probe.name})")
-        given_up.add(gone.named.probe.name)
+        tell(f"given up: {gone.named.mechanism} ({gone.named.signature.name})")
+        given_up.add(gone.named.signature.name)
         steps, fields = _again(steps, start)
-        last = locate(fields, _active(probes, steps, given_up), first.tests)
+        last = locate(fields, _active(signatures, steps, given_up), first.tests)
 
 
 def charge(log_p: float, share: float) -> float:
@@ -113,7 +117,7 @@ def second_look(
     steps: list[Step],
     last: Located,
     every: Callable[[], tuple[Fields, ...]],
-    probes: tuple[Probe, ...],
+    signatures: tuple[Signature, ...],
     allowed: frozenset[str],
     tests: float,
     log_alpha: float,
@@ -123,75 +127,77 @@ def second_look(
     if not last.log_p or min(last.log_p.values()) > np.log(SUSPECT):
         return None
     doubtful = tuple(
-        p for p in probes if p.name in last.scores and last.scores[p.name].log_p < np.log(_CANDIDATE)
+        p for p in signatures if p.name in last.scores and last.scores[p.name].log_p < np.log(_CANDIDATE)
     )
     fields = _again(steps, every())[1]
     together = locate(fields, doubtful, tests)
     named = name(together, doubtful, allowed, log_alpha + float(np.log(SPENT[1])))
     if named is None:
         return None
-    log_p = charge(together.log_p[named.probe.name], SPENT[1])
-    return named._replace(score=last.scores[named.probe.name]), log_p
+    log_p = charge(together.log_p[named.signature.name], SPENT[1])
+    return named._replace(score=last.scores[named.signature.name]), log_p
 
 
-def _forward(steps, fields, located, tests, probes, given_up, allowed, log_alpha, tell):
+def _forward(steps, fields, located, tests, signatures, given_up, allowed, log_alpha, tell):
     """Steps added until nothing is rejected, what is left of the fields, and the last pass of the battery."""
     steps = list(steps)
     while len(steps) < MOST_STEPS:
-        named = name(located, _active(probes, steps, given_up), allowed, log_alpha)
+        named = name(located, _active(signatures, steps, given_up), allowed, log_alpha)
         if named is None:
             break
-        tell(f"step {len(steps) + 1}: {named.mechanism} ({named.probe.name})")
-        steps.append(Step(named, fields, located.log_p[named.probe.name]))
-        previous, fields = fields, refit(named.probe.absorb(fields, named.score), fields)
-        active = _active(probes, steps, given_up)
-        located = locate(fields, active, tests, _known(located, previous, fields, list(active)))
+        tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
+        steps.append(Step(named, fields, located.log_p[named.signature.name]))
+        previous, fields = fields, refit(named.signature.absorb(fields, named.score), fields)
+        active = _active(signatures, steps, given_up)
+        located = locate(fields, active, tests, known(located, previous, fields, active))
     return steps, fields, located
 
 
-def _active(probes: tuple[Probe, ...], steps: list[Step], given_up: set[str]) -> tuple[Probe, ...]:
+def _active(
+    signatures: tuple[Signature, ...], steps: list[Step], given_up: set[str]
+) -> tuple[Signature, ...]:
     """Probes that can be trusted beside the steps."""
-    found = [(s.named.probe, s.named.score) for s in steps]
+    found = [(s.named.signature, s.named.score) for s in steps]
     aside = given_up | {n for p, score in found for n in (p.name, *p.covers, *p.hides(score))}
-    return tuple(p for p in probes if p.name not in aside)
+    return tuple(p for p in signatures if p.name not in aside)
 
 
 def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:
     """The steps fitted anew from the start, each beside those before it, and what is left of the fields."""
     out = []
     for step in steps:
-        score = step.named.probe.score(fields) or step.named.score
+        score = step.named.signature.score(fields) or step.named.score
         out.append(step._replace(named=step.named._replace(score=score), before=fields))
-        fields = refit(step.named.probe.absorb(fields, score), fields)
+        fields = refit(step.named.signature.absorb(fields, score), fields)
     return out, fields
 
 
 def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
-    """Steps that are the slow part of another: means of frames that move no more than 1/f noise slower than a
+    """Steps that are the slow part of another: means of frames that move no more than noise slower than a
     frame moves them, and the step with that noise."""
-    slopes = [n for n, s in enumerate(steps) if s.named.probe.name in ("raster_slope", "row_slope")]
     out = {}
     for n, step in enumerate(steps):
-        score = step.named.score
-        if step.named.probe.name != "frame_additive":
+        score, axes = step.named.score, step.named.signature.axes
+        if (axes.varies_over, axes.time, axes.scales) != ("frame", "redrawn", "additive"):
             continue
-        for slope in slopes:
+        for m, other in enumerate(steps):
+            moved = other.named.signature.moves_frames
             size = step.before[0].mean.shape
-            if score.amplitude - 1.645 * score.error < below_frame(steps[slope].named.score, size):
-                out[n] = slope
+            if moved and score.amplitude - _Z90 * score.error < moved(other.named.score, size):
+                out[n] = m
     return out
 
 
 def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
-    """The steps with the p-value that each has when it alone is dropped from the final model. A probe that
-    the others leave nothing to look at keeps the p-value of its step."""
+    """The steps with the p-value that each has when it alone is dropped from the final model. A signature
+    that the others leave nothing to look at keeps the p-value of its step."""
     out = []
     for k, step in enumerate(steps):
         fields = step.before
         for later in steps[k + 1 :]:
-            fields = refit(later.named.probe.absorb(fields, later.named.score), fields)
-        score = step.named.probe.score(fields) if k + 1 < len(steps) else step.named.score
-        share = weight(step.named.probe)
+            fields = refit(later.named.signature.absorb(fields, later.named.score), fields)
+        score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
+        share = step.named.signature.weight
         out.append(
             step if score is None or step.late else step._replace(log_p=sidak(score.log_p, tests / share))
         )

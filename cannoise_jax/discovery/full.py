@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.fields import site
 from cannoise_jax.discovery.stacks import Stack, steady
+from cannoise_jax.signatures.fields import site
+from cannoise_jax.signatures.recorded import Level
 
 _STANDS_OUT = 12.0
 """Power of a mode, in units of the white level, that noise of single pixels has in one of 1e5."""
-
-
-class Level(NamedTuple):
-    """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
-    sure: whether the signal of each pixel is known well enough to judge the curve; alone: variance of what
-    pixels do not share."""
-
-    recording: int
-    channel: int
-    signal: float
-    variance: float
-    error: float
-    pixels: int
-    full: bool = False
-    sure: bool = True
-    alone: float = 0.0
 
 
 Line = Callable[[list[Level], int], tuple[float, ...]]

@@ -6,8 +6,8 @@ other frames, a pattern as its estimate with the doubt about it added to the pix
 gain, read noise and the smooth mean are nuisances, fitted on the scored frames alike for every model that
 is compared.
 
-Not every finding has such a likelihood (tails, telegraph and correlated pixels, waves, codes): `predicted`
-says which; for models with one of those the composite score serves, before and after.
+Not every finding has such a likelihood (tails, telegraph and correlated pixels, waves, codes):
+`Signature.predict` says which; for models with one of those the composite score serves, before and after.
 """
 
 from __future__ import annotations
@@ -19,67 +19,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.fields import Fields, channel_index, stratum
-from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.stacks import Stack, at_level
-from cannoise_jax.discovery.statistics.hot import known_heat
-from cannoise_jax.discovery.statistics.lines import static_sums, whiten_lines
-from cannoise_jax.discovery.statistics.patterns import ALL_KINDS, pixel_sums
 from cannoise_jax.physics.likelihood.codes import CodeGrid
 from cannoise_jax.physics.likelihood.crossed import SharedTerms, crossed_gaussian, stationary_factor
+from cannoise_jax.signatures.fields import Fields, channel_index, stratum
+from cannoise_jax.signatures.lines import whiten_lines
+from cannoise_jax.signatures.signature import Predicted
 
 _MASKED = 1e10
 """Variance of pixels that are not scored, DN^2."""
 _LEAST = 0.05
 """Share of the baseline's variance that shared offsets must leave to the pixels."""
-
-
-class Predicted(NamedTuple):
-    """What one finding predicts for new frames.
-
-    pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting;
-    scaling: 'additive' DN, 'relative' fractions of the signal, 'thermal' DN per second. row, column, frame:
-    standard deviation of random offsets, DN; exponent: of the spectrum of the row offsets, 0: white.
-    """
-
-    pattern: np.ndarray | None = None
-    doubt: np.ndarray | float = 0.0
-    scaling: str = "additive"
-    row: float = 0.0
-    column: float = 0.0
-    frame: float = 0.0
-    exponent: float = 0.0
-
-
-def predicted(step: Step) -> Predicted | None:
-    """What a finding predicts, from the frames that it was found on; None: it has no such likelihood."""
-    probe, score, fields = step.named.probe.name, step.named.score, step.before
-    parts = probe.split("_")
-    if probe == "frame_additive":
-        return Predicted(frame=score.amplitude)
-    if probe == "row_slope":
-        return Predicted(row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
-    if parts[0] in ("row", "column") and parts[1:] == ["additive", "temporal"]:
-        return Predicted(**{parts[0]: score.amplitude})  # type: ignore[arg-type]
-    if parts[0] in ("row", "column") and parts[-1] == "static":
-        sums = static_sums(fields, parts[0], parts[1])
-        if sums is None:
-            return None
-        doubt = score.amplitude**2 / (1 + score.amplitude**2 * sums.information)
-        shape = (-1, 1) if parts[0] == "row" else (1, -1)
-        return Predicted((doubt * sums.score).reshape(shape), doubt.reshape(shape), parts[1])
-    if parts[0] == "pixel" and parts[-1] == "static":
-        sums = pixel_sums(fields, parts[1], ALL_KINDS)
-        seconds = max(f.exposure_s or 0.0 for f in fields) if parts[1] == "thermal" else 1.0
-        if sums is None or not seconds:
-            return None
-        variance = (score.amplitude / seconds) ** 2
-        doubt = variance / (1 + variance * sums.information)
-        return Predicted(doubt * sums.score, doubt, parts[1])
-    if probe in ("hot_additive", "hot_thermal"):
-        known = known_heat(fields, score.payload)
-        return None if known is None else Predicted(known.mean, known.variance, parts[1])
-    return None
 
 
 class Scored(NamedTuple):
@@ -212,9 +162,9 @@ def _by_pixels(field: Fields, found: list[Predicted]) -> Fields:
 
 def _unit(scaling: str, field: Fields) -> np.ndarray | float | None:
     """DN per unit of a pattern in this recording; None where it does not reach."""
-    if scaling == "relative":
+    if scaling == "signal":
         return field.signal if field.lit else None
-    return (field.exposure_s or None) if scaling == "thermal" else 1.0
+    return (field.exposure_s or None) if scaling == "exposure" else 1.0
 
 
 def _centred(shift: np.ndarray, field: Fields, usable: Bool[np.ndarray, "h w"]) -> np.ndarray:

@@ -12,8 +12,8 @@ from cannoise_jax.discovery.declare import UNTESTED
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
 from cannoise_jax.discovery.report import listed_steps
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import Recording
-from cannoise_jax.vocabulary import VOCABULARY
 
 _MEASURES = (
     ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),
@@ -129,7 +129,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     for n in listed_steps(diagnosis):
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
         axis = steps[n].named.score.where.get("axis", "pixel")
-        redrawn = steps[n].named.probe.axes.get("time") == "redrawn"
+        redrawn = steps[n].named.signature.axes.time == "redrawn"
         pictures.append(where_picture(steps[n].before, after, axis, redrawn))
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(

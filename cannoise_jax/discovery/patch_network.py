@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from cannoise_jax.discovery.draws import spread_codes
-from cannoise_jax.discovery.fields import Fields
+from cannoise_jax.signatures.fields import Fields
 
 SIDE = 32
 _BATCH = 512

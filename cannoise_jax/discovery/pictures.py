@@ -12,10 +12,10 @@ from matplotlib.colors import SymLogNorm
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from cannoise_jax.discovery.fields import Fields
 from cannoise_jax.discovery.quality import Curves, Quality
-from cannoise_jax.discovery.statistics.covariance import LAGS
-from cannoise_jax.discovery.statistics.lines import line_sums
+from cannoise_jax.signatures.covariance import LAGS
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.lines import line_sums
 
 _BEFORE, _AFTER, _REAL = "#c8553d", "#2f6fd0", "#1c2430"
 

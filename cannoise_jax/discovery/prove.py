@@ -1,7 +1,7 @@
 """Prove: what every finding gains on frames that took no part in finding it.
 
 Strengths and frozen patterns of the frames that looked are judged on those held back. Where the finding has
-a likelihood (`heldout.predicted`), the gain is that of the codes, all findings in the model against all but
+a likelihood (`Signature.predict`), the gain is that of the codes, all findings in the model against all but
 this one; its interval comes from the scatter of the gains of parts of the frames within each recording.
 Where it has none, the gain is that of the finding's own statistic, which is close to quadratic in its
 amplitude (to the statistic's power): its maximum on the frames held back less half the squared,
@@ -20,12 +20,11 @@ from scipy import stats
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.blocks import bands, frame_blocks, leave_out
-from cannoise_jax.discovery.fields import Fields, refit
 from cannoise_jax.discovery.fit import Fitted, Step
-from cannoise_jax.discovery.heldout import Scored, predicted, score_frames
-from cannoise_jax.discovery.statistics.glow import glow_again
-from cannoise_jax.discovery.statistics.hot import Heat, heat_again, without_pixels
-from cannoise_jax.discovery.statistics.score import Probe, Score
+from cannoise_jax.discovery.heldout import Scored, score_frames
+from cannoise_jax.signatures.fields import Fields, refit, without_pixels
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import Signature
 
 MOST_JOINT = 4
 """Up to so many findings each is judged with all others in the model."""
@@ -99,8 +98,8 @@ def prove(
     not that of the others, and would drown what rows or frames share.
     """
     steps = fitted.steps
-    probes = {p.name: p for p in second.probes}
-    laws = [predicted(step) for step in steps]
+    signatures = {p.name: p for p in second.signatures}
+    laws = [s.named.signature.predict(s.before, s.named.score) for s in steps]
     known = [p for p in laws if p is not None]
     base = score_frames(first, second, chosen, [])
     full = score_frames(first, second, chosen, known) if known else base
@@ -108,23 +107,22 @@ def prove(
     ordinary = {f.number: f.usable for f in fitted.fields}
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
     out = []
-    together = every() if every and any(_pattern(step.named.probe) for step in steps) else None
+    together = every() if every and any(_pattern(step.named.signature) for step in steps) else None
     for n, step in enumerate(steps):
         fields = beside(steps, n, second.fields)
-        probe = probes.get(step.named.probe.name)
-        score = seen_again(probe, fields, step.named.score) if probe is not None else None
-        if together is not None and score is not None and _pattern(step.named.probe):
-            looked, both = (step.named.probe.score(beside(steps, n, p.fields)) for p in (first, together))
+        signature = signatures.get(step.named.signature.name)
+        score = signature.score_again(fields, step.named.score) if signature is not None else None
+        if together is not None and score is not None and _pattern(step.named.signature):
+            looked, both = (step.named.signature.score(beside(steps, n, p.fields)) for p in (first, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
-        if score is not None and step.named.probe.name == "glow":
-            score = glow_again(step.named.score, fields) or score
-        if score is not None and step.named.probe.name.startswith("hot_"):
-            score = heat_again(step.named.score, beside(steps, n, first.fields), fields) or score
+        told = step.named.signature.strength
+        if score is not None and told is not None:
+            score = told(step.named.score, beside(steps, n, first.fields), fields) or score
         law = laws[n]
         if law is not None and pixels:
             rest = [p for p in laws if p is not None and p is not law]
-            single = step.named.probe.name.startswith("hot_") or not masked
+            single = step.named.signature.single_pixels or not masked
             reference, without = (
                 score_frames(first, second, chosen, some, None if single else ordinary, law)
                 for some in (known, rest)
@@ -132,11 +130,11 @@ def prove(
             gain, low, high = frame_interval(reference, without)
             scored = int(reference.pixels.sum())
             out.append(Proof(score, gain, low, high, scored, "likelihood", gain - _NUISANCES / 2))
-        elif score is None or probe is None or not pixels:
+        elif score is None or signature is None or not pixels:
             out.append(Proof(None, None, np.nan, np.nan, 0))
         else:
             gain = held_out_gain(step.named.score, score)
-            low, high = jackknife_interval(probe, fields, step.named.score, gain)
+            low, high = jackknife_interval(signature, fields, step.named.score, gain)
             out.append(Proof(score, gain, low, high, pixels))
     complete = len(known) == len(steps)
     return Proofs(
@@ -146,28 +144,20 @@ def prove(
     )
 
 
-def seen_again(probe: Probe, fields: tuple[Fields, ...], found: Score) -> Score | None:
-    """The score of a finding on other frames; of a wave at the frequency that it was found at: the strongest
-    one of a few frames may be one of the noise."""
-    if probe.name.startswith("wave_"):
-        return probe.score(fields, near=found.payload[:2])
-    return probe.score(fields)
-
-
 def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
     """The fields with every finding but the n-th taken out; of many, and for hot pixels that stand out from a
     map found after them, those accepted before it."""
-    heat = steps[n].named.score.payload
-    ordered = len(steps) > MOST_JOINT or (isinstance(heat, Heat) and heat.beside_map)
+    found = steps[n].named
+    ordered = len(steps) > MOST_JOINT or bool(found.signature.before(found.score))
     others = steps[:n] if ordered else (*steps[:n], *steps[n + 1 :])
     for other in others:
-        fields = refit(other.named.probe.absorb(fields, other.named.score))
+        fields = refit(other.named.signature.absorb(fields, other.named.score))
     return fields
 
 
-def _pattern(probe: Probe) -> bool:
-    """Whether a probe looks for a random pattern that stays."""
-    return probe.axes.get("time") == "frozen" and probe.axes.get("law") == "white"
+def _pattern(signature: Signature) -> bool:
+    """Whether a signature looks for a random pattern that stays."""
+    return signature.frozen and signature.axes.law == "white"
 
 
 def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
@@ -195,7 +185,7 @@ def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
     error /= 2 * max(amplitude, both.shift)
     name, (_, unit, _) = next(iter(held.parameters.items()))
     parameters = {**held.parameters, name: (amplitude, unit, error)}
-    return held._replace(amplitude=amplitude, error=error, parameters=parameters)
+    return held.replace(amplitude=amplitude, error=error, parameters=parameters)
 
 
 def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, float]:
@@ -237,20 +227,20 @@ def held_out_gain(found: Score, again: Score) -> float:
 
 
 def jackknife_interval(
-    probe: Probe, fields: tuple[Fields, ...], found: Score, gain: float
+    signature: Signature, fields: tuple[Fields, ...], found: Score, gain: float
 ) -> tuple[float, float]:
     """90 % interval of a held-out gain by leaving out bands of rows, or blocks of frames where a row or frame
     shares what is new in it; nan for fewer than two blocks."""
     size = sum(f.contrasts.size for f in fields)
     most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
-    frame_wide = probe.axes.get("varies_over") == "channel" and probe.axes.get("time") == "redrawn"
-    if probe.axes.get("varies_over") in _WITHIN_ROWS and not frame_wide:
+    frame_wide = signature.axes.varies_over == "channel" and signature.axes.time == "redrawn"
+    if signature.axes.varies_over in _WITHIN_ROWS and not frame_wide:
         parts = [without_pixels(fields, band) for band in bands(fields[0].mean.shape, most)]
     else:
         parts = [leave_out(fields, block) for block in frame_blocks(fields, most)]
     if len(parts) < 2:
         return float("nan"), float("nan")
-    again = [seen_again(probe, part, found) for part in parts]
+    again = [signature.score_again(part, found) for part in parts]
     gains = np.array([held_out_gain(found, s) for s in again if s is not None])
     if gains.size < 2:
         return float("nan"), float("nan")

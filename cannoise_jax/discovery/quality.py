@@ -15,16 +15,16 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.draws import as_fields, draw_like, spread_codes
-from cannoise_jax.discovery.fields import Fields, frame_fields, stratum
 from cannoise_jax.discovery.heldout import Scored
 from cannoise_jax.discovery.patch_network import SIDE
 from cannoise_jax.discovery.prove import Proof, Proofs, frame_interval
 from cannoise_jax.discovery.sides import Drawings, Sides
-from cannoise_jax.discovery.statistics.covariance import LAGS, lag_sums
-from cannoise_jax.discovery.statistics.lines import line_power
 from cannoise_jax.discovery.twosample import TwoSample, two_sample
 from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
 from cannoise_jax.physics.likelihood.composite import Profile, composite_score, profile, ruler
+from cannoise_jax.signatures.covariance import LAGS, lag_sums
+from cannoise_jax.signatures.fields import Fields, frame_fields, stratum
+from cannoise_jax.signatures.lines import line_power
 
 _PIT_BINS = 20
 _PIT_MOST = 40_000

@@ -14,10 +14,9 @@ from cannoise_jax.discovery.declare import kinds
 from cannoise_jax.discovery.diagnose import Diagnosis, detectable
 from cannoise_jax.discovery.fit import Step, part_of
 from cannoise_jax.discovery.prove import Proof, same_place
-from cannoise_jax.discovery.statistics.reference import quoted
-from cannoise_jax.discovery.statistics.score import Score
 from cannoise_jax.discovery.wording import sentence
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.mechanisms import VOCABULARY
+from cannoise_jax.signatures.score import Score
 
 SCHEMA = "cannoise/diagnosis/1"
 _PLACES: dict[str, tuple[str, ...]] = {
@@ -99,7 +98,7 @@ def document(
     # Where nothing may be named, what is left of the battery still looks for structures without a name.
     tested = diagnosis.testable or diagnosis.fitted.first.scores
     verdict = "mismatch" if findings else "match" if tested else "not_testable"
-    # A name that a probe of another mechanism may give was looked for, too.
+    # A name that a signature of another mechanism may give was looked for, too.
     also = [id for id in diagnosis.ids if id in named and id not in diagnosis.testable]
     return plain(
         {
@@ -198,7 +197,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     # A few pixels may not show again in few frames: their strength is then that of the frames that looked.
     # Nor are the numbers of one wave joined to the place of another.
     found, again = step.named.score, proof.score
-    score = quoted(
+    score = step.named.signature.quoted(
         again if again is not None and again.error > 0 and same_place(found, again) else found, mechanism
     )
     term = VOCABULARY[mechanism]
@@ -240,7 +239,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         of = [max(part.amplitude + e, 0.0) for e in (-_Z90 * part.error, _Z90 * part.error)]
         out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
     if mechanism == "unknown":
-        out["card"] = card(step, diagnosis.first.probes, frozenset(diagnosis.ids), steps)
+        out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof)
     return out
 

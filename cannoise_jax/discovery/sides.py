@@ -11,12 +11,13 @@ from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.battery import Prepared, drawn_parameters
 from cannoise_jax.discovery.draws import Drawing, changed, drawing
-from cannoise_jax.discovery.fields import channel_index
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.model import baseline_model, extended_model
+from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.simulate import Simulator, codes_of
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.signatures.fields import channel_index
 
 Drawings = Callable[[Key[Array, ""]], Drawing]
 """A simulator's draws by key."""
@@ -78,8 +79,8 @@ def handed_simulators(
 
     def changed_by(some: tuple[Step, ...]) -> Drawings:
         model = extended_model(capture, first, some)
-        names = {s.named.mechanism for s in some}
-        ratio = noise_ratio(capture, first, parameters, "gain_error" in names, "read_noise_error" in names)
+        restated = {s.named.signature.restates for s in some if s.named.mechanism != UNKNOWN}
+        ratio = noise_ratio(capture, first, parameters, "gain" in restated, "read" in restated)
 
         def draws(key: Key[Array, ""]) -> Drawing:
             own_key, same = jax.random.split(key)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.fields import channel_index, contrast_matrix, least_squares, site
 from cannoise_jax.discovery.smooth import beyond
-from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
+from cannoise_jax.signatures.fields import channel_index, contrast_matrix, least_squares, site, surfaces
 
 MOST_FRAMES = 16
 """Frames of one recording and split that are held at once: memory does not grow beyond."""
@@ -64,7 +64,7 @@ def stack(
     variance = _steady_variance(contrasts, overall)
     white = min(recording.white_level, 65535.0)
     usable = (high < white - 0.5) & (low > 0)
-    if recording.kind in ("dark", "bias") and usable.mean() < 0.9:
+    if recording.kind in DARK and usable.mean() < 0.9:
         usable = np.ones(size, bool)
     return Stack(
         recording,
@@ -222,21 +222,6 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
         out[chosen] = fitted
         out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
     return out
-
-
-def surfaces(size: tuple[int, int], degree: int, c: int) -> Float[np.ndarray, "n k"]:
-    """Products of Legendre polynomials of rows and columns, up to this degree in all, at the pixels of mosaic
-    site c in reading order."""
-    rows, columns = (
-        [np.polynomial.legendre.legval(at, np.eye(degree + 1)[i]) for i in range(degree + 1)]
-        for at in (
-            2 * np.arange(o, n, 2) / max(n - 1, 1) - 1 for n, o in zip(size, divmod(c, 2), strict=True)
-        )
-    )
-    products = [
-        np.multiply.outer(rows[i], columns[j]) for i in range(degree + 1) for j in range(degree + 1 - i)
-    ]
-    return np.stack([p.ravel() for p in products], 1)
 
 
 def affine(

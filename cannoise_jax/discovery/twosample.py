@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields, stratum
 from cannoise_jax.discovery.patch_network import cut, train
+from cannoise_jax.signatures.fields import Fields, stratum
 
 CONTROL_AREA = 0.6
 _DECISIONS = 4

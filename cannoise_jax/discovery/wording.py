@@ -7,7 +7,7 @@ from typing import Any
 
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.prove import Proof
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.mechanisms import VOCABULARY
 
 
 def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
@@ -16,11 +16,10 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
     amount = f"{entry['amplitude']['value']:.3g} {entry['amplitude']['unit']}".replace(" 1", "")
     low, high = entry["amplitude"]["ci90"]
     if entry["outcome"] == "UNKNOWN_STRUCTURE":
-        axes = step.named.probe.axes
+        axes = step.named.signature.axes
         start = (
-            f"A structure without a name: it varies over {axes.get('varies_over', 'pixel')}, is "
-            f"{axes.get('time', 'redrawn')} in time, scales as {axes.get('scales', 'additive')}, "
-            f"law {axes.get('law', 'white')}; strength {amount}"
+            f"A structure without a name: it varies over {axes.varies_over}, is {axes.time} in time, "
+            f"scales as {axes.scales}, law {axes.law}; strength {amount}"
         )
     elif entry["outcome"] == "AMBIGUOUS":
         others = " or ".join(
@@ -30,19 +29,15 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
         )
         start = f"These recordings cannot separate {others}; as {name} it is {amount}"
     else:
-        grows = " (growing with the exposure)" if step.named.probe.axes.get("scales") == "thermal" else ""
-        start = f"{VOCABULARY[entry['mechanism']].definition[:-1]}{grows}: {amount}"
-        if "shortfall" in entry.get("parameters", {}):
-            lost = entry["parameters"]["shortfall"]
-            held, (low, high) = 1 - lost["value"], (1 - v for v in reversed(lost["ci90"]))
-            how = "rarer" if held < 1 else "more frequent"
-            start = (
-                f"Every {entry['amplitude']['value']:.4g} codes one is {how} than those beside it, by "
-                f"digital scaling or a fault of the converter: it holds {held:.3g} of what they hold"
-            )
+        definition = VOCABULARY[entry["mechanism"]].definition[:-1]
+        told = "exposure" in definition or step.named.signature.axes.scales != "exposure"
+        grows = "" if told else " (growing with the exposure)"
+        start = f"{definition}{grows}: {amount}"
+        if step.named.signature.says:
+            start, (low, high) = step.named.signature.says(entry)
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
-    frozen = step.named.probe.axes.get("time") == "frozen"
+    frozen = step.named.signature.frozen
     whose = "new frames of this camera" if frozen else "frames that took no part in finding it"
     if step.late:
         proven = "; not confirmed: only all frames together show it, and none is left to confirm it on."

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cannoise_jax.commands.blind_develop import HIGHER_IS_BETTER, develop, worse
+from cannoise_jax.trials.develop import HIGHER_IS_BETTER, develop, worse
 
 pytest.importorskip("getframes", reason="getframes is not installed: pip install 'cannoise-jax[blind]'")
 RECORDED = json.loads((Path(__file__).parent / "recorded.json").read_text())

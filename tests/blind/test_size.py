@@ -7,7 +7,7 @@ import json
 import pytest
 
 from cannoise_jax.commands.blind import main
-from cannoise_jax.commands.blind_size import summary
+from cannoise_jax.trials.size import summary
 
 
 def test_replicates_resume_and_shards_add_up(tmp_path, capsys):

@@ -29,10 +29,10 @@ def row_gains(sigma):
 def told(alter, name, seed):
     capture = capture_set(seed, alter)
     prepared = prepare_split(capture, split_recordings(capture))
-    probe = next(p for p in prepared.probes if p.name == name)
+    probe = next(p for p in prepared.signatures if p.name == name)
     named = Named(probe.score(prepared.fields), probe, "unknown", (("unknown", 1.0),), False)
     ids = frozenset(registered(HIDDEN))
-    return card(Step(named, prepared.fields, -20.0), prepared.probes, ids), ids
+    return card(Step(named, prepared.fields, -20.0), prepared.signatures, ids), ids
 
 
 @pytest.mark.parametrize(

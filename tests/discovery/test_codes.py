@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.statistics.codes import Codes, comb_score
+from cannoise_jax.signatures.codes import Codes, comb_score
 from tests.discovery.capture import capture_set
 
 LEVELS = ((500, 5.0), (900, 22.0), (1500, 31.0))
@@ -18,7 +18,7 @@ def values(seed):
 
 def score(codes):
     counts = np.bincount(codes, minlength=4096).astype(float)
-    return comb_score(None, probe="comb", codes=Codes(counts, 4.9, (), (), 1.0, 1.0, None))
+    return comb_score(None, codes=Codes(counts, 4.9, (), (), 1.0, 1.0, None))
 
 
 @pytest.mark.parametrize("period, share", [(2, 1.0), (2, 0.05), (5, 1.0), (12, 0.5), (33, 0.5), (100, 1.0)])

@@ -16,10 +16,10 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.sampling import SMALLEST
-from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import (
     capture_set,
     column_pattern,
@@ -162,7 +162,7 @@ def test_the_minimum_detectable_row_noise_is_that_of_its_probe():
     for seed in range(6):
         capture = capture_set(seed, row_offsets(limit * 2))
         prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
-        probe = next(p for p in prepared.probes if p.name == "row_additive_temporal")
+        probe = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
         score = probe.score(prepared.fields)
         assert score is not None
         shifts.append(score.amplitude**2 / score.shift**2)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.statistics import shape
+from cannoise_jax.signatures import shape
 from tests.discovery.capture import capture_set
-from tests.discovery.test_statistics import white
+from tests.discovery.looks import white
 
 QUIET = {"gain": 6.0, "read": 0.28, "size": (128, 192)}
 """Gain, DN per electron, and read noise, electrons."""
@@ -37,7 +37,7 @@ def test_poisson_kurtosis_of_a_dark_is_known_as_well_as_its_level():
         fields = white(np.random.default_rng(seed), kinds=("dark",), frames=frames, size=size, sigma=sigma)
         off = rng.standard_normal() * sigma * np.sqrt(2 / (frames * np.prod(size)))
         dark = fields[0]._replace(signal=np.full(size, off, np.float32), gain=np.full(4, gain))
-        low, high = (shape.kurtosis_score((dark,), probe="k", tails=t).log_p for t in (1, -1))
+        low, high = (shape.kurtosis_score((dark,), tails=t).log_p for t in (1, -1))
         z.append(min(low, high))
     assert min(z) > np.log(1e-4)
     assert shape.kurtosis_doubt(dark) > 0.05
@@ -52,6 +52,6 @@ def test_light_tails_are_no_heavy_ones():
         )
         for f in white(rng, kinds=("dark", "dark"))
     )
-    heavy, light = (shape.kurtosis_score(fields, probe="k", tails=t) for t in (1, -1))
+    heavy, light = (shape.kurtosis_score(fields, tails=t) for t in (1, -1))
     assert heavy.log_p > -0.1 and heavy.amplitude == 0
     assert light.log_p < -50 and -1.2 < light.parameters["excess_kurtosis"][0] < -0.5

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.fields import Fields, helmert, refit
 from cannoise_jax.discovery.fit import stepwise
-from cannoise_jax.discovery.statistics import groups, lines, patterns
-from cannoise_jax.discovery.statistics.score import sidak
+from cannoise_jax.signatures import groups
+from cannoise_jax.signatures.fields import Fields, helmert, refit
+from cannoise_jax.signatures.score import sidak
 from tests.discovery.capture import capture_set, row_offsets
+from tests.discovery.looks import SIGNATURES
 
 SIZE = (64, 96)
-PROBES = (*groups.probes(), *lines.probes(), *patterns.probes())
+KIN = ("tile", "diagonal", "antidiagonal", "site", "row", "column", "frame", "pixel", "scene")
+PROBES = tuple(s for s in SIGNATURES.values() if s.name.startswith(KIN) and "slope" not in s.name)
 ALLOWED = frozenset({"row_noise", "column_noise", "row_fpn", "column_fpn", "dsnu"})
 
 
@@ -39,14 +41,14 @@ def fitted():
 
 
 def test_both_effects_are_found_and_nothing_else(fitted):
-    assert {s.named.probe.name for s in fitted.steps} == {"tile_16_redrawn", "column_additive_temporal"}
+    assert {s.named.signature.name for s in fitted.steps} == {"tile_16_redrawn", "column_additive_temporal"}
     assert {s.named.mechanism for s in fitted.steps} == {"unknown", "column_noise"}
 
 
 def test_p_of_the_first_is_taken_with_the_second_in_the_model(fitted):
     first, second = fitted.steps
-    without = refit(second.named.probe.absorb(first.before, second.named.score), first.before)
-    expected = sidak(first.named.probe.score(without).log_p, fitted.first.tests)
+    without = refit(second.named.signature.absorb(first.before, second.named.score), first.before)
+    expected = sidak(first.named.signature.score(without).log_p, fitted.first.tests)
     assert first.log_p == pytest.approx(expected)
     assert first.log_p != pytest.approx(sidak(first.named.score.log_p, fitted.first.tests))
     assert second.log_p == pytest.approx(sidak(second.named.score.log_p, fitted.first.tests))
@@ -65,7 +67,7 @@ def test_what_the_final_model_does_not_need_is_given_up_again():
     """Row noise of two frames shows in their mean first; beside it in the model nothing is left to stay."""
     capture = capture_set(70, row_offsets(1.5), kinds="df", frames=2)
     prepared = prepare_split(capture, split_recordings(capture))
-    probes = tuple(p for p in prepared.probes if p.name.startswith("row_"))
+    probes = tuple(p for p in prepared.signatures if p.name.startswith("row_"))
     said = []
     found = stepwise(
         prepared.fields, probes, frozenset({"row_fpn", "row_noise"}), float(np.log(0.01)), said.append
@@ -93,9 +95,9 @@ def test_a_second_look_sees_what_the_first_suspects_and_charges_its_share():
             assert step.log_p < np.log(0.01)
             if step.late:
                 late += 1
-                assert step.named.score == found.first.scores[step.named.probe.name]
-                assert np.log(0.006) < found.first.log_p[step.named.probe.name] < 0
-                alone = sidak(step.named.probe.score(together).log_p, found.first.tests)
+                assert step.named.score == found.first.scores[step.named.signature.name]
+                assert np.log(0.006) < found.first.log_p[step.named.signature.name] < 0
+                alone = sidak(step.named.signature.score(together).log_p, found.first.tests)
                 assert step.log_p == pytest.approx(alone - np.log(0.4))
     assert late >= 3
 

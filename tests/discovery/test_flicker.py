@@ -33,7 +33,7 @@ def flickering(strength, colours=(1.0, 1.0, 1.0, 1.0)):
 
 def looked_at(capture):
     first = prepare_split(capture, split_recordings(capture))
-    return first, stepwise(first.fields, first.probes, frozenset(registered(())), np.log(0.01))
+    return first, stepwise(first.fields, first.signatures, frozenset(registered(())), np.log(0.01))
 
 
 @pytest.mark.parametrize("kinds", ["df", "sdf"])
@@ -67,7 +67,7 @@ def test_white_offsets_of_rows_of_light_are_no_flicker():
         return lambda dn, signal, kind, t: dn + 0.05 * signal * rng.standard_normal((dn.shape[0], 1))
 
     first, fitted = looked_at(capture_set(5, alter, kinds="df", size=SIZE))
-    assert [(s.named.mechanism, s.named.probe.name) for s in fitted.steps] == [
+    assert [(s.named.mechanism, s.named.signature.name) for s in fitted.steps] == [
         ("unknown", "row_relative_temporal")
     ]
     np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.03)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.glow import glow_absorb, glow_again, glow_score
-from cannoise_jax.discovery.statistics.levels import dark_levels
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.glow import glow_absorb, glow_again, glow_score
+from cannoise_jax.signatures.levels import dark_levels
 
 SIZE = (96, 128)
 
@@ -45,7 +45,7 @@ def test_strength_covers_the_truth_on_frames_that_looked_and_on_others(place, re
     truth, looked, again = 0.09, [], []
     for _ in range(60):
         first, second = (darks(rng, truth * fall(place, reach), n) for n in (6, 2))
-        score = glow_score(first, probe="glow")
+        score = glow_score(first)
         assert score is not None
         other = glow_again(score, second)
         assert other is not None
@@ -61,7 +61,7 @@ def test_glow_of_uncertain_reach_leaves_no_level_for_a_dark_current():
     signal = 0.08 * fall((1, 0), 0.27)
     for _ in range(20):
         fields = darks(rng, signal, 6)
-        score = glow_score(fields, probe="glow")
+        score = glow_score(fields)
         left = glow_absorb(fields, score)
         (_, _, _), (_, level, error) = dark_levels(left)
         assert abs(level.mean()) < 4 * error / 2
@@ -70,5 +70,5 @@ def test_glow_of_uncertain_reach_leaves_no_level_for_a_dark_current():
 def test_dark_current_beside_a_glow_is_left_to_be_found():
     rng = np.random.default_rng(3)
     fields = darks(rng, 0.3 * fall((1, 0), 0.2) + 0.5, 6)
-    left = glow_absorb(fields, glow_score(fields, probe="glow"))
+    left = glow_absorb(fields, glow_score(fields))
     assert dark_levels(left)[1][1].mean() == pytest.approx(0.5, abs=0.1)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.fields import Fields, helmert, refit
-from cannoise_jax.discovery.statistics import groups
+from cannoise_jax.signatures import groups
+from cannoise_jax.signatures.fields import Fields, helmert, refit
 from tests.discovery.capture import capture_set
+from tests.discovery.looks import SIGNATURES
 
 SIZE = (64, 96)
 
@@ -24,11 +25,14 @@ def field(rng, frames=4, offsets=None, number=0):
     )  # fmt: skip
 
 
+LAYOUTS = [s.kin for s in SIGNATURES.values() if s.name == f"{s.kin}_redrawn" and s.kin != "wave"]
+
+
 def log_p(fields, name, time):
-    return groups.group_score(fields, probe=name, name=name, time=time).log_p
+    return groups.group_score(fields, name=name, time=time).log_p
 
 
-@pytest.mark.parametrize("name", groups.LAYOUTS)
+@pytest.mark.parametrize("name", LAYOUTS)
 def test_p_is_uniform_without_an_effect(name):
     rng = np.random.default_rng(0)
     p = np.exp([log_p((field(rng), field(rng)), name, "redrawn") for _ in range(200)])
@@ -36,7 +40,7 @@ def test_p_is_uniform_without_an_effect(name):
         assert np.mean(p < level) == pytest.approx(level, abs=3.5 * np.sqrt(level / 200))
 
 
-@pytest.mark.parametrize("name", groups.LAYOUTS)
+@pytest.mark.parametrize("name", LAYOUTS)
 def test_an_offset_new_in_every_frame_is_found_and_taken_out(name):
     rng = np.random.default_rng(1)
     layout = groups.layout(name, SIZE)
@@ -44,7 +48,7 @@ def test_an_offset_new_in_every_frame_is_found_and_taken_out(name):
     draws -= draws.mean(1, keepdims=True)
     sigma = 0.6
     fields = (field(rng, 6, sigma * draws[:, layout]),)
-    score = groups.group_score(fields, probe=name, name=name, time="redrawn")
+    score = groups.group_score(fields, name=name, time="redrawn")
     assert score.log_p < np.log(1e-4)
     drawn = sigma * np.sqrt(np.mean(draws**2) * (layout.max() + 1) / layout.max())
     assert abs(score.amplitude - drawn) < 3 * score.error
@@ -60,7 +64,7 @@ def test_an_offset_that_stays_is_not_taken_for_one_that_is_redrawn(name):
     pattern = 0.3 * rng.standard_normal(layout.max() + 1)[layout]
     fields = tuple(field(rng, 4, pattern, n) for n in range(2))
     assert log_p(fields, name, "redrawn") > np.log(1e-3)
-    score = groups.group_score(fields, probe=name, name=name, time="frozen")
+    score = groups.group_score(fields, name=name, time="frozen")
     assert score.log_p < np.log(1e-6)
     after = groups.group_absorb(fields, score, name=name, time="frozen")
     assert log_p(after, name, "frozen") > np.log(1e-3)
@@ -94,7 +98,7 @@ def test_what_is_left_of_strong_offsets_is_white(name, sigma):
     """The modelled noise holds strong offsets too: once out, no line or tile stands above its pixels."""
     capture = capture_set(57, redrawn_by(DRAWS[name], sigma), kinds="df")
     prepared = prepare_split(capture, split_recordings(capture))
-    probes = {p.name: p for p in prepared.probes}
+    probes = {p.name: p for p in prepared.signatures}
     fields = prepared.fields
     left = refit(probes[name].absorb(fields, probes[name].score(fields)))
     again = probes["tile_16_redrawn" if name.startswith("tile") else "row_additive_temporal"].score(left)
@@ -110,7 +114,7 @@ def test_what_is_left_of_strong_offsets_is_white(name, sigma):
 def test_strength_of_what_is_redrawn_is_told_however_strong(name, strength):
     capture = capture_set(11, redrawn_by(DRAWS[name], strength))
     prepared = prepare_split(capture, split_recordings(capture))
-    scores = {p.name: p.score(prepared.fields) for p in prepared.probes if p.name in DRAWS}
+    scores = {p.name: p.score(prepared.fields) for p in prepared.signatures if p.name in DRAWS}
     found = scores[name]
     assert abs(found.amplitude - strength) < 3.5 * found.error + 0.015 * strength
     assert max(scores, key=lambda n: scores[n].gain) == name
@@ -122,7 +126,7 @@ def test_weak_pink_noise_leaves_its_exponent_open_and_its_strength_near():
     for seed in range(8):
         capture = capture_set(seed, redrawn_by(DRAWS["raster_slope"], 0.3), kinds="d")
         prepared = prepare_split(capture, split_recordings(capture))
-        score = {p.name: p for p in prepared.probes}["raster_slope"].score(prepared.fields)
+        score = {p.name: p for p in prepared.signatures}["raster_slope"].score(prepared.fields)
         ratios.append(score.amplitude / 0.3)
         errors.append((score.amplitude - 0.3) / score.error)
     assert np.max(np.abs(np.log(ratios))) < 0.45

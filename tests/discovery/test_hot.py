@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from cannoise_jax.discovery.fields import Fields
-from cannoise_jax.discovery.statistics.hot import (
+from cannoise_jax.discovery.locate import Located
+from cannoise_jax.discovery.name import name
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.hot import (
     Heat,
-    before_maps,
     heat_again,
     hot_score,
     known_heat,
     mask_hot,
 )
-from cannoise_jax.discovery.statistics.rare import hot_log_p, level_counts, log_mixture, spread_of
-from cannoise_jax.discovery.statistics.score import Score
+from cannoise_jax.signatures.rare import hot_log_p, level_counts, log_mixture, spread_of
+from cannoise_jax.signatures.score import Score
+from tests.discovery.looks import SIGNATURES
 
 SIZE = (96, 128)
 
@@ -81,7 +83,7 @@ def test_strength_on_new_frames_covers_the_truth(share, mean):
     errors = []
     for _ in range(100):
         heat, first, second = split(rng, share, mean)
-        looked = hot_score((first,), probe="hot_additive", scaling="additive")
+        looked = hot_score((first,), scaling="additive")
         assert looked is not None
         if looked.log_p > -9:
             continue
@@ -97,7 +99,7 @@ def test_strength_on_new_frames_covers_the_truth(share, mean):
 def test_where_nothing_is_known_nothing_is_said():
     rng = np.random.default_rng(3)
     _, first, _ = split(rng, 0.0, 1.0)
-    score = Score("hot_additive", 0.0, 0.0, 1.0, 0.1, 0.1, 0.1, 2, {}, {}, Heat(1e-4, 1.0, "additive"))
+    score = strong(0.1, payload=Heat(1e-4, 1.0, "additive"))
     assert heat_again(score, (first,), (first._replace(static=None),)) is None
 
 
@@ -134,7 +136,7 @@ def test_spread_of_a_coarse_lattice_with_far_values(step):
 def test_many_and_far_hot_pixels_have_their_share_and_height(share, mean):
     rng = np.random.default_rng(8)
     heat, first, _ = split(rng, share, mean)
-    score = hot_score((first,), probe="hot_additive", scaling="additive")
+    score = hot_score((first,), scaling="additive")
     assert score is not None
     drawn = np.mean(heat > 0)
     assert score.parameters["fraction"][0] == pytest.approx(drawn, rel=0.1)
@@ -150,7 +152,7 @@ def test_hot_pixels_beside_a_map_of_every_pixels_level():
     heat = (rng.random(SIZE) < share) * rng.exponential(mean, SIZE)
     level = spread * rng.standard_normal(SIZE)
     first, second = (dark(np.sqrt(n) * (level + heat) + rng.standard_normal(SIZE), n) for n in (6, 2))
-    looked = hot_score((first,), probe="hot_additive", scaling="additive")
+    looked = hot_score((first,), scaling="additive")
     assert looked is not None and looked.log_p < -100
     assert looked.payload.beside_map
     assert looked.payload.spread == pytest.approx(spread * np.sqrt(6), rel=0.1)
@@ -164,9 +166,24 @@ def test_hot_pixels_beside_a_map_of_every_pixels_level():
     again = heat_again(looked, (first,), (second,))
     assert again is not None
     assert again.amplitude == pytest.approx(np.sqrt(np.mean(heat**2)), rel=0.1)
-    the_map = Score("pixel_additive_static", -500.0, 1e9, 1.0, spread, 0.1, 0.1, 2, {}, {})
-    other = Score("row_additive_static", -500.0, 1e9, 1.0, 1.0, 0.1, 0.1, 2, {}, {})
-    assert before_maps([the_map, other, looked]) == [looked]
-    assert before_maps([other, the_map, looked]) == [other, the_map, looked]
-    plain = looked._replace(payload=looked.payload._replace(spread=1.0))
-    assert before_maps([the_map, plain]) == [the_map, plain]
+    assert judged_first("pixel_additive_static", "row_additive_static", looked) == "hot_additive"
+    assert judged_first("row_additive_static", "pixel_additive_static", looked) == "row_additive_static"
+    plain = looked.replace(payload=looked.payload._replace(spread=1.0))
+    assert judged_first("pixel_additive_static", "row_additive_static", plain) == "pixel_additive_static"
+
+
+def strong(amplitude, gain=1e9, payload=None):
+    """A score beyond doubt."""
+    return Score(
+        log_p=-500.0, gain=gain, penalty=1.0, amplitude=amplitude, error=0.1, shift=0.1, power=2,
+        parameters={}, where={}, payload=payload,
+    )  # fmt: skip
+
+
+def judged_first(strongest, second, hot):
+    """Which of two patterns and hot pixels is judged first."""
+    scores = {strongest: strong(1.0, 2e9), second: strong(1.0), "hot_additive": hot}
+    located = Located(scores, dict.fromkeys(scores, -500.0), 3.0)
+    found = name(located, tuple(SIGNATURES[n] for n in scores), frozenset(), -5.0)
+    assert found is not None
+    return found.signature.name

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.statistics.lines import Pixels, by_own_noise
-from cannoise_jax.discovery.statistics.rare import sparse_log_p
-from cannoise_jax.discovery.statistics.score import normal_log_p, skewed_log_p
-from cannoise_jax.discovery.statistics.shape import rounding_kurtosis
-from cannoise_jax.discovery.statistics.waves import orthonormal
+from cannoise_jax.signatures.lines import Pixels, by_own_noise
+from cannoise_jax.signatures.rare import sparse_log_p
+from cannoise_jax.signatures.score import normal_log_p, skewed_log_p
+from cannoise_jax.signatures.shape import rounding_kurtosis
+from cannoise_jax.signatures.waves import orthonormal
 
 
 @pytest.mark.parametrize("width", [0.45, 0.6, 0.8, 2.0])

@@ -37,12 +37,12 @@ def looked_at(alter, flats=1):
     lit = [r for r in whole.recordings if r.kind == "flat"][-flats:]
     capture = CaptureSet(whole.camera, (*(r for r in whole.recordings if r.kind == "dark"), *lit))
     first = prepare_split(capture, split_recordings(capture))
-    fitted = stepwise(first.fields, first.probes, frozenset(registered()), np.log(0.01))
+    fitted = stepwise(first.fields, first.signatures, frozenset(registered()), np.log(0.01))
     return capture, first, fitted
 
 
 def names(fitted):
-    return {s.named.probe.name for s in fitted.steps}
+    return {s.named.signature.name for s in fitted.steps}
 
 
 @pytest.mark.parametrize("flats", [1, 3])
@@ -61,7 +61,7 @@ def test_drift_of_colour_is_found_beside_that_of_brightness_and_simulated():
         float,
     )
     sites = np.stack([drawn[:, i::2, j::2].mean((1, 2)) for i in (0, 1) for j in (0, 1)], 1) / drawn.mean()
-    apart = {s.named.probe.name: s.named.score.amplitude for s in fitted.steps}
+    apart = {s.named.signature.name: s.named.score.amplitude for s in fitted.steps}
     between = (sites - sites.mean(1, keepdims=True)).std() / np.sqrt(3 / 4)
     assert between == pytest.approx(apart["site_relative_redrawn"], rel=0.1)
     assert sites.mean(1).std() == pytest.approx(

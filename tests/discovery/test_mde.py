@@ -12,8 +12,8 @@ from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.diagnose import detectable, diagnose
 from cannoise_jax.discovery.fit import SPENT
 from cannoise_jax.discovery.limits import mde
-from cannoise_jax.discovery.locate import RARE
-from cannoise_jax.discovery.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
+from cannoise_jax.signatures.signature import RARE
+from cannoise_jax.signatures.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
 from tests.discovery.capture import capture_set
 from tests.discovery.naive_limits import (
     BLACK,
@@ -194,7 +194,7 @@ def test_the_smallest_detectable_effect_is_found_half_of_the_time(mechanism, eff
         for seed in range(sets):
             capture = capture_set(seed, effect(amplitude), kinds="d")
             prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
-            probes = [p for p in prepared.probes if p.mechanism == mechanism]
+            probes = [p for p in prepared.signatures if p.mechanism == mechanism]
             seen += min(p.score(prepared.fields).log_p for p in probes) < level
         return seen / sets
 

@@ -11,12 +11,12 @@ from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fit import stepwise
-from cannoise_jax.discovery.grammar_points import neighbour_kernel
 from cannoise_jax.discovery.model import baseline_model, extended_model
 from cannoise_jax.discovery.simulate import simulate_like
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.signatures.covariance import neighbour_kernel
 from tests.discovery.capture import (
     SIZE,
     capture_set,
@@ -34,7 +34,7 @@ def looked_at(capture):
 
 def found(capture, without=()):
     first = looked_at(capture)
-    fitted = stepwise(first.fields, first.probes, frozenset(registered(without)), float(np.log(0.01)))
+    fitted = stepwise(first.fields, first.signatures, frozenset(registered(without)), float(np.log(0.01)))
     return first, fitted.steps
 
 
@@ -54,7 +54,7 @@ def test_draws_show_the_finding_as_strong_as_the_recordings_did(alter, hidden, e
     assert [f.mechanism for f in model.mechanisms] == [expected]
     again = looked_at(simulate_like(capture, model.sample, jax.random.key(0), True))
     named = steps[0].named
-    probe = next(p for p in again.probes if p.name == named.probe.name)
+    probe = next(p for p in again.signatures if p.name == named.signature.name)
     score = probe.score(again.fields)
     assert score.amplitude == pytest.approx(named.score.amplitude, abs=4 * named.score.error, rel=0.1)
     # The noise that the effect was part of is not counted twice.

@@ -10,14 +10,14 @@ import pytest
 from cannoise_jax.discovery.battery import prepare, prepare_split, split_recordings
 from cannoise_jax.discovery.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.fields import frame_fields
 from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
 from cannoise_jax.discovery.prove import frame_interval, held_out_gain
-from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.discovery.statistics.waves import wave_score
 from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.signatures.fields import frame_fields
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.waves import wave_score
 from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
-from tests.discovery.test_statistics import white
+from tests.discovery.looks import white
 
 
 def halves(capture):
@@ -150,8 +150,11 @@ def test_too_few_frames_confirm_nothing():
 @pytest.mark.parametrize("found", [0.2, 0.9, 1.0, 1.1, 5.0])
 @pytest.mark.parametrize("error", [0.0, 1e-40, 0.1, np.inf])
 def test_held_out_gain_is_never_more_than_the_best_and_never_absurd(found, error):
-    again = Score("p", -20.0, 40.0, 7.0, 1.0, error, 0.5, 2, {}, {})
-    gain = held_out_gain(again._replace(amplitude=found), again)
+    again = Score(
+        log_p=-20.0, gain=40.0, penalty=7.0, amplitude=1.0, error=error, shift=0.5, power=2,
+        parameters={}, where={},
+    )  # fmt: skip
+    gain = held_out_gain(again.replace(amplitude=found), again)
     assert 40.0 - 0.5 * 50**2 <= gain <= 40.0
     if found == 1.0 and error > 0:
         assert gain == 40.0
@@ -175,8 +178,8 @@ def test_a_wave_is_proved_at_the_frequency_that_it_was_found_at():
         fields = (
             fields[0]._replace(contrasts=fields[0].contrasts + np.float32(amplitude) * np.cos(turn + phases)),
         )
-        found = wave_score(fields, probe="w", time="redrawn")
-        again = wave_score(fields, probe="w", time="redrawn", near=frequency)
+        found = wave_score(fields, time="redrawn")
+        again = wave_score(fields, time="redrawn", near=frequency)
         anywhere.append(found.payload[:2])
         there.append(again.amplitude)
         assert np.hypot(again.payload[0] - frequency[0], again.payload[1] - frequency[1]) < 1.2 / 64

@@ -12,9 +12,9 @@ from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import detectable, diagnose
 from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.discovery.report import finding
-from cannoise_jax.discovery.statistics.reference import quoted
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set
+from tests.discovery.looks import SIGNATURES
 
 
 def blurred(capture: CaptureSet, share: float) -> CaptureSet:
@@ -56,7 +56,7 @@ def test_the_smallest_blur_that_is_seen_is_in_dn_too():
     smallest = detectable(found, "reference_error")
     assert smallest is not None and smallest[1] == "DN"
     assert smallest[0] > 5 * score.shift
-    assert quoted(score, "in_camera_denoising") == score
+    assert SIGNATURES["reference_blur"].quoted(score, "in_camera_denoising") == score
 
 
 def test_a_bent_response_is_no_wrong_scale():
@@ -67,5 +67,5 @@ def test_a_bent_response_is_no_wrong_scale():
 
     capture = capture_set(8, alter, kinds="sd", size=(96, 128))
     first = prepare_split(capture, split_recordings(capture))
-    fitted = stepwise(first.fields, first.probes, frozenset(registered()), np.log(0.01))
+    fitted = stepwise(first.fields, first.signatures, frozenset(registered()), np.log(0.01))
     assert [s.named.mechanism for s in fitted.steps] == ["nonlinearity"]

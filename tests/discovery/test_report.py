@@ -21,11 +21,12 @@ from cannoise_jax.discovery.page import advice, page
 from cannoise_jax.discovery.prove import Proof
 from cannoise_jax.discovery.report import document
 from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import CaptureSet
-from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
+from tests.discovery.looks import SIGNATURES
 
 IDS = set(VOCABULARY) - {"unknown"}
 PLACES = {
@@ -266,8 +267,8 @@ def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():
     proof = Proof(None, None, math.nan, math.nan, 0)
 
     def said(scales):
-        probe = SimpleNamespace(axes={"scales": scales, "time": "frozen"})
-        return sentence(entry, SimpleNamespace(named=SimpleNamespace(probe=probe), late=False), proof)
+        signature = SIGNATURES[f"pixel_{scales}_static"]
+        return sentence(entry, SimpleNamespace(named=SimpleNamespace(signature=signature), late=False), proof)
 
     assert "growing with the exposure" in said("thermal")
     assert "growing" not in said("additive")

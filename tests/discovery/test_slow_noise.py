@@ -7,8 +7,8 @@ import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.report import document
-from cannoise_jax.discovery.statistics.score import Score
-from cannoise_jax.discovery.statistics.spectra import below_frame
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.spectra import below_frame
 from tests.discovery.capture import SIZE, capture_set
 from tests.discovery.test_groups import coloured
 
@@ -56,6 +56,9 @@ def test_means_of_frames_of_one_long_series_stay_below_the_bound(direction, size
         frames = coloured(rng, 25 * length).reshape(25, length)
         within = np.mean(np.var(frames, axis=1))
         where = {"direction": direction}
-        score = Score("s", 0.0, 0.0, 0.0, 1.0, 0.1, 0.1, 2, {}, where, (float(within), 1.0))
+        score = Score(
+            log_p=0.0, gain=0.0, penalty=0.0, amplitude=1.0, error=0.1, shift=0.1, power=2,
+            parameters={}, where=where, payload=(float(within), 1.0),
+        )  # fmt: skip
         ratios.append(np.std(frames.mean(1), ddof=1) / below_frame(score, size))
     assert 0.7 < np.sqrt(np.mean(np.square(ratios))) < 1.1

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.blocks import leave_out
-from cannoise_jax.discovery.fields import contrast_matrix, frame_fields
-from cannoise_jax.discovery.locate import EFFECTIVE, RARE, locate
+from cannoise_jax.discovery.locate import EFFECTIVE, locate
 from cannoise_jax.discovery.prove import strength_beyond
-from cannoise_jax.discovery.statistics.score import Probe, Score, sidak, unchanged
+from cannoise_jax.signatures.fields import contrast_matrix, frame_fields
+from cannoise_jax.signatures.score import Score, sidak
+from cannoise_jax.signatures.signature import RARE
 from tests.discovery.capture import capture_set
+from tests.discovery.looks import SIGNATURES
 
 
 @pytest.mark.parametrize("frames, before", [(1, 3), (2, 6), (4, 12), (3, 1)])
@@ -67,8 +71,9 @@ def variance_score(total: float, frames: int, number: int) -> Score:
     amplitude, shift = np.sqrt(value), np.sqrt(least)
     spread = error / (2 * max(amplitude, shift))
     return Score(
-        "p", 0.0, 0.0, 0.0, amplitude, spread, shift, 2, {"amplitude": (amplitude, "DN", spread)}, {}
-    )
+        log_p=0.0, gain=0.0, penalty=0.0, amplitude=amplitude, error=spread, shift=shift, power=2,
+        parameters={"amplitude": (amplitude, "DN", spread)}, where={},
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 1.0, 5.0])
@@ -96,11 +101,15 @@ def test_strength_of_a_pattern_is_unbiased_and_covered_though_it_was_selected(ra
 
 
 def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
-    def probe(name, log_p, rare=False):
-        score = Score(name, log_p, 1.0, 0.0, 1.0, 1.0, 1.0, 1, {}, {})
-        return Probe(name, None, {}, lambda fields: score, unchanged, (), rare)
+    def signature(name, log_p, rare=False):
+        score = Score(
+            log_p=log_p, gain=1.0, penalty=0.0, amplitude=1.0, error=1.0, shift=1.0, power=1,
+            parameters={}, where={},
+        )  # fmt: skip
+        like = SIGNATURES["frame_additive"]
+        return dataclasses.replace(like, name=name, score=lambda fields: score, rare=rare)
 
-    found = locate((), (probe("a", -9.0), probe("b", -9.0), probe("c", -9.0, rare=True)))
+    found = locate((), (signature("a", -9.0), signature("b", -9.0), signature("c", -9.0, rare=True)))
     assert found.log_p["a"] == pytest.approx(sidak(-9.0, found.tests))
     assert found.log_p["c"] == pytest.approx(sidak(-9.0, found.tests / RARE))
     rng = np.random.default_rng(54)

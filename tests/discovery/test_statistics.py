@@ -6,49 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.fields import Fields, frame_fields, helmert
 from cannoise_jax.discovery.stacks import detected_step
-from cannoise_jax.discovery.statistics import (
-    covariance,
-    flicker,
-    lines,
-    patterns,
-    pixels,
-    shape,
-    spectra,
-    waves,
-)
-from cannoise_jax.discovery.statistics.score import chi2_log_sf, quadratic_log_p, sidak, variance_component
+from cannoise_jax.signatures import lines
+from cannoise_jax.signatures.fields import frame_fields, helmert
+from cannoise_jax.signatures.score import chi2_log_sf, quadratic_log_p, sidak, variance_component
 from tests.discovery.capture import capture_set
-
-
-def white(rng, *, kinds=("dark", "dark", "flat"), frames=4, size=(64, 96), sigma=3.0, signal=3.6):
-    """Fields of exactly white noise."""
-    out = []
-    for n, kind in enumerate(kinds):
-        level = np.full(size, signal if kind != "dark" else 0.0, np.float32)
-        out.append(
-            Fields(
-                f"{n}",
-                kind,
-                frames,
-                n,
-                0,
-                0.1 * (n + 1),
-                1.0,
-                level + 100,
-                level,
-                np.full(size, sigma, np.float32),
-                np.full(size, 0.6 if kind != "dark" else 0.0, np.float32),
-                np.ones(size, bool),
-                rng.standard_normal((frames - 1, *size)).astype(np.float32),
-                rng.standard_normal(size).astype(np.float32),
-                None,
-                np.full(4, 1.5),
-                np.full(4, 100.0),
-            )
-        )
-    return tuple(out)
+from tests.discovery.looks import SIGNATURES, white
 
 
 def test_helmert_contrasts_are_orthonormal_and_blind_to_a_constant():
@@ -122,33 +85,20 @@ def null_scores(score, count=60, **kind):
     ],
 )
 def test_null_p_values_are_not_too_small(name):
-    probes = {
-        p.name: p
-        for p in (
-            *lines.probes(),
-            *patterns.probes(),
-            *spectra.probes(),
-            *waves.probes(),
-            *flicker.probes(),
-            *covariance.probes(),
-            *shape.probes(),
-            *pixels.probes(),
-        )
-    }
     kind = {"frames": 8, "size": (32, 48)} if name == "frame_additive" else {"size": (32, 48)}
-    p = null_scores(probes[name].score, **kind)
+    p = null_scores(SIGNATURES[name].score, **kind)
     assert stats.kstest(p, "uniform", alternative="greater").pvalue > 1e-3
     assert p.min() > 1e-5
 
 
 @pytest.mark.parametrize("strength", [20.0])
 def test_row_noise_shifts_its_score_by_the_information_it_states(strength):
-    probe = next(p for p in lines.probes() if p.name == "row_additive_temporal")
+    signature = SIGNATURES["row_additive_temporal"]
     shifts = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         fields = white(rng)
-        one = probe.score(fields).shift
+        one = signature.score(fields).shift
         sigma = one * np.sqrt(strength)
         fields = tuple(
             f._replace(
@@ -170,14 +120,14 @@ def test_row_noise_shifts_its_score_by_the_information_it_states(strength):
 
 
 def test_absorbing_row_noise_leaves_white_rows():
-    probe = next(p for p in lines.probes() if p.name == "row_additive_temporal")
+    signature = SIGNATURES["row_additive_temporal"]
     rng = np.random.default_rng(5)
     fields = tuple(
         f._replace(contrasts=(f.contrasts + 0.5 * rng.standard_normal((3, 64, 1))).astype(np.float32))
         for f in white(rng)
     )
-    before = probe.score(fields)
-    after = probe.score(probe.absorb(fields, before))
+    before = signature.score(fields)
+    after = signature.score(signature.absorb(fields, before))
     assert before.log_p < -50 and after.log_p > np.log(1e-3)
 
 
@@ -195,8 +145,8 @@ def test_plane_wave_is_found_at_its_frequency():
         )
         for f in white(rng)
     )
-    probe = next(p for p in waves.probes() if p.name == "wave_redrawn")
-    score = probe.score(fields)
+    signature = SIGNATURES["wave_redrawn"]
+    score = signature.score(fields)
     fy, fx = score.parameters["frequency_y"][0], score.parameters["frequency_x"][0]
     assert score.log_p < -20
     assert abs(abs(fy) - 0.11) < 0.006 and abs(fx - 0.23) < 0.006

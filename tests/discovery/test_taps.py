@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.statistics.taps import LAYOUTS, Taps, tap_score
+from cannoise_jax.signatures.taps import LAYOUTS, Taps, tap_score
 from tests.discovery.capture import SIZE, capture_set
-from tests.discovery.test_statistics import white
+from tests.discovery.looks import white
 
 QUARTERS = Taps(np.array([[0.3, -0.3], [-0.25, 0.25]]))
 STRIPS = Taps(np.array([[0.3, -0.35, 0.25, -0.2]]))
@@ -42,7 +42,7 @@ def test_other_patterns_are_no_regions(shape):
 
 
 def test_null_p_values_are_not_too_small():
-    scores = [tap_score(white(np.random.default_rng(s)), probe="taps") for s in range(80)]
+    scores = [tap_score(white(np.random.default_rng(s))) for s in range(80)]
     p = np.exp([s.log_p for s in scores])
     assert p.min() > 1e-3
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,12 +15,23 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from cannoise_jax.physics.core import registry
-from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Scaling, scaling_factor
 from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
 
 Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
+
+
+COLDEST_C = -273.15
+
+
+def _check(value: Any, words: str, holds: Callable[[float], bool]) -> None:
+    if isinstance(value, (str, bytes)):
+        raise ValueError(f"{words}, got {value!r}")
+    plain = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    if plain and not (math.isfinite(value) and holds(value)):
+        raise ValueError(f"{words}, got {value:g}")
 
 
 @jax.tree_util.register_dataclass
@@ -27,12 +40,20 @@ class Settings:
     """How a recording is taken. Temperature None: that at which the model's parameters hold.
 
     An argument of jit and vmap like any other: numbers are traced, frames is part of its structure.
+    Raises ValueError for numbers that no recording has; traced ones and arrays pass.
     """
 
     iso: float = 100.0
     exposure_s: float = 0.01
     temperature_c: float | None = None
     frames: int = field(default=1, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        # Only plain numbers: JAX also puts tracers, arrays and axis numbers (0) here.
+        _check(self.iso, "iso must be above 0", lambda v: v > 0 or type(v) is int and v == 0)
+        _check(self.exposure_s, "exposure_s must be 0 or more", lambda v: v >= 0)
+        _check(self.temperature_c, f"temperature_c must be {COLDEST_C:g} or more", lambda v: v >= COLDEST_C)
+        _check(self.frames, "frames must be a whole number from 1", lambda v: v >= 1 and v == int(v))
 
 
 DEFAULT = Settings()
@@ -61,26 +82,25 @@ class Fitted:
     """A mechanism with its parameters: numbers or `IsoTable`s by name, and the frozen maps that were
     measured.
 
-    maps empty: they are drawn from the model's `unit_key`. point: for a mechanism without a name ("unnamed").
+    maps empty: they are drawn from the model's `unit_key`. point: of a mechanism that is nothing but a place
+    in the grammar, under whatever name.
     """
 
-    mechanism: str = field(metadata={"static": True})
+    record: Mechanism = field(metadata={"static": True})
     parameters: dict[str, Any]
     scaling: Scaling
     maps: dict[str, Array]
     point: Point | None = field(default=None, metadata={"static": True})
 
     @property
-    def record(self) -> Mechanism:
-        """The functions of this mechanism."""
-        if self.point is not None:
-            return mechanism_from_grammar(self.point, id=self.mechanism)
-        return registry.mechanism(self.mechanism)
+    def mechanism(self) -> str:
+        """Its name."""
+        return self.record.id
 
 
 def chain_order(fitted: tuple[Fitted, ...]) -> tuple[Fitted, ...]:
     """Fitted mechanisms in the order of the signal chain; equals keep their order."""
-    return tuple(sorted(fitted, key=lambda f: registry.chain_position(f.mechanism, f.record)))
+    return tuple(sorted(fitted, key=lambda f: registry.chain_position(f.record)))
 
 
 def site_map(values: Float[Array, "... 4"], size: tuple[int, int]) -> Float[Array, "... h w"]:

@@ -1,0 +1,253 @@
+"""The lattice of codes: missing codes, a coarser step than stated, and values cut off at a rail."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.signatures.recorded import Codes, Recorded
+from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
+from cannoise_jax.signatures.signature import (
+    FILES,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    NO_STRENGTH,
+    Addition,
+    Axes,
+    Found,
+    Signature,
+    strength,
+    unchanged,
+)
+
+_PERIODS = range(2, 129)
+_SURE = 4.0
+"""Standard errors by which a code must differ from its neighbours to be one of a comb."""
+
+
+_MOVED = 0.01
+"""Share of all values that a comb moves to other codes from which it changes the shape of narrow noise."""
+
+
+def comb_score(fields, *, codes: Codes) -> Score | None:
+    """Every so-manieth code missing or favoured: power of the histogram at the harmonics of one period.
+
+    The spectrum of a histogram of noise of standard deviation s codes falls as exp(-2 pi^2 s^2 f^2): beyond
+    `lowest` it is counting noise, exponential with mean 1.
+    """
+    total = codes.broad.sum()
+    if codes.narrowest < 1.6 or total < 1e4:
+        return None
+    lowest = np.sqrt(np.log(np.sqrt(total) / 0.02) / (2 * np.pi**2)) / codes.narrowest
+    index = np.flatnonzero(codes.broad)
+    index, counts = index[0] + np.arange(index[-1] - index[0] + 1), codes.broad[index[0] : index[-1] + 1]
+    found: list[tuple[float, float, int]] = []
+    tried = 0
+    for period in _PERIODS:
+        folded = np.bincount(index % period, weights=counts, minlength=period)
+        power = np.abs(np.fft.rfft(folded)) ** 2 / total
+        harmonics = np.arange(power.size) / period
+        used = (harmonics > lowest) & (harmonics <= 0.5)
+        if not used.any():
+            continue
+        tried += 1
+        nyquist = used[-1] and harmonics[-1] == 0.5
+        chi2 = 2 * float(power[used].sum()) - (float(power[-1]) if nyquist else 0.0)
+        dof = 2 * int(used.sum()) - (1 if nyquist else 0)
+        log_p = chi2_log_sf(chi2, dof)
+        found.append((log_p, chi2, dof))
+    if not tried:
+        return None
+    smallest = min(f[0] for f in found)
+    _, chi2, dof = max(found, key=lambda f: f[1] - 2 * f[2])
+    comb = _comb(index, counts)
+    distance, phase, shortfall = comb or (0.0, 0, 0.0)
+    return Score(
+        log_p=sidak(smallest, tried) if comb else 0.0,
+        gain=0.5 * max(chi2 - dof, 0.0) if comb else 0.0,
+        penalty=float(np.log(tried) + dof / 2),
+        amplitude=distance,
+        error=0.0,
+        shift=float("inf"),
+        power=1,
+        parameters={
+            "period": (distance, "code steps", 0.0),
+            "shortfall": (shortfall, "1", float(np.sqrt(distance / total))),
+        },
+        where={"axis": "code", "period": distance, "phase": phase},
+    )
+
+
+def _comb(index: np.ndarray, counts: np.ndarray) -> tuple[float, int, float] | None:
+    """Period, phase and shortfall (beside the next codes) of the comb that explains most.
+
+    Codes are seen against what a cubic through their neighbours expects, so that the shape of the histogram
+    is none of it. A comb that digital scaling leaves need not repeat after a whole number of codes: its
+    period is the mean distance. None for a histogram whose own codes are uneven: no other code of the comb
+    differs as the one that weighs most does.
+    """
+    expected = np.convolve(counts, np.ones(5) / 5, "same")
+    lost = np.convolve(counts, np.array([-1, 4, 0, 4, -1]) / 6, "same") - counts
+    best, period, phase = 0.0, 0, 0
+    for p in range(_PERIODS[0], min(_PERIODS[-1], index.size // 3) + 1):
+        share = np.bincount(index % p, lost, p) / np.sqrt(np.bincount(index % p, expected, p) + 1)
+        gain = np.where(share > 0, 1.2, 1.0) * share**2  # the code that gets what another lacks is its twin
+        if gain.max() > best:
+            best, period, phase = float(gain.max()), p, int(np.argmax(gain))
+    mine = np.flatnonzero((index % max(period, 1) == phase) & (expected > 0))
+    if mine.size < 3:
+        return None
+    others = mine[mine != mine[np.argmax(expected[mine])]]
+    share, again = lost[mine].sum() / expected[mine].sum(), lost[others].sum() / expected[others].sum()
+    if again * np.sign(share) < max(0.3 * abs(share), _SURE / np.sqrt(expected[others].sum())):
+        return None
+    room = np.maximum(np.bincount(index % period, expected, period), 1.0)
+    apart = np.bincount(index % period, lost, period) / room * np.sign(share)
+    alike = max(int(np.sum(apart > np.maximum(0.7 * apart[phase], _SURE / np.sqrt(room)))), 1)
+    beside = np.convolve(counts, [0.5, 0.0, 0.5], "same")
+    return period / alike, phase, float(1 - counts[mine].sum() / beside[mine].sum())
+
+
+def step_score(fields, *, codes: Codes) -> Score | None:
+    """Codes more widely spaced than stated."""
+    if not codes.stated:
+        return None
+    ratio = codes.detected / codes.stated
+    found = ratio > 1.5
+    return Score(
+        log_p=-700.0 if found else 0.0,
+        gain=1e6 if found else 0.0,
+        penalty=0.0,
+        amplitude=codes.detected,
+        error=0.0,
+        shift=codes.stated,
+        power=1,
+        parameters={"step": (codes.detected, "DN", 0.0)},
+        where={"axis": "code", "period": codes.detected},
+    )
+
+
+def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
+    """Values piled up at the lowest code of the darks."""
+    best: Score | None = None
+    for counts, lowest in zip(codes.dark, codes.lowest, strict=True):
+        used = np.flatnonzero(counts)
+        if used.size < 3 or counts[used[0] : used[0] + 2].sum() < 1:
+            continue
+        first, second = int(counts[used[0]]), int(counts[used[0] + 1]) if used[0] + 1 < counts.size else 0
+        log_p = (
+            float(stats.binom.logsf(first - 1, first + second, 0.5)) if first > second and first > 20 else 0.0
+        )
+        level = (used[0] + lowest) * codes.step - black
+        gain = max(first * np.log(max(2 * first / (first + second), 1e-9)), 0.0) if log_p < 0 else 0.0
+        gain = first * 1.0 if log_p < -30 else gain
+        score = Score(
+            log_p=max(log_p, -700.0),
+            gain=float(gain),
+            penalty=5.0,
+            amplitude=float(level),
+            error=0.5 * codes.step,
+            shift=codes.step,
+            power=1,
+            parameters={"level": (float(level), "DN", codes.step / np.sqrt(12))},
+            where={"axis": "code", "period": None},
+        )
+        if best is None or score.log_p < best.log_p:
+            best = score
+    return best
+
+
+def _of_codes(law: str, **fields) -> Signature:
+    """A signature of the lattice of codes, which nothing that is taken out of the fields changes."""
+    return Signature(
+        axes=Axes("converter", "code", "frozen", "none", law),
+        reads=FILES,
+        absorb=unchanged,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        place=NO_PLACE,
+        detectable=NO_STRENGTH,
+        least=NO_CLOSED_FORM,
+        **fields,
+    )
+
+
+def combed(
+    recorded: Recorded,
+    *,
+    name: str,
+    mechanism: str,
+    parameter: str,
+    covers: tuple[str, ...],
+    shapes: tuple[str, ...],
+) -> Signature:
+    """Codes that are missing, rarer or more frequent than those beside them. shapes: signatures of the shape
+    of the noise, which is that of the comb where it moves many values."""
+
+    def hides(score: Score) -> tuple[str, ...]:
+        share = abs(score.parameters["shortfall"][0]) / max(score.amplitude, 1.0)
+        return shapes if share > _MOVED else ()
+
+    def simulate(found: Found) -> Addition | None:
+        """Codes that are only rarer, or doubled: the camera model knows of none."""
+        value = found.score.amplitude
+        short = found.score.parameters["shortfall"][0] < 0.7 or value % 1
+        return None if short else Addition({parameter: value})
+
+    def says(entry: dict[str, Any]) -> tuple[str, tuple[float, float]]:
+        lost = entry["parameters"]["shortfall"]
+        held, (low, high) = 1 - lost["value"], (1 - v for v in reversed(lost["ci90"]))
+        how = "rarer" if held < 1 else "more frequent"
+        return (
+            f"Every {entry['amplitude']['value']:.4g} codes one is {how} than those beside it, by "
+            f"digital scaling or a fault of the converter: it holds {held:.3g} of what they hold",
+            (low, high),
+        )
+
+    return _of_codes(
+        "comb",
+        name=name,
+        mechanism=mechanism,
+        score=partial(comb_score, codes=recorded.codes),
+        covers=covers,
+        hides=hides,
+        simulate=simulate,
+        says=says,
+    )
+
+
+def coarse(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
+) -> Signature:
+    """Codes that are more widely spaced than stated."""
+    return _of_codes(
+        "lattice",
+        name=name,
+        mechanism=mechanism,
+        score=partial(step_score, codes=recorded.codes),
+        covers=covers,
+        rare=True,
+        simulate=strength(parameter),
+    )
+
+
+def piled_up(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
+) -> Signature:
+    """Values that are cut off at a rail above or below black: the shape of what is left is the rail's, so it is
+    judged first."""
+    return _of_codes(
+        "pile-up",
+        name=name,
+        mechanism=mechanism,
+        score=partial(clip_score, codes=recorded.codes, black=float(recorded.black.mean())),
+        covers=covers,
+        before=lambda score: covers,
+        rare=True,
+        simulate=strength(parameter),
+    )

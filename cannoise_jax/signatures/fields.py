@@ -1,0 +1,200 @@
+"""What the statistics see: each recording as standardised residual fields, and how they are corrected.
+
+A recording of T frames becomes T - 1 orthonormal contrasts between frames (Helmert), in which everything that
+stays put cancels, and one static field, the mean over frames minus the fitted mean. Under Poisson-Gaussian
+noise all of them are independent and, divided by the fitted standard deviation, standard normal.
+
+Frames that were held back have one contrast more: their mean against that of the frames that were looked at,
+independent of every contrast among those. So one frame held back shows what is new in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.recordings.recording import KINDS
+
+
+class Fields(NamedTuple):
+    """One recording, reduced.
+
+    mean, sigma: model mean and temporal standard deviation, DN; signal: mean above black, DN;
+    shot: share of shot noise in sigma^2; usable: pixels that are never at a rail.
+    contrasts: standardised differences between frames; static: standardised mean residual over the frames
+    (None when its mean cannot be modelled); step: code step, DN; number: place of the recording in its
+    set; group: index of the gain setting. before: frames whose mean the last contrast is taken from, 0: none.
+    """
+
+    name: str
+    kind: str
+    frames: int
+    number: int
+    group: int
+    exposure_s: float | None
+    step: float
+    mean: Float[np.ndarray, "h w"]
+    signal: Float[np.ndarray, "h w"]
+    sigma: Float[np.ndarray, "h w"]
+    shot: Float[np.ndarray, "h w"]
+    usable: Bool[np.ndarray, "h w"]
+    contrasts: Float[np.ndarray, "n h w"]
+    static: Float[np.ndarray, "h w"] | None
+    clean: Float[np.ndarray, "h w"] | None
+    gain: Float[np.ndarray, "4"]
+    black: Float[np.ndarray, "4"]
+    before: int = 0
+
+    @property
+    def lit(self) -> bool:
+        """Whether light fell on the sensor."""
+        return self.kind in ("scene", "flat")
+
+    @property
+    def weight(self) -> Float[np.ndarray, "h w"]:
+        """1 / sigma where usable, else 0; DN^-1."""
+        return self.usable / self.sigma
+
+    @property
+    def relative(self) -> Float[np.ndarray, "h w"]:
+        """signal / sigma where usable, else 0: response of the standardised field to a relative change."""
+        return self.usable * self.signal / self.sigma
+
+
+@lru_cache(maxsize=8)
+def channel_index(size: tuple[int, int]) -> np.ndarray:
+    """Mosaic site 0..3 of every pixel; read-only."""
+    rows, columns = np.indices(size)
+    out = 2 * (rows % 2) + columns % 2
+    out.setflags(write=False)
+    return out
+
+
+def site(c: int) -> tuple[slice, slice]:
+    """The pixels of mosaic site c."""
+    return np.s_[c // 2 :: 2, c % 2 :: 2]
+
+
+def least_squares(basis: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
+    """Coefficients by the normal equations, without a threaded library: long sums, tiny systems."""
+    normal = np.einsum("nk,nl->kl", basis, basis)
+    return np.linalg.lstsq(normal, np.einsum("nk,n->k", basis, values), rcond=None)[0]
+
+
+def surfaces(size: tuple[int, int], degree: int, c: int) -> Float[np.ndarray, "n k"]:
+    """Products of Legendre polynomials of rows and columns, up to this degree in all, at the pixels of mosaic
+    site c in reading order."""
+    rows, columns = (
+        [np.polynomial.legendre.legval(at, np.eye(degree + 1)[i]) for i in range(degree + 1)]
+        for at in (
+            2 * np.arange(o, n, 2) / max(n - 1, 1) - 1 for n, o in zip(size, divmod(c, 2), strict=True)
+        )
+    )
+    products = [
+        np.multiply.outer(rows[i], columns[j]) for i in range(degree + 1) for j in range(degree + 1 - i)
+    ]
+    return np.stack([p.ravel() for p in products], 1)
+
+
+def helmert(frames: int) -> Float[np.ndarray, "n t"]:
+    """T - 1 orthonormal contrasts, each orthogonal to a constant."""
+    matrix = np.zeros((frames - 1, frames))
+    for k in range(1, frames):
+        matrix[k - 1, :k] = -1.0
+        matrix[k - 1, k] = k
+        matrix[k - 1] /= np.sqrt(k * (k + 1.0))
+    return matrix
+
+
+def contrast_matrix(frames: int, before: int = 0) -> Float[np.ndarray, "n t"]:
+    """Orthonormal contrasts of frames `[before + frames]`: those among the last `frames`, then, where there
+    are frames before, their mean against that of those."""
+    inner = np.pad(helmert(frames), ((0, 0), (before, 0)))
+    if not before:
+        return inner
+    outer = np.repeat([-1 / before, 1 / frames], [before, frames])
+    return np.concatenate([inner, outer[None] / np.linalg.norm(outer)])
+
+
+def each_frame(field: Fields, static: bool = True) -> Iterator[Float[np.ndarray, "h w"]]:
+    """Standardised residual of every frame: contrasts and, if asked and known, the static part, put together.
+
+    Without the static part the frames are taken from the mean of those before, or from their own, and
+    rescaled to unit variance.
+    """
+    matrix = helmert(field.frames).astype(np.float32)
+    shared: np.ndarray = np.zeros(field.mean.shape, np.float32)
+    scale = 1.0
+    if static and field.static is not None:
+        shared = field.static / np.float32(np.sqrt(field.frames))
+    elif field.before:
+        shared = field.contrasts[-1] * np.float32(np.sqrt(1 / field.frames + 1 / field.before))
+        scale = 1 / np.sqrt(1 + 1 / field.before)
+    else:
+        scale = np.sqrt(field.frames / max(field.frames - 1.0, 1.0))
+    for t in range(field.frames):
+        inner = np.einsum("n,nij->ij", matrix[:, t], field.contrasts[: field.frames - 1])
+        yield (inner + shared) * np.float32(scale)
+
+
+def frame_fields(field: Fields, static: bool = True) -> Float[np.ndarray, "t h w"]:
+    """All residuals of `each_frame` at once."""
+    return np.stack(list(each_frame(field, static)))
+
+
+def stratum(field: Fields) -> int:
+    """Number of the recording; for recordings of one frame a negative one for each kind."""
+    return field.number if field.frames > 1 else -1 - KINDS.index(field.kind)
+
+
+def map_contrasts(field: Fields, function) -> Fields:
+    """The field with `function` applied to its contrasts and, as one more, to its static part."""
+    contrasts = function(field.contrasts) if len(field.contrasts) else field.contrasts  # a single frame
+    static = None if field.static is None else function(field.static[None])[0]
+    return field._replace(contrasts=contrasts, static=static)
+
+
+def without_pixels(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields, ...]:
+    """The fields without some of their pixels."""
+    keep = ~out
+    return tuple(
+        f._replace(
+            usable=f.usable & keep,
+            contrasts=f.contrasts * keep,
+            static=None if f.static is None else f.static * keep,
+        )
+        for f in fields
+    )
+
+
+def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[Fields, ...]:
+    """Brings the variance of every channel back to one after something was taken out."""
+    out = []
+    for f in fields:
+        if not len(f.contrasts) or any(f.contrasts is g.contrasts for g in before):
+            out.append(f)  # nothing was taken out of the contrasts, so the variance is what it was
+            continue
+        channel = channel_index(f.mean.shape)
+        factor = np.ones(f.mean.shape, np.float32)
+        for c in range(4):
+            chosen = (channel == c) & f.usable
+            if chosen.any():
+                values = f.contrasts[:, chosen]
+                limit = 5 * max(1.0, float(np.median(np.abs(values))))
+                # Of noise far below a step a pixel that changes by a code or two is no outlier.
+                limit = max(limit, 2 * f.step * float(np.median(f.weight[chosen])))
+                power = np.mean(values[np.abs(values) < limit] ** 2)
+                if power > 1e-6:  # less is what rounding leaves of a channel that never moves
+                    factor[channel == c] = 1 / np.sqrt(power)
+        out.append(
+            f._replace(
+                contrasts=f.contrasts * factor,
+                sigma=f.sigma / factor,
+                static=None if f.static is None else f.static * factor,
+            )
+        )
+    return tuple(out)

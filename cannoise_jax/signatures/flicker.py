@@ -1,0 +1,245 @@
+"""Mains flicker: light that pulses while a rolling shutter reads, so that it varies from row to row.
+
+A sinusoid along the rows, of one frequency in all lit recordings, its phase new in every frame. Where it
+stands far out of the noise, its amplitude from frame to frame, its harmonics and the shape of the light that
+it multiplies show too: no sinusoid of one amplitude is left without a remainder. A remainder is not held
+against it where the sinusoid explains nearly all that the rows share.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import fft, ndimage
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts, site
+from cannoise_jax.signatures.least import (
+    signal,
+    sinusoid,
+)
+from cannoise_jax.signatures.lines import LineSums, line_sums, response
+from cannoise_jax.signatures.score import Score, sidak, variance_component
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_LAW,
+    NO_PATTERN,
+    STATIC,
+    Axes,
+    Signature,
+    placed,
+    strength,
+)
+from cannoise_jax.signatures.waves import orthonormal, projected_out, redrawn, rician_fit, without
+
+_NEARLY = 0.1
+"""Share of what rows share beyond chance that may be left for a sinusoid to explain nearly all of it."""
+_PLAIN = 10.0
+"""Nats by which one sinusoid of the same amplitude everywhere must fall short before it is given up."""
+
+
+def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Half the chi-square of both phases of each field at every frequency k / 4h, their correlation accounted
+    for."""
+    h = information.size
+    u = fft.rfft(score, 4 * h, axis=1)
+    double = fft.fft(information, 4 * h)[(2 * np.arange(2 * h + 1)) % (4 * h)]
+    total = information.sum()
+    aa, bb, ab = (total + double.real) / 2, (total - double.real) / 2, double.imag / 2
+    determinant = np.maximum(aa * bb - ab**2, 1e-3 * total**2)
+    chi2 = (bb * u.real**2 + aa * u.imag**2 - 2 * ab * u.real * u.imag) / determinant
+    return chi2 / 2
+
+
+def flicker_score(fields: tuple[Fields, ...]) -> Score | None:
+    """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings, counted
+    by their information."""
+    powers, information, seen = [], [], []
+    for f in fields:
+        if not f.lit or not len(f.contrasts):
+            continue
+        values = redrawn(f)
+        sums = line_sums(f, values, "row", "signal")
+        if sums.information.size > 1 and sums.information.sum() > 0:
+            seen.append((f, values, sums))
+            powers.append(_wave_power(sums.score, sums.information))
+            information.append(np.full(len(values), sums.information.sum()))
+    if not powers:
+        return None
+    own, weights = np.concatenate(powers), np.concatenate(information)
+    power = np.einsum("nk,n->k", own, weights / weights.sum())
+    # Less than one period in the frame: its two phases are not independent. Two rows to a period, or nearly:
+    # that is what rows of one colour share when the light changes colour from frame to frame.
+    power[:4] = power[-4:] = 0
+    k, h = int(np.argmax(power)), fields[0].mean.shape[0]
+    trials = 2 * h  # every point of the padded grid
+    fit = rician_fit(float(power[k]), own[:, k], weights)
+    frequency = k / (4 * h)
+    strong = _with_remainder(seen, frequency)
+    if strong is not None and strong.gain < fit.gain + _PLAIN:
+        strong = None
+    gain, amplitude, error = strong or (fit.gain, fit.amplitude, fit.error)
+    return Score(
+        log_p=sidak(fit.log_p, trials),
+        gain=gain,
+        penalty=float(np.log(trials)),
+        amplitude=amplitude,
+        error=error,
+        shift=fit.shift,
+        power=2,
+        parameters={"amplitude": (amplitude, "1", error), "frequency": (frequency, "1/row", 0.3 / h)},
+        where={"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
+        payload=(frequency, strong is not None),
+    )
+
+
+def _basis(frequency: float, h: int, harmonics: int) -> Float[np.ndarray, "k h"]:
+    """Both phases of the sinusoid and of its harmonics along the rows, and of their neighbours half a
+    frequency of the frame away."""
+    rows = np.arange(h)
+    turns = [(m * frequency + d / h) * rows for m in range(1, harmonics + 1) for d in (-0.5, 0.0, 0.5)]
+    return np.array([g(2 * np.pi * t) for t in turns for g in (np.cos, np.sin)])
+
+
+class _Strong(NamedTuple):
+    """A sinusoid far above the noise: nats that it gains, amplitude, its error."""
+
+    gain: float
+    amplitude: float
+    error: float
+
+
+def _with_remainder(seen: list[tuple[Fields, np.ndarray, LineSums]], frequency: float) -> _Strong | None:
+    """The sinusoid with its harmonic, both of each colour's own strength, and a white remainder, for rows of
+    which it explains nearly all; None for any others.
+
+    Sums scaled to the noise of their own pixels bend a sinusoid that is far above it: both laws are compared
+    on those that are not, and the difference is put on what white rows gain on those that are.
+    """
+    whole, rest, saved, left_over = [], [], 0.0, 0.0
+    for field, values, _ in seen:
+        sums = line_sums(field, values, "row", "signal", own=False)
+        information, h = np.maximum(sums.information, 1e-30), sums.information.size
+        white = sums.score / np.sqrt(information)
+        even = _basis(frequency, h, 2)
+        basis = np.concatenate([even, even * np.where(np.arange(h) % 2, -1.0, 1.0)])
+        kept, _ = np.linalg.qr((basis * np.sqrt(information)).T)
+        if 2 * kept.shape[1] > h:
+            return None
+        left = white - np.einsum("nh,hk,mk->nm", white, kept, kept)
+        saved += 0.5 * float(np.sum(white**2) - np.sum(left**2))
+        saved -= 0.5 * len(white) * kept.shape[1] * float(np.log(white.size))  # its free parameters
+        left_over += (float(np.sum(left**2)) / (1 - kept.shape[1] / h)) - white.size
+        whole.append((white, information))
+        rest.append((left, information))
+    excess = sum(float(np.sum(w**2)) - w.size for w, _ in whole)
+    if left_over > _NEARLY * excess:
+        return None
+    own = [(s.score / np.sqrt(np.maximum(s.information, 1e-30)), s.information) for _, _, s in seen]
+    gain = _white(own) + saved + _white(rest) - _white(whole)
+    power = np.concatenate([_squares(field, values, frequency) for field, values, _ in seen])
+    amplitude = float(np.sqrt(np.mean(power)))
+    return _Strong(gain, amplitude, amplitude / (2 * np.sqrt(power.size)))
+
+
+def _squares(field: Fields, values: np.ndarray, frequency: float) -> Float[np.ndarray, "n"]:
+    """Squared amplitude of the sinusoid in every frame: a contrast holds the difference of several."""
+    whole = values if field.static is None else frame_fields(field)
+    sums = line_sums(field, whole, "row", "signal", own=False)
+    turn = np.exp(-2j * np.pi * frequency * np.arange(sums.information.size))
+    return np.abs(2 * np.einsum("nh,h->n", sums.score, turn) / sums.information.sum()) ** 2
+
+
+def _white(rows: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Nats that white offsets of the rows gain, of standardised sums [n, h] and their information [h]."""
+    power = np.concatenate([np.sum(x**2, 0) for x, _ in rows])
+    freedom = np.concatenate([np.full(i.shape, float(len(x))) for x, i in rows])
+    return variance_component(power, np.concatenate([i for _, i in rows]), freedom).gain
+
+
+def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Projects the row sinusoid, times the signal, out of every lit field; with its harmonic, and out of each
+    colour by itself, where it is far above the noise. What rows of light then still share is no noise of
+    the camera: lamps flicker in no perfect sinusoid."""
+    frequency, strong = score.payload
+
+    def taken_out(field: Fields) -> Fields:
+        left = _with_level(field, _taken_out(field, frequency, strong), frequency, score.amplitude)
+        return _even_rows(left) if strong and len(left.contrasts) else left
+
+    return tuple(taken_out(f) if f.lit else f for f in fields)
+
+
+def _even_rows(field: Fields) -> Fields:
+    """The field with the power of its row sums brought down to that of white noise at every frequency where
+    it is more, even and odd columns by themselves."""
+    values = field.contrasts.copy()
+    for parity in (0, 1):
+        columns = (slice(None), slice(parity, None, 2))
+        r = response(field, "signal")[columns].astype(np.float32)
+        information = np.maximum(np.sum(r.astype(np.float64) ** 2, 1), 1e-30)
+        rows = np.einsum("nij,ij->ni", field.contrasts[:, *columns], r) / np.sqrt(information)
+        modes = fft.rfft(rows, axis=1)
+        power = np.mean(np.abs(modes) ** 2, 0) / rows.shape[1]
+        smooth = ndimage.uniform_filter1d(power, 5, mode="nearest")
+        removed = fft.irfft(modes * (1 - 1 / np.sqrt(np.maximum(smooth, 1.0))), rows.shape[1], axis=1)
+        values[:, *columns] -= (removed / np.sqrt(information))[:, :, None].astype(np.float32) * r
+    return field._replace(contrasts=values)
+
+
+def _with_level(field: Fields, left: Fields, frequency: float, amplitude: float) -> Fields:
+    """`left` with the level of every frame as it was but for the part of its variance that a sinusoid of this
+    amplitude gives it: one of a few periods to the frame would take the drift of the light along."""
+    r = response(field, "signal").astype(np.float64)
+    lines = np.sum(r**2, 1)
+    total = max(float(lines.sum()), 1e-30)
+    turn = np.exp(-2j * np.pi * frequency * np.arange(lines.size))
+    share = float(np.abs(np.einsum("h,h->", lines, turn)) / total)
+    kept = 1 / np.sqrt(1 + 0.5 * (amplitude * share) ** 2 * total)
+    unit = r.astype(np.float32)
+
+    def function(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        was, now = (np.einsum("nij,ij->n", x, unit) / np.float32(total) for x in (before, after))
+        return after + (np.float32(kept) * was - now)[:, None, None] * unit
+
+    static = None
+    if field.static is not None and left.static is not None:
+        static = function(field.static[None], left.static[None])[0]
+    return left._replace(contrasts=function(field.contrasts, left.contrasts), static=static)
+
+
+def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
+    r = response(field, "signal")
+    basis = _basis(frequency, field.mean.shape[0], 2 if strong else 1)
+    if not strong:
+        return without(field, np.array([(b[:, None] * r).ravel() for b in basis]))
+
+    def function(values: np.ndarray) -> np.ndarray:
+        out = values.copy()
+        for at in map(site, range(4)):
+            q = orthonormal(np.array([(b[at[0], None] * r[at]).ravel() for b in basis]))
+            out[:, *at] = projected_out(values[:, *at], q)
+        return out
+
+    return map_contrasts(field, function)
+
+
+def mains(*, name: str, mechanism: str, parameter: str) -> Signature:
+    """A sinusoid of the light from row to row, its phase new in every frame."""
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("photons", "row", "redrawn", "signal", "sinusoid"),
+        reads=CONTRASTS | STATIC | {"signal"},
+        score=flicker_score,
+        absorb=flicker_absorb,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter),
+        place=placed(Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid")),
+        detectable=BY_SHIFT,
+        least=lambda sets: sinusoid(sets, signal),
+    )

@@ -1,0 +1,223 @@
+"""Glow of the readout electronics: light that falls off from a corner or an edge, in the darks.
+
+How far it reaches is known only roughly, and with it how much of the light lies where no fall is seen. The
+strength is the mean over the places and reaches that the darks leave open, each weighted by its likelihood.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.least import (
+    Law,
+    Seen,
+    template,
+)
+from cannoise_jax.signatures.means import minus, project
+from cannoise_jax.signatures.score import Score, normal_log_p, sidak
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    NO_LAW,
+    OFFSETS,
+    STATIC,
+    Addition,
+    Axes,
+    Found,
+    Signature,
+    as_map,
+    placed,
+)
+
+_REACHES = tuple(0.05 * 2 ** (n / 3) for n in range(10))
+"""Lengths of the exponential fall over the longer side of the frame."""
+_TRIALS = 24
+"""Independent ones among the templates."""
+_OPEN = 0.02
+"""Posterior weight, against the best, down to which a template may be the glow."""
+
+
+class Glow(NamedTuple):
+    """The template that fits best (rms 1) and its strength at the longest exposure, DN; the longest exposure
+    (None where unknown); weights: log posterior weight of every template."""
+
+    template: np.ndarray
+    strength: float
+    longest: float | None
+    weights: np.ndarray
+    strengths: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def glow_templates(size: tuple[int, int]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Exponential falls from every corner and edge, of several lengths, each of rms 1: names,
+    [templates, H W]."""
+    h, w = size
+    y, x = np.indices(size)
+    names, out = [], []
+    places = {
+        "top left": np.hypot(y, x),
+        "top right": np.hypot(y, w - 1 - x),
+        "bottom left": np.hypot(h - 1 - y, x),
+        "bottom right": np.hypot(h - 1 - y, w - 1 - x),
+        "top": y,
+        "bottom": h - 1 - y,
+        "left": x,
+        "right": w - 1 - x,
+    }
+    for place, distance in places.items():
+        for reach in _REACHES:
+            g = np.exp(-distance / (reach * max(h, w)))
+            names.append(f"{place}, {reach * max(h, w):.0f} px")
+            out.append((g / np.sqrt(np.mean(g**2))).ravel().astype(np.float32))
+    return tuple(names), np.array(out)
+
+
+def _sums(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | None] | None:
+    """Score and information of every template, the level of every channel fitted too, and the longest
+    exposure; None without darks."""
+    dark = [f for f in fields if f.kind in DARK and f.static is not None]
+    if not dark:
+        return None
+    known = [f.exposure_s for f in dark if f.exposure_s]
+    longest = max(known) if len(known) == len(dark) else None
+    g = glow_templates(dark[0].mean.shape)[1]
+    channel = channel_index(dark[0].mean.shape).ravel()
+    u, i = np.zeros(len(g)), np.zeros(len(g))
+    for f in dark:
+        assert f.static is not None
+        scale = _scale(f, longest)
+        w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
+        u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
+        i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
+        for c in range(4):
+            square = w[channel == c] ** 2
+            total = max(float(np.sum(square, dtype=np.float64)), 1e-30)
+            along = (g[:, channel == c] @ square).astype(np.float64)
+            level = float(np.sum(w[channel == c] * static[channel == c], dtype=np.float64))
+            u -= np.sqrt(f.frames) * scale * along * level / total
+            i -= f.frames * scale**2 * along**2 / total
+    return u, np.maximum(i, 1e-30), longest
+
+
+def _scale(field: Fields, longest: float | None) -> float:
+    """Glow of a dark over that of the longest one: it grows with the exposure."""
+    return (field.exposure_s or 1.0) / longest if longest else 1.0
+
+
+def _weights(u: np.ndarray, i: np.ndarray) -> np.ndarray:
+    """Log-likelihood of every template of positive strength, over that of none."""
+    return 0.5 * np.maximum(u, 0.0) ** 2 / i
+
+
+def _strength(u: np.ndarray, i: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Mean strength over the templates and its standard error."""
+    share = special.softmax(weights)
+    mean = float(share @ (u / i))
+    return mean, float(np.sqrt(share @ (1 / i + (u / i - mean) ** 2)))
+
+
+def glow_score(fields: tuple[Fields, ...]) -> Score | None:
+    """Light from a corner or edge in the darks, growing with the exposure where several are known."""
+    sums = _sums(fields)
+    if sums is None:
+        return None
+    u, i, longest = sums
+    z, size = u / np.sqrt(i), fields[0].mean.shape
+    k = int(np.argmax(z))
+    amplitude, error = _strength(u, i, _weights(u, i))
+    names, g = glow_templates(size)
+    return Score(
+        log_p=sidak(normal_log_p(float(z[k]), 1), _TRIALS),
+        gain=0.5 * max(float(z[k]), 0.0) ** 2,
+        penalty=float(np.log(_TRIALS) + 0.5 * np.log(1e5)) / 2,
+        amplitude=abs(amplitude),
+        error=error,
+        shift=float(1 / np.sqrt(i[k])),
+        power=1,
+        parameters={"glow": (amplitude, "DN", error)},
+        where={"axis": "edge", "edge": names[k]},
+        payload=Glow(g[k].reshape(size), float(max(u[k] / i[k], 0.0)), longest, _weights(u, i), u / i),
+    )
+
+
+def glow_again(looked: Score, second: tuple[Fields, ...]) -> Score | None:
+    """The strength on other frames; place and reach are known from those that looked as far as both tell."""
+    sums = _sums(second)
+    if sums is None:
+        return None
+    u, i, _ = sums
+    own = _weights(u, i)
+    both = looked.payload.weights + own
+    amplitude, error = _strength(u, i, both)
+    amplitude, gain = max(amplitude, 0.0), float(own[np.argmax(both)])
+    parameters = {"glow": (amplitude, "DN", error)}
+    return looked.replace(gain=gain, amplitude=amplitude, error=error, parameters=parameters)
+
+
+def glow_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Subtracts the glow from the darks, in proportion to the exposure."""
+    glow = score.payload
+    level = _level(fields, glow)
+    out = []
+    for f in fields:
+        if f.static is None or f.lit:
+            out.append(f)
+            continue
+        scale = _scale(f, glow.longest)
+        fall = project(f, glow.template * glow.strength * scale)
+        out.append(minus(f, fall)._replace(mean=f.mean - np.float32(level * scale)))
+    return tuple(out)
+
+
+def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
+    """Mean of the glow at the longest exposure, DN: of those that the fall leaves open the one that the
+    levels of the darks show, so that only what no such glow brings is left for a dark current."""
+    g = glow_templates(fields[0].mean.shape)[1]
+    possible = glow.weights > glow.weights.max() + np.log(_OPEN)
+    means = np.maximum(glow.strengths, 0.0)[possible] * g[possible].mean(1)
+    dark = [f for f in fields if f.static is not None and not f.lit]
+    scales = np.array([_scale(f, glow.longest) for f in dark])
+    if np.ptp(scales) < 0.01:
+        return float(np.mean(glow.template) * glow.strength)
+    shown = float(np.polyfit(scales, [float(np.mean(f.mean)) for f in dark], 1)[0])
+    return float(np.clip(shown, means.min(), means.max()))
+
+
+def from_edges(*, name: str, mechanism: str, parameter: str) -> Signature:
+    """Light that falls off from a corner or an edge of the darks."""
+
+    def simulate(found: Found) -> Addition | None:
+        if found.pattern is None:
+            return None
+        peak = float(found.pattern.max())
+        rate = found.score.amplitude * peak / found.gain / found.seconds
+        return Addition({parameter: rate}, {"glow": as_map(found.pattern / peak)})
+
+    def least(sets: tuple[Seen, ...]) -> Law:
+        """From a corner, a fifth of the longer side deep."""
+        size = sets[0].weight.shape
+        y, x = np.mgrid[: size[0], : size[1]]
+        fall = np.exp(-np.hypot(y, x) / (0.2 * max(size)))
+        return template(sets, lambda s: fall / np.sqrt(np.mean(fall**2)) * s.exposure)
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("pixel", "block", "frozen", "exposure", "exponential fall"),
+        reads=STATIC,
+        score=glow_score,
+        absorb=glow_absorb,
+        predict=NO_LAW,
+        pattern=lambda fields, score, rng: np.asarray(score.payload.template, np.float64),
+        simulate=simulate,
+        place=placed(OFFSETS, unit_map=True, by_exposure=True),
+        strength=lambda found, looked, held: glow_again(found, held),
+        detectable=BY_SHIFT,
+        least=least,
+    )

@@ -1,0 +1,224 @@
+"""Offsets shared by groups of pixels that no listed mechanism shares: tiles, diagonals, the sites of a
+colour.
+
+Points of the grammar without a name: what is found here is reported as unknown, with its axis.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import Literal
+
+import numpy as np
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.signatures.fields import Fields, channel_index, map_contrasts
+from cannoise_jax.signatures.lines import (
+    Pixels,
+    alone,
+    by_own_noise,
+    component_score,
+    held_variance,
+    response,
+)
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NOT_SIMULATED,
+    STATIC,
+    Axes,
+    Found,
+    Scales,
+    Signature,
+    placed,
+    strength,
+)
+
+
+@lru_cache(maxsize=16)
+def layout(name: str, size: tuple[int, int]) -> np.ndarray:
+    """Number of the group of every pixel."""
+    rows, columns = np.indices(size)
+    if name == "site":
+        return channel_index(size)
+    if name.endswith("parity"):
+        return rows % 2 if name == "row_parity" else columns % 2
+    if name == "diagonal":
+        return rows - columns + size[1] - 1
+    if name == "antidiagonal":
+        return rows + columns
+    side = int(name.removeprefix("tile_"))
+    return rows // side * -(-size[1] // side) + columns // side
+
+
+def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, own: bool = False):
+    """Scores [n, groups] and information [groups] of one offset per group, the frame's own taken out, and the
+    share of a degree of freedom that this leaves to each group."""
+    r = response(field, scaling).astype(np.float32)
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    total = max(float(information.sum()), 1e-30)
+    score = np.array([np.bincount(flat, (v * r).ravel(), number) for v in values])
+    score = score - score.sum(1, keepdims=True) / total * information
+    left = 1 - information / total
+    if own:
+        count = np.bincount(flat, (r > 0).ravel(), number)
+        score, more = by_own_noise(score, _pixels(values, r, groups), count)
+        information = information * more
+    return score, information, left
+
+
+def _pixels(values: np.ndarray, r: np.ndarray, groups: np.ndarray) -> Pixels:
+    """The pixels of every group beside the group's own offset."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    square = r.astype(np.float64) ** 2
+    information = np.bincount(flat, square.ravel(), number)
+    within = []
+    for v in values:
+        offset = np.bincount(flat, (v * r).ravel(), number) / np.maximum(information, 1e-30)
+        within.append(np.bincount(flat, (square * (v - offset[groups] * r) ** 2).ravel(), number))
+    return Pixels(information, np.bincount(flat, (square**2).ravel(), number), np.array(within))
+
+
+def _shared_sums(fields: tuple[Fields, ...], groups: np.ndarray) -> list:
+    """The one set of sums of a pattern that stays, over all fields that show it; none where none does. The
+    smooth mean of a flat takes large tiles away, so only darks and scenes show what stays."""
+    shown = [f for f in fields if f.static is not None and f.kind != "flat"]
+    sums = [_sums(f, f.static[None], groups, "additive") for f in shown if f.static is not None]
+    if not sums:
+        return []
+    score = sum(np.sqrt(f.frames) * u for f, (u, _, _) in zip(shown, sums, strict=True))
+    information = sum(f.frames * i for f, (_, i, _) in zip(shown, sums, strict=True))
+    return [(score, information, sums[-1][2])]
+
+
+def group_score(
+    fields: tuple[Fields, ...], *, name: str, time: str, scaling: str = "additive"
+) -> Score | None:
+    """White offsets of groups of pixels, new in every frame, or of darks and scenes and staying; relative:
+    factors of their light, new in every frame."""
+    powers, informations, freedoms = [], [], []
+    groups = layout(name, fields[0].mean.shape)
+    if time == "redrawn":
+        shown = [f for f in fields if len(f.contrasts) and (f.lit or scaling == "additive")]
+        sums = [_sums(f, f.contrasts, groups, scaling, own=True) for f in shown]
+    else:
+        sums = _shared_sums(fields, groups)
+    for score, information, left in sums:
+        powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
+        informations.append(information)
+        freedoms.append(len(score) * left)
+    if not powers or np.sum(np.concatenate(freedoms)) < 2:  # such as one tile that covers the frame
+        return None
+    channel = name == "site" or name.endswith("parity")
+    where = {"axis": "channel", "channel": name} if channel else {"axis": "block", "layout": name}
+    return component_score(
+        np.concatenate(powers),
+        np.concatenate(informations),
+        np.concatenate(freedoms),
+        scaling,
+        where,
+    )
+
+
+def group_absorb(
+    fields: tuple[Fields, ...], score: Score, *, name: str, time: str, scaling: str = "additive"
+) -> tuple[Fields, ...]:
+    """Whitens what was drawn anew; takes the whitening part of a pattern that stays out of all fields."""
+    groups = layout(name, fields[0].mean.shape)
+    if time == "redrawn":
+        if name.startswith(("tile", "diagonal", "antidiagonal")):
+            return tuple(_whitened(f, groups, score.payload) for f in fields)
+        return tuple(
+            _apart(f, groups, score.payload, scaling) if f.lit or scaling == "additive" else f for f in fields
+        )
+    ((u, i, _),) = _shared_sums(fields, groups)
+    spread = (u[0] * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
+    return tuple(
+        f
+        if f.static is None or f.kind == "flat"
+        else f._replace(static=(f.static - np.sqrt(f.frames) * spread * f.weight).astype(np.float32))
+        for f in fields
+    )
+
+
+def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
+    """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. The modelled
+    noise holds them too."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    if len(field.contrasts):
+        held = held_variance(_pixels(field.contrasts, field.weight.astype(np.float32), groups))
+        field = alone(field, held[groups], variance, "additive")
+    r = field.weight.astype(np.float32)
+    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
+
+    def function(x: np.ndarray) -> np.ndarray:
+        scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]
+        removed = [(s * shrink)[groups] * r for s in scores]
+        return (x - np.array(removed)).astype(np.float32) if len(x) else x
+
+    return map_contrasts(field, function)
+
+
+def _apart(field: Fields, groups: np.ndarray, variance: float, scaling: str) -> Fields:
+    """What a few groups, such as the sites of a colour, differ by projected out: they are too few for one
+    variance to fit each. What that adds to the mean of the frame is whitened, the rest of it is the frame's
+    own. The modelled noise is without these offsets."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    r = response(field, scaling).astype(np.float32)
+    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    total = max(float(information.sum()), 1e-30)
+    kept = 1 / np.sqrt(1 + variance * float(np.sum(information**2)) / total)
+
+    def function(x: np.ndarray) -> np.ndarray:
+        scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]
+        removed = [(s / np.maximum(information, 1e-30) - kept * s.sum() / total)[groups] * r for s in scores]
+        return (x - np.array(removed)).astype(np.float32) if len(x) else x
+
+    return map_contrasts(field, function)
+
+
+def shared(
+    name: str,
+    layout_name: str,
+    time: Literal["redrawn", "frozen"],
+    *,
+    scaling: Scales = "additive",
+    mechanism: str | None = None,
+    parameter: str | None = None,
+    covers: tuple[str, ...] = (),
+) -> Signature:
+    """Offsets (or factors of the light) shared by the pixels of each group of a layout."""
+    over = "block" if "tile" in layout_name else "diagonal" if "diagonal" in layout_name else "channel"
+
+    def point(found: Found) -> Point:
+        if scaling != "additive":
+            return Point("photons", "mean", "channel", time, "multiply")
+        if over == "block":
+            side = int(layout_name.removeprefix("tile_"))
+            blocks = (-(-found.size[0] // side), -(-found.size[1] // side))
+            return Point("readout", "signal", "block", time, blocks=blocks)
+        return Point("readout", "signal", layout_name if over == "diagonal" else "channel", time)  # type: ignore[arg-type]
+
+    reads = CONTRASTS if time == "redrawn" else STATIC
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        kin=layout_name,
+        axes=Axes("readout" if scaling == "additive" else "photons", over, time, scaling, "white"),
+        reads=reads | (frozenset({"signal"}) if scaling == "signal" else frozenset()),
+        score=partial(group_score, name=layout_name, time=time, scaling=scaling),
+        absorb=partial(group_absorb, name=layout_name, time=time, scaling=scaling),
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter) if parameter else NOT_SIMULATED,
+        place=placed(point),
+        detectable=BY_SHIFT,
+        least=NO_CLOSED_FORM,
+    )

@@ -1,0 +1,310 @@
+"""Pixels whose level stands out in the darks: hot ones."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.fields import Fields, without_pixels
+from cannoise_jax.signatures.least import (
+    Law,
+    Seen,
+)
+from cannoise_jax.signatures.patterns import pixel_sums
+from cannoise_jax.signatures.rare import (
+    CENTRES,
+    FAR,
+    HEATS,
+    hot_log_p,
+    level_counts,
+    log_mixture,
+    log_ratio_of,
+    spread_of,
+)
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import (
+    NO_CLOSED_FORM,
+    OFFSETS,
+    STATIC,
+    Addition,
+    Asked,
+    Axes,
+    Found,
+    Many,
+    Predicted,
+    Scales,
+    Signature,
+    as_map,
+    placed,
+)
+from cannoise_jax.signatures.sparse import hot_amplitude, hot_found
+
+_MOST_SHARE = 0.5
+_STRONG = 2.0
+"""Spread of the levels of most pixels, in standard deviations of their noise, from which on every pixel has a
+level of its own and the hot ones are those that stand out from these: beside a map, not in place of it."""
+_LEAST_NOISE = 0.6
+"""Standard deviation of the noise of a dark, in codes, from which on the mean of a few frames is normal."""
+
+
+class Heat(NamedTuple):
+    """Law of the heat of a pixel: exponential of this mean, DN or ('exposure') DN per second, in a share of
+    the pixels, none in the others. spread: standard deviation of the levels of those others, in units of the
+    noise, where every pixel has a level of its own; else 1."""
+
+    share: float
+    mean: float
+    scaling: str
+    spread: float = 1.0
+
+    @property
+    def beside_map(self) -> bool:
+        """Whether the other pixels have levels far beyond the noise too, a pattern that is found after."""
+        return self.spread > 1
+
+
+class Known(NamedTuple):
+    """What is known of the heat of every pixel: the chance that it is hot, and mean and variance of its heat
+    if it is, `[H, W]`."""
+
+    chance: np.ndarray
+    centre: np.ndarray
+    shape: np.ndarray
+    unit: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Expected heat."""
+        return self.chance * self.unit * (self.centre + self.shape)
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Variance of the heat."""
+        return np.maximum(self.power(2) - self.mean**2, 0.0)
+
+    def power(self, k: int) -> np.ndarray:
+        """Expected square (2) or, of a normal law, fourth power (4) of the heat."""
+        inner = np.maximum(1 - self.shape * (self.shape + self.centre), 0.0)
+        middle = (self.centre + self.shape) ** 2
+        moment = middle + inner if k == 2 else middle**2 + 6 * middle * inner + 3 * inner**2
+        return self.chance * self.unit**k * moment
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Heat of every pixel, drawn from what is known."""
+        hot = rng.random(self.chance.shape) < self.chance
+        heat = stats.truncnorm.rvs(-self.centre[hot], np.inf, self.centre[hot], 1.0, random_state=rng)
+        out = np.zeros(self.chance.shape)
+        out[hot] = heat * self.unit[hot]
+        return out
+
+
+def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
+    """What the darks tell of the heat of every pixel: of a normal value with an exponential mean, the mean is
+    a normal one cut off at zero. Beside a map a pixel is either hot or one of the map."""
+    sums = pixel_sums(fields, heat.scaling, DARK)
+    if sums is None:
+        return None
+    root = np.sqrt(sums.information) / heat.spread
+    seen = root > 0
+    safe = np.where(seen, root, 1.0)
+    u, mean = sums.score / safe / heat.spread**2, heat.mean * safe
+    ratio = np.where(seen, log_ratio_of(u, mean), 0.0)
+    log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, _MOST_SHARE)) + ratio
+    centre = np.where(seen, u - 1 / mean, -1 / mean)
+    # Mean of a standard normal above -centre: the inverse of Mills' ratio.
+    shape = np.exp(stats.norm.logpdf(centre) - stats.norm.logcdf(centre))
+    chance = np.where(seen, special.expit(log_odds), 0.0)
+    return Known(np.round(chance) if heat.beside_map else chance, centre, shape, 1 / safe)
+
+
+def heat_again(looked: Score, first: tuple[Fields, ...], second: tuple[Fields, ...]) -> Score | None:
+    """The strength of hot pixels on other frames: the heat that the frames that found them expect of every
+    pixel, times how much of it shows again. None where nothing shows it."""
+    known = known_heat(first, looked.payload)
+    sums = pixel_sums(second, looked.payload.scaling, DARK)
+    if known is None or sums is None:
+        return None
+    information = float(np.sum(known.mean**2 * sums.information))
+    square = float(np.sum(known.power(2)))
+    if not information > 0 or not square > 0:
+        return None
+    again = max(float(np.sum(known.mean * sums.score)) / information, 0.0)
+    # The heat of the same camera: what is not known of it is the doubt about each pixel, not the draw.
+    doubt = float(np.sum(np.maximum(known.power(4) - known.power(2) ** 2, 0.0))) / square**2
+    unit = looked.amplitude / (looked.payload.mean * np.sqrt(2 * max(looked.payload.share, 1e-12)))
+    amplitude = unit * float(np.sqrt(square / known.mean.size))
+    error = amplitude * float(np.sqrt(1 / information + again**2 * doubt / 4))
+    return looked.replace(amplitude=amplitude * again, error=error)
+
+
+def _fitted(counts: np.ndarray) -> tuple[float, float, float]:
+    """Share and mean height of most likelihood, and the nats that they gain."""
+    used = counts > 0
+    n, u = counts[used], CENTRES[used]
+
+    def step(share: float, ratio: np.ndarray) -> tuple[float, np.ndarray]:
+        hot = n * special.expit(special.logit(share) + ratio)
+        return float(np.clip(np.sum(hot) / n.sum(), 1e-7, _MOST_SHARE)), hot
+
+    def gained(share: float, ratio: np.ndarray) -> float:
+        return float(np.sum(n * np.logaddexp(np.log1p(-share), np.log(share) + ratio)))
+
+    best, at, share = 0.0, 1.0, 0.0
+    for mean in HEATS:
+        ratio, f = log_ratio_of(u, mean), 1e-3
+        for _ in range(40):
+            f = step(f, ratio)[0]
+        gain = gained(f, ratio)
+        if gain > best:
+            best, at, share = gain, float(mean), f
+    if not share:
+        return 0.0, at, 0.0
+    for _ in range(40):
+        share, hot = step(share, log_ratio_of(u, at))
+        inner = u - 1 / at
+        height = inner + np.exp(stats.norm.logpdf(inner) - stats.norm.logcdf(inner))
+        at = max(float(np.sum(hot * height) / np.sum(hot)), HEATS[0])
+    return share, at, gained(share, np.minimum(log_ratio_of(u, at), FAR))
+
+
+def _lattice_spread(fields: tuple[Fields, ...]) -> float:
+    """The standard deviation that the level of a pixel is taken to have at least, over that of its noise:
+    below some half a code a few changes by a code reach further than a normal law has it."""
+    darks = [f for f in fields if f.kind in DARK and f.usable.any()]
+    return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
+
+
+def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
+    """A few pixels far above the others in the darks, at the same places in every frame."""
+    sums = pixel_sums(fields, scaling, DARK)
+    if sums is None:
+        return None
+    seen = sums.information > 0
+    if not seen.any():
+        return None
+    u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
+    bulk = spread_of(u[seen.ravel()])
+    spread = max(bulk, _lattice_spread(fields))
+    number = int(np.sum(u > 4.6 * spread))
+    root = float(np.sqrt(np.median(sums.information[seen]))) / spread
+    counts = level_counts(u[seen.ravel()] / spread)
+    share, at, gain = _fitted(counts)
+    mixture = float(log_mixture(counts))
+    seconds = (
+        float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in DARK]))
+        if scaling == "exposure"
+        else 1.0
+    )
+    amplitude = at / root * np.sqrt(2 * share) * seconds
+    events = max(share * u.size, 1.0)
+    high = [int(k) for k in np.argsort(-u)[:8]]
+    width = fields[0].mean.shape[1]
+    return Score(
+        log_p=max(hot_log_p(mixture, int(seen.sum())), -700.0),
+        gain=gain,
+        penalty=max(gain - mixture, 2.0),
+        amplitude=float(amplitude),
+        error=float(amplitude / np.sqrt(events)),
+        shift=float(seconds / root / np.sqrt(np.sqrt(u.size / 2))),
+        power=2,
+        parameters={"fraction": (share, "1", float(np.sqrt(share / u.size)))},
+        where={"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
+        payload=Heat(share, at / root, scaling, bulk if bulk > _STRONG else 1.0),
+    )
+
+
+def mask_hot(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Takes the pixels whose level stands out in the darks out of every field."""
+    if score.payload.beside_map:
+        known = known_heat(fields, score.payload)
+        return fields if known is None else without_pixels(fields, known.chance > 0.5)
+    out = np.zeros(fields[0].mean.shape, bool)
+    for scaling in ("additive", "exposure"):
+        sums = pixel_sums(fields, scaling, DARK)
+        if sums is not None:
+            out |= np.abs(sums.score / np.sqrt(np.maximum(sums.information, 1e-30))) > 4.0
+    return without_pixels(fields, out)
+
+
+def hot_map(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
+    """A draw of the heat of every pixel `[H, W]`, DN (at the longest exposure where it grows with it)."""
+    known = known_heat(fields, score.payload)
+    if known is None:
+        return None
+    growing = score.payload.scaling == "exposure"
+    seconds = max(f.exposure_s or 1.0 for f in fields if not f.lit) if growing else 1.0
+    return known.draw(rng) * seconds
+
+
+def _detectable(asked: Asked, score: Score, mechanism: str) -> float:
+    """Of a few far pixels no shift in standard deviations tells how often they are found: their own p-value
+    does, of all frames where those held back get a second look."""
+    # Their charge grows with the exposure where the files state one.
+    longest = max((f.exposure_s or 0.0 for f in asked.looks[0] if not f.lit), default=0.0)
+    scaling = "exposure" if longest else "additive"
+    sums = [s for s in (pixel_sums(fields, scaling, DARK) for fields in asked.looks) if s is not None]
+    if not sums:
+        return float("inf")
+    return hot_found(np.sum([s.information for s in sums], axis=0), asked.own_log_p) * (longest or 1.0)
+
+
+def _least(sets: tuple[Seen, ...]) -> Law:
+    information = sum(s.frames * s.exposure**2 * s.weight for s in sets if s.known)
+    return lambda shift: hot_amplitude(np.asarray(information), shift)
+
+
+def standing_out(
+    scaling: Scales, *, name: str, mechanism: str, maps: tuple[str, ...], covers: tuple[str, ...] = ()
+) -> Signature:
+    """A few pixels far above the others in the darks. maps: signatures of maps of all pixels, which are
+    judged once the pixels that stand out from them are gone."""
+    growing = scaling == "exposure"
+
+    def predict(fields: Many, score: Score) -> Predicted | None:
+        known = known_heat(fields, score.payload)
+        return None if known is None else Predicted(known.mean, known.variance, scaling)
+
+    def simulate(found: Found) -> Addition:
+        """At their places, e-/s; what does not grow with the exposure is an offset map."""
+        pattern = np.zeros(found.fields[0].mean.shape) if found.pattern is None else found.pattern
+        heat = pattern / found.gain / found.seconds
+        share = float(np.clip(np.mean(heat > 0), 1e-7, 0.5))
+        mean = float(heat.sum() / max((heat > 0).sum(), 1)) or 1e-6
+        values = {"e_per_s": mean if growing else mean * found.seconds, "fraction": share}
+        own = None if growing else Scaling(reference_exposure_s=found.seconds)
+        return Addition(values, {"heat": as_map(heat / mean)}, own)
+
+    def at(score: Score, amplitude: float) -> Score:
+        """The mean heat goes with the strength."""
+        heat = score.payload
+        if score.amplitude > 0:
+            heat = heat._replace(mean=heat.mean * amplitude / score.amplitude)
+        return score.replace(amplitude=amplitude, payload=heat)
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        kin="hot",
+        axes=Axes("readout", "pixel", "frozen", scaling, "sparse"),
+        reads=STATIC,
+        score=partial(hot_score, scaling=scaling),
+        absorb=mask_hot,
+        covers=covers,
+        before=lambda score: maps if score.payload.beside_map else (),
+        rare=True,
+        predict=predict,
+        pattern=hot_map,
+        simulate=simulate,
+        place=placed(OFFSETS, by_exposure=growing),
+        strength=heat_again,
+        detectable=_detectable,
+        decides=True,
+        least=NO_CLOSED_FORM if growing else _least,
+        at=at,
+        single_pixels=True,
+    )

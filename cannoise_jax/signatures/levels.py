@@ -1,0 +1,229 @@
+"""Levels of the darks: black level and dark current."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.recordings.recording import DARK, mosaic_map
+from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.least import (
+    Law,
+    Seen,
+    template,
+)
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.score import (
+    Score,
+    chi2_log_sf,
+    student_log_p,
+)
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    Addition,
+    Axes,
+    Found,
+    Many,
+    Signature,
+    as_map,
+    placed,
+    strength,
+    unchanged,
+)
+
+
+def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, float]]:
+    """Of every dark: its level per channel, DN, and the standard error of one."""
+    out = []
+    for f in fields:
+        if f.kind in DARK:
+            channel = channel_index(f.mean.shape)
+            level = np.array([float(f.mean[channel == c].mean()) for c in range(4)])
+            out.append((f, level, float(np.median(f.sigma)) / np.sqrt(f.frames * f.mean.size / 4)))
+    return out
+
+
+def jitter_freedom(fields: tuple[Fields, ...], jitter: float, error: float) -> float:
+    """Degrees of freedom of a standard error made of pixel noise, which is known, and of frame jitter."""
+    frames = sum(len(f.contrasts) for f in fields if f.kind in DARK)
+    share = jitter / max(jitter + error, 1e-30)
+    return frames / max(share, 1e-3) ** 2
+
+
+def frame_jitter(fields: tuple[Fields, ...]) -> float:
+    """Variance of the frame offsets of the darks beyond pixel noise, DN^2; 0 when there is none to be
+    seen."""
+    excess, number = 0.0, 0
+    for f in fields:
+        if f.kind in DARK and len(f.contrasts):
+            u = np.einsum("nij,ij->n", f.contrasts, f.weight.astype(np.float32))
+            i = float(np.sum(f.weight.astype(np.float64) ** 2))
+            excess += float(np.sum((u / i) ** 2 - 1 / i))
+            number += len(u)
+    return max(excess / number, 0.0) if number else 0.0
+
+
+def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: bool) -> Score | None:
+    """Black level against the stated one: what channels share (bookkeeping) or differ in (channel offset)."""
+    levels, jitter = dark_levels(fields), recorded.jitter
+    if not levels:
+        return None
+    shortest = min((f.exposure_s or 0.0) for f, _, _ in levels)
+    chosen = [(f, level, e) for f, level, e in levels if (f.exposure_s or 0.0) == shortest]
+    weight = np.array([1 / e**2 for _, _, e in chosen])
+    error = float(1 / np.sqrt(weight.sum()))
+    difference = np.average([level for _, level, _ in chosen], axis=0, weights=weight) - recorded.black
+    frames = sum(f.frames for f, _, _ in chosen)
+    if common:
+        # A level stated to the nearest code may be off by half a code; the frame offsets scatter the mean.
+        slack = recorded.tolerance
+        spread = np.sqrt(error**2 / 4 + jitter / frames)
+        value = float(difference.mean())
+        z = np.sign(value) * max(abs(value) - slack, 0.0) / spread
+        return Score(
+            log_p=student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
+            gain=0.5 * z**2,
+            penalty=5.0,
+            amplitude=abs(value),
+            error=float(spread),
+            shift=float(spread),
+            power=1,
+            parameters={"black_level_error": (value, "DN", float(spread))},
+            where={"axis": "channel", "channel": "all"},
+            payload=value,
+        )
+    contrast = difference - difference.mean()
+    slack = recorded.tolerance if np.ptp(recorded.black) > 0 else 0.0
+    reduced = np.sign(contrast) * np.maximum(np.abs(contrast) - slack, 0)
+    chi2 = float(np.sum((reduced / error) ** 2))
+    rms = float(np.sqrt(np.mean(contrast**2)))
+    spread = error / 2
+    return Score(
+        log_p=chi2_log_sf(chi2, 3),
+        gain=chi2 / 2,
+        penalty=7.0,
+        amplitude=float(np.sqrt(max(rms**2 - 0.75 * error**2, 0))),
+        error=spread,
+        shift=spread,
+        power=1,
+        parameters={f"offset_{c}": (float(contrast[c]), "DN", error) for c in range(4)},
+        where={"axis": "channel", "channel": int(np.argmax(np.abs(contrast)))},
+        payload=contrast,
+    )
+
+
+def dark_current_score(fields: tuple[Fields, ...], *, jitter: float) -> Score | None:
+    """Level of the darks against their exposure."""
+    levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
+    if len({f.exposure_s for f, _, _ in levels}) < 2:
+        return None
+    t = np.array([f.exposure_s for f, _, _ in levels], float)
+    y = np.array([level.mean() for _, level, _ in levels])
+    v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
+    centre = np.average(t, weights=1 / v)
+    i = float(np.sum((t - centre) ** 2 / v))
+    slope = float(np.sum((t - centre) * y / v)) / i
+    gain = float(np.mean(fields[0].gain))
+    z = slope * np.sqrt(i)
+    # Frame offsets leave few degrees of freedom for their own variance.
+    error = float(1 / np.sqrt(i)) / gain
+    return Score(
+        log_p=student_log_p(
+            z, jitter_freedom(fields, jitter, levels[0][2] ** 2 * levels[0][0].frames / 4), 1
+        ),
+        gain=0.5 * z**2 if z > 0 else 0.0,
+        penalty=5.0,
+        amplitude=max(slope / gain, 0.0),
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"dark_current": (slope / gain, "e-/s", error)},
+        where={"axis": "frame", "recordings": [f.name for f, _, _ in levels]},
+        payload=slope,
+    )
+
+
+_READS = frozenset({"mean", "sigma", "contrasts"})
+
+
+def black(recorded: Recorded, *, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+    """A black level other than the stated one, the same in all channels."""
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("readout", "channel", "frozen", "additive", "common"),
+        reads=_READS,
+        score=partial(channel_score, recorded=recorded, common=True),
+        absorb=unchanged,
+        covers=covers,
+        rare=True,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=lambda found: Addition(bare=True, fitted_black=True),
+        place=NO_PLACE,
+        detectable=BY_SHIFT,
+        least=NO_CLOSED_FORM,
+    )
+
+
+def black_of_channels(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """Black levels that differ between the channels."""
+
+    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
+        return mosaic_map(np.asarray(score.payload, np.float64), fields[0].mean.shape)
+
+    def simulate(found: Found) -> Addition | None:
+        if found.pattern is None:
+            return None
+        rms = float(np.sqrt(np.mean(found.pattern**2)))
+        maps = {"field": as_map(found.pattern / rms)}
+        return Addition({parameter: rms}, maps, black_shift=np.asarray(found.score.payload))
+
+    def least(sets: tuple[Seen, ...]) -> Law:
+        y, x = np.mgrid[: sets[0].weight.shape[0], : sets[0].weight.shape[1]]
+        return template(sets, lambda s: 1.0 - 2 * (y % 2 != x % 2), common=True)
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("readout", "channel", "frozen", "additive", "contrast"),
+        reads=_READS,
+        score=partial(channel_score, recorded=recorded, common=False),
+        absorb=unchanged,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=pattern,
+        simulate=simulate,
+        place=placed(Point("readout", "signal", "channel", "frozen")),
+        detectable=BY_SHIFT,
+        least=least,
+    )
+
+
+def by_exposure(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """A level of the darks that rises with the exposure."""
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("pixel", "frame", "frozen", "exposure", "mean"),
+        reads=_READS,
+        score=partial(dark_current_score, jitter=recorded.jitter),
+        absorb=unchanged,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter),
+        place=NO_PLACE,
+        detectable=BY_SHIFT,
+        least=lambda sets: template(sets, lambda s: s.gain * s.seconds * np.ones(s.weight.shape)),
+    )

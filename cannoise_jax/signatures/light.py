@@ -1,0 +1,350 @@
+"""How the mean answers to light: the two greens, fall-off to the corners, curvature."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.recordings.recording import DARK, mosaic_map
+from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.least import (
+    Law,
+    Seen,
+    template,
+)
+from cannoise_jax.signatures.means import linear_score, minus, project
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.score import (
+    Score,
+    chi2_log_sf,
+    normal_log_p,
+)
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    STATIC,
+    Addition,
+    Axes,
+    Found,
+    Many,
+    Signature,
+    placed,
+    strength,
+    unchanged,
+)
+
+
+def green_score(fields: tuple[Fields, ...], *, greens: tuple[int, int] | None) -> Score | None:
+    """Relative difference of the two green channels."""
+    if greens is None:
+        return None
+    a, b = greens
+    u = i = 0.0
+    for f in fields:
+        if f.static is None or not f.lit or not f.usable.any():
+            continue
+        channel = channel_index(f.mean.shape)
+        level, variance = [], []
+        for c in (a, b):
+            chosen = (channel == c) & f.usable
+            weight = f.weight[chosen].astype(np.float64) ** 2
+            if f.kind == "scene":
+                assert f.clean is not None
+                x = f.clean[chosen] - np.average(f.clean[chosen], weights=weight)
+                slope = np.sum(weight * x * f.mean[chosen]) / np.sum(weight * x**2)
+                level.append(slope)
+                variance.append(1 / np.sum(weight * x**2) / f.frames / slope**2)
+            else:
+                # Both greens at the sites of the second: a gradient of the light must not look like a
+                # contrast.
+                level_map = (_diagonal(f.mean) if c == a else f.mean)[1:-1, 1:-1]
+                signal = float(np.mean(level_map[(channel == b)[1:-1, 1:-1]]) - f.black[c])
+                dark = np.mean([np.median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0])
+                count = sum(g.frames for g in fields if not g.lit) * chosen.sum() or np.inf
+                level.append(signal)
+                variance.append(
+                    (float(np.mean(f.sigma[chosen] ** 2)) / chosen.sum() / f.frames + dark / count)
+                    / max(signal, 1e-6) ** 2
+                )
+        if min(level) <= 0:
+            continue
+        v = sum(variance)
+        u += np.log(level[0] / level[1]) / v
+        i += 1 / v
+    if i == 0:
+        return None
+    z = u / np.sqrt(i)
+    amplitude, error = abs(u / i) / 2, 0.5 / np.sqrt(i)
+    return Score(
+        log_p=normal_log_p(z),
+        gain=0.5 * z**2,
+        penalty=5.0,
+        amplitude=amplitude,
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"relative_difference": (u / i, "1", 2 * error)},
+        where={"axis": "channel", "channel": "Gr-Gb"},
+        payload=u / i,
+    )
+
+
+def _diagonal(image: np.ndarray) -> np.ndarray:
+    """Mean of the four diagonal neighbours, which are of the other green; wrong at the border."""
+    p = np.pad(image.astype(np.float64), 1, mode="edge")
+    return (p[:-2, :-2] + p[2:, 2:] + p[:-2, 2:] + p[2:, :-2]) / 4
+
+
+def fall_off(size: tuple[int, int]) -> np.ndarray:
+    """Square of the distance to the centre over that of the corners."""
+    h, w = size
+    y, x = np.indices((h, w))
+    return ((y - (h - 1) / 2) ** 2 + (x - (w - 1) / 2) ** 2) / (((h - 1) / 2) ** 2 + ((w - 1) / 2) ** 2)
+
+
+def shading_score(fields: tuple[Fields, ...], *, span: float) -> Score | None:
+    """Fall-off towards the corners of flats and scenes whose light is known."""
+    u = i = 0.0
+    for f in fields:
+        if not f.lit or f.clean is None or f.static is None:
+            continue
+        fall = fall_off(f.mean.shape)
+        if f.kind == "scene":
+            t = project(f, -fall * f.clean * span)
+            u += float(np.sum(f.static * t)) * np.sqrt(f.frames)
+            i += float(np.sum(t**2)) * f.frames
+            continue
+        channel = channel_index(f.mean.shape)
+        for c in range(4):
+            chosen = (channel == c) & f.usable
+            weight = f.weight[chosen].astype(np.float64) ** 2
+            light = f.clean[chosen].astype(np.float64)
+            mean = f.mean[chosen] - f.black[c]
+            if weight.sum() == 0 or light.mean() <= 0:
+                continue
+            scale = np.sum(weight * light * mean) / np.sum(weight * light**2)
+            t = -light * scale * (fall[chosen] - np.average(fall[chosen], weights=weight * light**2))
+            u += f.frames * np.sum(weight * t * (mean - scale * light))
+            i += f.frames * np.sum(weight * t**2)
+    if i == 0:
+        return None
+    z, amplitude, error = u / np.sqrt(i), u / i, float(1 / np.sqrt(i))
+    return Score(
+        log_p=normal_log_p(z),
+        gain=0.5 * z**2,
+        penalty=5.0,
+        amplitude=abs(amplitude),
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"corner_loss": (float(amplitude), "1", error)},
+        where={"axis": "block", "bbox": None},
+        payload=(float(amplitude), span),
+    )
+
+
+def shading_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Takes the fall-off out of the scenes; the smooth mean of a flat holds it already."""
+    value, span = score.payload
+    return tuple(
+        minus(f, project(f, -fall_off(f.mean.shape) * f.clean * span * value))
+        if f.kind == "scene" and f.static is not None and f.clean is not None
+        else f
+        for f in fields
+    )
+
+
+class _Moments(NamedTuple):
+    """Weighted moments of mean against reference in one channel of one field: basis 1, x, x^2."""
+
+    normal: np.ndarray
+    right: np.ndarray
+    square: float
+    channel: int
+
+
+def _moments(field: Fields, clean: np.ndarray, span: float) -> list[_Moments]:
+    """Moments per channel of what the mean over frames leaves after black level and a unit slope, DN."""
+    assert field.static is not None
+    channel = channel_index(field.mean.shape)
+    weight = field.frames * field.weight.astype(np.float64) ** 2
+    rest = (
+        field.mean + field.static * field.sigma / np.sqrt(field.frames) - field.black[channel] - span * clean
+    )
+    out = []
+    for c in range(4):
+        chosen = (channel == c) & field.usable
+        w, x, y = weight[chosen], clean[chosen].astype(np.float64), rest[chosen].astype(np.float64)
+        basis = np.stack([np.ones_like(x), x, x**2])
+        normal = np.einsum("kn,n,ln->kl", basis, w, basis)
+        out.append(_Moments(normal, np.einsum("kn,n,n->k", basis, w, y), float(np.sum(w * y * y)), c))
+    return out
+
+
+def _common_curve(moments: list[_Moments]) -> tuple[float, float, float, int]:
+    """Curvature common to all fields, offset and slope common per channel; its error, and the chi-square
+    and freedom of what fields differ in beyond it."""
+    normal, right = np.zeros((9, 9)), np.zeros(9)
+    own, rank = 0.0, 0
+    for m in moments:
+        at = np.array([m.channel, 4 + m.channel, 8])
+        normal[np.ix_(at, at)] += m.normal
+        right[at] += m.right
+        values, vectors = np.linalg.eigh(m.normal)
+        kept = values > 1e-9 * max(values[-1], 1e-30)
+        own += float(np.sum((vectors[:, kept].T @ m.right) ** 2 / values[kept]))
+        rank += int(kept.sum())
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
+    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-10) * np.outer(scale, scale)
+    theta = inverse @ right
+    used = int(np.linalg.matrix_rank(normal * np.outer(scale, scale), tol=1e-10))
+    return float(theta[8]), float(np.sqrt(inverse[8, 8])), own - float(theta @ right), rank - used
+
+
+def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score | None:
+    """Mean of scenes and flats of known light against the square of that light. Offset and slope are common
+    to all recordings where these agree; where they do not, each scene has its own, and flats say nothing."""
+    scenes = [f for f in fields if f.kind == "scene" and f.static is not None and f.clean is not None]
+    flats = [f for f in fields if f.kind == "flat" and f.static is not None and f.clean is not None]
+    if not scenes and len({round(float(np.mean(f.clean)), 4) for f in flats if f.clean is not None}) < 4:
+        return None
+    known = [f for f in (*scenes, *flats) if f.clean is not None]
+    high = float(max(np.max(f.clean) for f in known if f.clean is not None))
+    where = {"axis": "signal", "range": [0.0, high]}
+    moments = [m for f in known if f.clean is not None for m in _moments(f, f.clean, span)]
+    for f in fields:  # darks fix the offset
+        if f.kind in DARK and f.static is not None and f.exposure_s in (None, min_exposure(fields)):
+            moments += _moments(f, np.zeros_like(f.mean), span)
+    value, error, apart, freedom = _common_curve(moments)
+    if freedom < 2 or chi2_log_sf(apart, freedom) < np.log(1e-3):
+        if not scenes:
+            return None
+        pairs = [(f, project(f, -(f.clean**2) * span)) for f in scenes if f.clean is not None]
+        return linear_score(pairs, 1, "1", "curvature", where, payload=span)
+    z, curvature, error = value / error, -value / span, error / span
+    return Score(
+        log_p=normal_log_p(z),
+        gain=0.5 * z**2,
+        penalty=float(0.5 * np.log(1e5)) / 2,
+        amplitude=abs(curvature),
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"curvature": (curvature, "1", error)},
+        where=where,
+        payload=span,
+    )
+
+
+def min_exposure(fields: tuple[Fields, ...]) -> float | None:
+    """Shortest stated exposure of the darks, s."""
+    known = [f.exposure_s for f in fields if f.kind in DARK and f.exposure_s is not None]
+    return min(known) if known else None
+
+
+def curvature_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Subtracts the fitted curvature from the scenes: what a line in the reference leaves of it from the
+    residuals, the line itself, which would pass for a wrong scale, from the mean."""
+    value, span = score.parameters["curvature"][0], score.payload
+    out = []
+    for f in fields:
+        if f.kind == "scene" and f.static is not None and f.clean is not None:
+            bend = -(f.clean**2) * span * value
+            rest = project(f, bend)
+            line = bend - np.divide(rest, f.weight, out=np.zeros_like(rest), where=f.weight > 0)
+            f = minus(f, rest)._replace(mean=(f.mean - line).astype(np.float32))
+        out.append(f)
+    return tuple(out)
+
+
+def two_greens(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """A difference between the two greens."""
+    sites = recorded.greens
+
+    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
+        if sites is None:
+            return None
+        cell = np.zeros(4)
+        low, high = sorted(sites)
+        cell[low], cell[high] = np.sign(score.payload), -np.sign(score.payload)
+        return mosaic_map(cell, fields[0].mean.shape)
+
+    def least(sets: tuple[Seen, ...]) -> Law | None:
+        if sites is None:
+            return None
+        sign = np.array([(n == sites[0]) - 1.0 * (n == sites[-1]) for n in range(4)])
+        return template(sets, lambda s: s.signal * sign[channel_index(s.weight.shape)])
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
+        reads=STATIC | {"mean"},
+        score=partial(green_score, greens=sites),
+        absorb=unchanged,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=pattern,
+        simulate=strength(parameter, unit_map=True),
+        place=placed(Point("photons", "mean", "channel", "frozen", "multiply"), unit_map=True),
+        detectable=BY_SHIFT,
+        least=least,
+    )
+
+
+def shaded(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """Fall-off towards the corners, where the light is known."""
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("photons", "block", "frozen", "signal", "fall-off"),
+        reads=STATIC | {"mean"},
+        score=partial(shading_score, span=recorded.span),
+        absorb=shading_absorb,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter, signed="corner_loss"),
+        place=NO_PLACE,
+        detectable=BY_SHIFT,
+        least=lambda sets: template(sets, lambda s: s.signal * fall_off(s.weight.shape)),
+    )
+
+
+def curved(
+    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """A mean that bends with the light."""
+    span = recorded.span
+
+    def place(found: Found) -> Addition:
+        loss = found.score.parameters["curvature"][0]
+        point = Point("photons", "mean", "pixel", "frozen", "multiply", signal=1.0)
+        field = np.full((1, *found.size), -np.sign(loss), np.float32)
+        return Addition({amplitude_name(point): abs(loss)}, {"field": jnp.asarray(field)}, point=point)
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),
+        reads=STATIC | {"mean"},
+        score=partial(curvature_score, span=span),
+        absorb=curvature_absorb,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter, signed="curvature"),
+        place=place,
+        detectable=BY_SHIFT,
+        least=lambda sets: template(sets, lambda s: s.signal**2 / span),
+    )

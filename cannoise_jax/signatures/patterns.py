@@ -1,0 +1,287 @@
+"""Offsets and gains common to a frame, and frozen ones of single pixels."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.recordings.recording import KINDS
+from cannoise_jax.signatures.fields import Fields, helmert
+from cannoise_jax.signatures.least import (
+    frame_offsets,
+    random_offsets,
+)
+from cannoise_jax.signatures.lines import (
+    LineSums,
+    Pixels,
+    by_own_noise,
+    component_score,
+    response,
+)
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    NOT_SIMULATED,
+    OFFSETS,
+    STATIC,
+    Axes,
+    Many,
+    Predicted,
+    Scales,
+    Signature,
+    draw,
+    placed,
+    posterior,
+    strength,
+)
+
+
+def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
+    """One random offset (or gain) per frame."""
+    power, information, dof = [], [], []
+    for f in fields:
+        if not len(f.contrasts) or (scaling == "signal" and not f.lit):
+            continue
+        r = response(f, scaling)
+        i = float(np.sum(r.astype(np.float64) ** 2))
+        if i > 0:
+            u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32)).astype(np.float64)
+            rest = f.contrasts - (u / i).astype(np.float32)[:, None, None] * r
+            within = np.einsum("nij->n", (rest * r) ** 2).astype(np.float64)
+            pixels = Pixels(np.array([i]), np.array([np.sum(r.astype(np.float64) ** 4)]), within[:, None])
+            u, more = by_own_noise(u[:, None], pixels, np.array([float(np.sum(r > 0))]))
+            u, i = u[:, 0], i * float(more[0])
+            power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
+            information.append(i)
+            dof.append(len(f.contrasts))
+    # One recording alone cannot say how what its frames share scales: another has to lack it, or show less.
+    if not power or sum(len(f.contrasts) > 0 for f in fields) < 2:
+        return None
+    return component_score(np.array(power), np.array(information), np.array(dof), scaling, {"axis": "frame"})
+
+
+def frame_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:
+    """Whitens the frame offsets."""
+    out = []
+    for f in fields:
+        if scaling == "signal" and not f.lit:
+            out.append(f)
+            continue
+        r = response(f, scaling).astype(np.float32)
+        i = float(np.sum(r.astype(np.float64) ** 2))
+        shrink = (1 - 1 / np.sqrt(1 + score.payload * i)) / max(i, 1e-30)
+        u = np.einsum("nij,ij->n", f.contrasts, r) * np.float32(shrink)
+        out.append(f._replace(contrasts=f.contrasts - u[:, None, None] * r))
+    return tuple(out)
+
+
+def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...]) -> LineSums | None:
+    """Scores of a frozen pixel pattern shared by the recordings of these kinds. scaling 'exposure': per
+    second."""
+    score: np.ndarray | float = 0.0
+    information: np.ndarray | float = 0.0
+    for f in fields:
+        if f.static is None or f.kind not in kinds or (scaling == "exposure" and not f.exposure_s):
+            continue
+        r = response(f, "signal" if scaling == "signal" else "additive")
+        r = r * np.float32(f.exposure_s) if scaling == "exposure" else r
+        score = score + np.sqrt(f.frames) * f.static * r
+        information = information + f.frames * r.astype(np.float64) ** 2
+    return LineSums(np.asarray(score), np.asarray(information)) if np.ndim(score) else None
+
+
+def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
+    """Frozen white pattern of pixels, the same in every recording."""
+    sums = pixel_sums(fields, scaling, KINDS)
+    if sums is None or (scaling == "signal" and not any(f.lit and f.static is not None for f in fields)):
+        return None
+    power = np.ravel(sums.score**2 / np.maximum(sums.information, 1e-30))
+    # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map. A
+    # map far above the noise puts every pixel out.
+    seen = power[np.ravel(sums.information) > 0]
+    bulk = float(np.median(seen)) / stats.chi2.median(1) if seen.size else 1.0
+    limit = 30.0 * (bulk if bulk > 2 else 1.0)
+    information = np.where(power < limit, np.ravel(sums.information), 0.0)
+    score = component_score(
+        power,
+        information,
+        np.ones(power.shape),
+        scaling,
+        {"axis": "pixel"},
+        scale_variance(fields, scaling, KINDS),
+    )
+    if scaling != "exposure":
+        return score
+    # Fitted per second; quoted at the longest exposure.
+    seconds = max(f.exposure_s or 0.0 for f in fields)
+    sigma, error = score.amplitude * seconds, score.error * seconds
+    return score.replace(
+        amplitude=sigma, error=error, shift=score.shift * seconds, parameters={"sigma": (sigma, "DN", error)}
+    )
+
+
+def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...]) -> float:
+    """Variance of the log of the noise variance under a pooled static map: each field's comes from contrasts,
+    whose squares, like those of the map itself, scatter by more where the noise has tails (noise far below a
+    code is rare steps)."""
+    shares, errors = [], []
+    for f in fields:
+        if f.static is None or f.kind not in kinds or (scaling == "exposure" and not f.exposure_s):
+            continue
+        r = response(f, "signal" if scaling == "signal" else "additive").astype(np.float64)
+        r = r * f.exposure_s if scaling == "exposure" and f.exposure_s else r
+        shares.append(f.frames * float(np.sum(r**2)))
+        tails, shared = noise_tails(f)
+        contrasts = max(len(f.contrasts), 1)
+        errors.append(((2 + tails * shared) / contrasts + tails / f.frames) / f.mean.size)
+    total = max(sum(shares), 1e-30)
+    return float(sum((s / total) ** 2 * e for s, e in zip(shares, errors, strict=True)))
+
+
+def noise_tails(field: Fields) -> tuple[float, float]:
+    """Excess kurtosis of the noise of single frames by that of the contrasts, not below 0, and the share of
+    it that a contrast keeps."""
+    values = field.contrasts[:, field.usable][: field.frames - 1]
+    matrix = helmert(field.frames)
+    shared = float(np.mean(np.sum(matrix**4, 1))) if len(matrix) else 1.0
+    second = float(np.mean(values**2)) if values.size else 0.0
+    if second == 0:
+        return 0.0, shared
+    return max(float(np.mean(values**4)) / second**2 - 3, 0.0) / shared, shared
+
+
+def pixel_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:
+    """Takes the whitening part of the estimated shared map out of every static field."""
+    sums = pixel_sums(fields, scaling, KINDS)
+    if sums is None:  # no recording of the kind that shows it
+        return fields
+    tau = score.payload * sums.information
+    pattern = sums.score * (1 - 1 / np.sqrt(1 + tau)) / np.maximum(sums.information, 1e-30)
+    out = []
+    for f in fields:
+        if f.static is None or (scaling == "exposure" and not f.exposure_s):
+            out.append(f)
+            continue
+        r = response(f, "signal" if scaling == "signal" else "additive")
+        r = r * np.float32(f.exposure_s) if scaling == "exposure" else r
+        out.append(f._replace(static=(f.static - np.sqrt(f.frames) * pattern * r).astype(np.float32)))
+    return tuple(out)
+
+
+def own_score(fields: tuple[Fields, ...]) -> Score | None:
+    """Frozen residual of each scene by itself, not shared: an error of its reference. DN rms."""
+    chosen = [f for f in fields if f.kind == "scene" and f.static is not None]
+    if not chosen:
+        return None
+    power = np.concatenate([np.ravel(f.static) ** 2 for f in chosen if f.static is not None])
+    information = np.concatenate([np.ravel(f.frames * f.weight.astype(np.float64) ** 2) for f in chosen])
+    return component_score(
+        power,
+        information,
+        np.ones(power.shape),
+        "additive",
+        {"axis": "pixel"},
+        scale_variance(tuple(chosen), "additive", KINDS),
+    )
+
+
+def own_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """A scene whose reference is wrong says nothing static: its static field is dropped."""
+    return tuple(f._replace(static=None) if f.kind == "scene" else f for f in fields)
+
+
+def frame(
+    scaling: Scales, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """One offset (or factor of the light) of every frame."""
+    additive = scaling == "additive"
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        kin="frame",
+        axes=Axes("readout" if additive else "photons", "frame", "redrawn", scaling, "white"),
+        reads=CONTRASTS if additive else CONTRASTS | {"signal"},
+        score=partial(frame_score, scaling=scaling),
+        absorb=partial(frame_absorb, scaling=scaling),
+        covers=covers,
+        predict=(lambda fields, score: Predicted(frame=score.amplitude)) if additive else NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter),
+        place=placed(
+            Point("readout", "signal", "whole", "redrawn")
+            if additive
+            else Point("photons", "mean", "whole", "redrawn", "multiply")
+        ),
+        detectable=BY_SHIFT,
+        least=frame_offsets if additive else NO_CLOSED_FORM,
+    )
+
+
+def pixel(
+    scaling: Scales, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """A frozen offset (or gain, or dark current) of every pixel."""
+    growing, light = scaling == "exposure", scaling == "signal"
+    point = Point("photons", "mean", "pixel", "frozen", "multiply") if light else OFFSETS
+
+    def predict(fields: Many, score: Score) -> Predicted | None:
+        sums = pixel_sums(fields, scaling, KINDS)
+        seconds = max(f.exposure_s or 0.0 for f in fields) if growing else 1.0
+        if sums is None or not seconds:
+            return None
+        variance = (score.amplitude / seconds) ** 2
+        return Predicted(*posterior(sums.score, sums.information, variance), scaling)
+
+    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
+        sums = pixel_sums(fields, scaling, KINDS)
+        if sums is None:
+            return None
+        variance = score.amplitude**2
+        if not growing:
+            return draw(sums.score, sums.information, variance, rng)
+        seconds = max(f.exposure_s or 0.0 for f in fields)
+        return draw(sums.score, sums.information, variance / seconds**2, rng) * seconds
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        kin="pixel",
+        axes=Axes("pixel", "pixel", "frozen", scaling, "white"),
+        reads=STATIC | {"signal"} if light else STATIC,
+        score=partial(pixel_score, scaling=scaling),
+        absorb=partial(pixel_absorb, scaling=scaling),
+        covers=covers,
+        predict=predict,
+        pattern=pattern,
+        simulate=strength(parameter, by_exposure=growing),
+        place=placed(point, by_exposure=growing),
+        detectable=BY_SHIFT,
+        least=NO_CLOSED_FORM if growing else random_offsets("pixel", scaling, frozen=True),
+    )
+
+
+def scenes(*, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+    """What stays in each scene by itself: an error of its reference."""
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("reference", "pixel", "frozen", "scene", "white"),
+        reads=STATIC,
+        score=own_score,
+        absorb=own_absorb,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=NOT_SIMULATED,
+        place=NO_PLACE,
+        detectable=BY_SHIFT,
+        least=NO_CLOSED_FORM,
+    )

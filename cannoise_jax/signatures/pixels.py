@@ -1,0 +1,303 @@
+"""Pixels whose noise differs from that of the others: noisier ones, and telegraph ones."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.signatures.fields import Fields, without_pixels
+from cannoise_jax.signatures.least import (
+    Law,
+    Seen,
+    grows,
+)
+from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p
+from cannoise_jax.signatures.score import Score, skewed_log_p
+from cannoise_jax.signatures.shape import (
+    darks,
+    known_kurtosis,
+    kurtosis_doubt,
+    parabola_peak,
+)
+from cannoise_jax.signatures.signature import (
+    BLINKING,
+    BY_SHIFT,
+    CONTRASTS,
+    NO_LAW,
+    Addition,
+    Asked,
+    Axes,
+    Found,
+    Many,
+    Signature,
+    as_map,
+    placed,
+    unchanged,
+)
+from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
+
+_SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
+
+
+def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Temporal sum of squares of every pixel over all darks, which pixels to use, the degrees of freedom."""
+    chosen = darks(fields)
+    freedom = sum(len(f.contrasts) for f in chosen)
+    if freedom < 2:
+        return None
+    squares = np.sum([np.einsum("nij,nij->ij", f.contrasts, f.contrasts) for f in chosen], axis=0)
+    return squares.astype(np.float64), np.all([f.usable for f in chosen], axis=0), freedom
+
+
+def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
+    """The sums of squares of the usable pixels and their degrees of freedom."""
+    found = _square_map(fields)
+    return None if found is None else (found[0][found[1]], found[2])
+
+
+def _known_dispersion(fields: tuple[Fields, ...]) -> tuple[float, float]:
+    """What the kurtosis of rounding and of Poisson noise adds to the variance of a pixel's sum of squares
+    over all darks, and its standard error."""
+    chosen = darks(fields)
+    weight = np.array([len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0) for f in chosen])
+    known = [float(np.mean(known_kurtosis(f)[0])) for f in chosen]
+    return float(weight @ known), float(np.linalg.norm(weight * [kurtosis_doubt(f) for f in chosen]))
+
+
+def _dispersion_log_p(squares: np.ndarray, n: int, known: float, doubt: float) -> tuple[float, float]:
+    """Over-dispersion of the sums of squares against chi-square, far pixels capped; log p and z. known: what
+    rounding and Poisson noise add to the variance of a sum of squares, doubt: its standard error."""
+    cap = stats.chi2.isf(1e-4, n)
+    grid = np.linspace(0, cap, 4001)
+    density = stats.chi2.pdf(grid, n)
+    density[0] = 0 if not np.isfinite(density[0]) else density[0]
+    weight = density * (grid[1] - grid[0])
+    weight[-1] += stats.chi2.sf(cap, n)
+    weight /= weight.sum()
+    value = (grid - n) ** 2
+    mean = float(np.sum(weight * value))
+    variance = float(np.sum(weight * (value - mean) ** 2))
+    # The scale is fitted on the same pixels: what a common factor does to the mean is projected out.
+    linear = float(np.sum(weight * (value - mean) * (grid - n)) / np.sum(weight * (grid - n) ** 2))
+    third = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 3))
+    variance = float(np.sum(weight * (value - mean - linear * (grid - n)) ** 2))
+    capped = np.minimum(squares, cap)
+    total = float(np.sum((capped - n) ** 2 - mean - known - linear * (capped - n)))
+    z = total / np.sqrt(variance * squares.size + (doubt * squares.size) ** 2)
+    skewness = third / variance**1.5 / np.sqrt(squares.size)
+    return skewed_log_p(z, skewness, 1), z
+
+
+def spread_score(fields: tuple[Fields, ...]) -> Score | None:
+    """A read noise of its own for every pixel (log-normal): marginal likelihood of the sums of squares."""
+    found = _sums_of_squares(fields)
+    if found is None:
+        return None
+    squares, n = found
+    log_p, z = _dispersion_log_p(squares, n, *_known_dispersion(fields))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(15)
+    counts, centre = _histogram(squares)
+    best, at = 0.0, 0.0
+    gains = []
+    for spread in _SPREADS:
+        width = np.sqrt(np.log1p(spread**2))
+        variance = np.exp(2 * (width * nodes - width**2))
+        log_terms = -n / 2 * np.log(variance) + 0.5 * centre[:, None] * (1 - 1 / variance)
+        top = log_terms.max(1, keepdims=True)
+        gains.append(
+            float(np.sum(counts * (top[:, 0] + np.log(np.exp(log_terms - top) @ (weights / weights.sum())))))
+        )
+    k = int(np.argmax(gains))
+    if gains[k] > 0:
+        best, at = gains[k], parabola_peak(np.array(_SPREADS), np.array(gains), k)
+    # chi-square dispersion grows by 4 spread^2 n^2.
+    unit = 4 * n**2 / np.sqrt(_dispersion_variance(n) * squares.size) * squares.size
+    error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
+    return Score(
+        log_p=log_p,
+        gain=best,
+        penalty=0.5 * float(np.log(squares.size)),
+        amplitude=at,
+        error=float(error),
+        shift=float(1 / np.sqrt(unit)),
+        power=2,
+        parameters={"spread": (at, "1", float(error))},
+        where={"axis": "pixel", "z": z},
+        payload=at,
+    )
+
+
+def _dispersion_variance(n: int) -> float:
+    """Variance of (chi2_n - n)^2 with its linear part projected out."""
+    return 8.0 * n**2 + 16.0 * n
+
+
+def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Counts and centres on a fine logarithmic grid: likelihoods are then sums over a few hundred bins."""
+    logs = np.log(np.maximum(squares, 1e-3))
+    counts, edges = np.histogram(logs, 600)
+    used = counts > 0
+    return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
+
+
+def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
+    """A small share of pixels with extra fluctuation of exponentially spread size."""
+    found = _sums_of_squares(fields)
+    if found is None:
+        return None
+    squares, n = found
+    counts, centre = _histogram(squares)
+    best, at, share = 0.0, 1.0, 0.0
+    ratios = []
+    for mean in MEAN_JUMPS:
+        mixed = jump_log_ratio(centre, n, mean)
+        if mean in FAR_JUMPS:
+            ratios.append(mixed)
+        f = 0.005
+        for _ in range(40):
+            responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
+            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
+        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
+        if gain > best:
+            best, at, share = gain, float(mean), f
+    number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
+    log_p = sparse_log_p(counts, ratios)
+    sigma = float(np.mean([np.median(f.sigma) for f in darks(fields)]))
+    amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
+    error = amplitude / np.sqrt(max(share * squares.size, 1.0))
+    shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
+    return Score(
+        log_p=max(log_p, -700.0),
+        gain=best,
+        penalty=float(np.log(squares.size)),
+        amplitude=float(amplitude),
+        error=float(error),
+        shift=float(shift),
+        power=2,
+        parameters={
+            "fraction": (share, "1", float(np.sqrt(share / squares.size))),
+            "jump": (at * sigma, "DN", at * sigma / np.sqrt(max(share * squares.size, 1.0))),
+        },
+        where={"axis": "pixel", "pixels": number},
+        payload=(share, at),
+    )
+
+
+def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Takes the pixels whose variance stands out in the darks out of every field."""
+    found = _square_map(fields)
+    if found is None:
+        return fields
+    return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
+
+
+_READS = CONTRASTS | {"mean", "signal", "shot"}
+
+
+def dark_squares(fields: Many) -> tuple[np.ndarray, int]:
+    """Temporal sum of squares of every pixel of the darks in units of the noise, and its degrees of
+    freedom."""
+    chosen = [f for f in fields if not f.lit and len(f.contrasts)]
+    total = np.sum([np.einsum("nij,nij->ij", f.contrasts, f.contrasts) for f in chosen], axis=0)
+    return np.asarray(total, np.float64), sum(len(f.contrasts) for f in chosen)
+
+
+def noisy_map(fields: Many, share: float) -> np.ndarray:
+    """Temporal standard deviation beyond that of the others, DN, at the noisiest `share` of the pixels
+    `[H, W]`; 0 elsewhere."""
+    squares, freedom = dark_squares(fields)
+    limit = np.quantile(squares, 1 - np.clip(share, 0, 1))
+    excess = np.maximum(squares / max(freedom, 1) - 1, 0)
+    return _dark_sigma(fields) * np.sqrt(np.where(squares >= limit, excess, 0.0))
+
+
+def _dark_sigma(fields: Many) -> float:
+    return float(np.mean([np.median(f.sigma) for f in fields if not f.lit]))
+
+
+def noise_factors(fields: Many, spread: float, rng: np.random.Generator) -> np.ndarray:
+    """A draw of every pixel's read noise over the mean one `[H, W]`, log-normal of relative spread
+    `spread`, given its sum of squares."""
+    squares, freedom = dark_squares(fields)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(31)
+    width = np.sqrt(np.log1p(spread**2))
+    logs = width * nodes - width**2  # log of the factor; mean square 1
+    chance = np.log(weights)[:, None, None] - freedom * logs[:, None, None]
+    chance = chance - 0.5 * squares * np.exp(-2 * logs)[:, None, None]
+    chosen = np.argmax(chance + rng.gumbel(size=chance.shape), axis=0)
+    return np.exp(logs)[chosen]
+
+
+def read_map(sets: tuple[Seen, ...]) -> Law:
+    """Spread a of the read noise over pixels, the same in all frames: its relative variance 2 g a, g normal,
+    against the information of every pixel, and the heavy tails that it gives to every frame."""
+    information = sum(s.frames * s.read**2 / 2 for s in sets)
+    single = sum(s.frames * np.sum(s.read**4) for s in sets)
+    return grows(16 * (float(np.sum(np.square(information))) + float(single) / 2) / 2, 2)
+
+
+def own_noise(*, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+    """A read noise of its own for every pixel."""
+
+    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
+        factors = noise_factors(fields, score.amplitude, rng)
+        return _dark_sigma(fields) * np.sqrt(np.maximum(factors**2 - np.quantile(factors, 0.05) ** 2, 0))
+
+    def simulate(found: Found) -> Addition:
+        value = found.score.amplitude
+        return Addition({parameter: value}, {"factor": as_map(noise_factors(found.fields, value, found.rng))})
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("readout", "pixel", "frozen", "additive", "log-normal variance"),
+        reads=_READS,
+        score=spread_score,
+        absorb=unchanged,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=pattern,
+        simulate=simulate,
+        place=placed(BLINKING),
+        detectable=BY_SHIFT,
+        least=read_map,
+    )
+
+
+def jumping(*, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+    """A few pixels that jump between levels."""
+
+    def simulate(found: Found) -> Addition:
+        jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
+        sites = {} if found.pattern is None else {"sites": as_map(found.pattern / (jump / 2))}
+        return Addition({"jump_dn": jump, "fraction": share, "rate": 0.5}, sites)
+
+    def detectable(asked: Asked, score: Score, mechanism: str) -> float:
+        frames: dict[int, int] = {}
+        for f in (f for fields in asked.looks for f in darks(fields)):
+            frames[f.number] = frames.get(f.number, 0) + f.frames
+        seen = darks(asked.looks[0])
+        sigma = float(np.mean([np.median(f.sigma) for f in seen])) if seen else 0.0
+        return telegraph_found(tuple(frames.values()), sigma, asked.looks[0][0].mean.size, asked.own_log_p)
+
+    def least(sets: tuple[Seen, ...]) -> Law:
+        frames = [(float(np.sqrt(np.mean(s.weight**2))), round(s.fresh)) for s in sets]
+        return lambda shift: telegraph_amplitude(frames, sets[0].weight.size, shift)
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
+        reads=_READS,
+        score=telegraph_score,
+        absorb=mask_noisy,
+        covers=covers,
+        rare=True,
+        predict=NO_LAW,
+        pattern=lambda fields, score, rng: noisy_map(fields, score.parameters["fraction"][0]),
+        simulate=simulate,
+        place=placed(BLINKING),
+        detectable=detectable,
+        decides=True,
+        least=least,
+    )

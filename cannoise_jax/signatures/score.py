@@ -1,0 +1,148 @@
+"""What a statistic returns, and the tails of the laws they follow."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from scipy import optimize, special, stats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """One mechanism against the data.
+
+    log_p: natural log of the p-value, the search inside the family (frequencies, templates) accounted for.
+    gain: log-likelihood gain of the best fit over the baseline, nats; penalty: nats that its free parameters
+    and its search cost. amplitude, error: in the mechanism's unit. shift: amplitude that moves the statistic
+    by one null standard deviation; power: the statistic grows as amplitude ** power.
+    """
+
+    log_p: float
+    gain: float
+    penalty: float
+    amplitude: float
+    error: float
+    shift: float
+    power: int
+    parameters: dict[str, tuple[float, str, float]]
+    where: dict[str, Any]
+    payload: Any = None
+
+    def replace(self, **changes: Any) -> Self:
+        """The score with some of its fields changed."""
+        return dataclasses.replace(self, **changes)
+
+    @property
+    def evidence(self) -> float:
+        """Penalised log-likelihood gain, nats."""
+        return self.gain - self.penalty
+
+    @property
+    def mde(self) -> float:
+        """Amplitude at which the mean of the statistic is shifted by five null standard deviations."""
+        return self.shift * 5 ** (1 / self.power)
+
+
+def sidak(log_p: float, count: float) -> float:
+    """log p of the smallest of `count` independent p-values."""
+    if log_p < -30:
+        return min(0.0, log_p + math.log(count))
+    return float(np.log(-np.expm1(count * np.log1p(-min(math.exp(log_p), 1 - 1e-12)))))
+
+
+def quadratic_log_p(value: float, weights: np.ndarray, dof: np.ndarray | float = 1.0) -> float:
+    """log of the upper tail of sum w chi2(dof), by matching three cumulants (Hall-Buckley-Eagleson)."""
+    c1, c2, c3 = (float(np.sum(dof * weights**k)) for k in (1, 2, 3))
+    if c3 == 0:
+        return 0.0  # nothing to see it with
+    nu = c2**3 / c3**2
+    x = nu + (value - c1) * np.sqrt(nu / c2)
+    return float(chi2_log_sf(max(x, 0.0), nu))
+
+
+def chi2_log_sf(x: float, dof: float) -> float:
+    """log of the chi-square upper tail, also where it underflows."""
+    value = stats.chi2.logsf(x, dof)
+    if np.isfinite(value) and value > -600:
+        return float(value)
+    a, h = dof / 2, x / 2
+    return float((a - 1) * np.log(h) - h - special.gammaln(a))
+
+
+def normal_log_p(z: float, sides: int = 2) -> float:
+    """log p of a standard normal value."""
+    return float(min(0.0, stats.norm.logsf(abs(z) if sides == 2 else z) + math.log(sides)))
+
+
+def skewed_log_p(z: float, skewness: float, sides: int = 2) -> float:
+    """log p of a standardised sum whose law has this (positive) skewness: a shifted gamma."""
+    if skewness < 2e-3:
+        return normal_log_p(z, sides)
+    shape = 4 / skewness**2
+    x = shape + z * math.sqrt(shape)
+    log_p = chi2_log_sf(2 * x, 2 * shape) if x > 0 else 0.0
+    if sides == 2:
+        below = float(stats.gamma.logcdf(x, shape)) if x > 0 else -600.0
+        log_p = min(log_p, below) + math.log(2)
+    return min(0.0, log_p)
+
+
+def student_log_p(z: float, freedom: float, sides: int = 2) -> float:
+    """log p of a value whose standard error rests on `freedom` degrees of freedom."""
+    if freedom < 1:
+        return 0.0
+    return float(min(0.0, stats.t.logsf(abs(z) if sides == 2 else z, freedom) + math.log(sides)))
+
+
+class Component(NamedTuple):
+    """Fit of one variance component: variance, its standard error, gain (nats), log p, one-sigma variance."""
+
+    variance: float
+    error: float
+    gain: float
+    log_p: float
+    shift: float
+
+
+def variance_component(
+    power: np.ndarray, information: np.ndarray, dof: np.ndarray | float = 1.0, scale_variance: float = 0.0
+) -> Component:
+    """Common variance v of offsets seen as sum(dof) chi-square powers with mean dof (1 + v * information).
+
+    power: sum over `dof` of U^2/I, one entry per template. The likelihood ratio is that of the full Gaussian
+    data, because each template is a rank-one term of the covariance. scale_variance: variance of the log of
+    the noise variance that the powers were divided by; it widens the null law.
+    """
+    power, information = np.ravel(power), np.ravel(information)
+    dof = np.broadcast_to(np.asarray(dof, float), power.shape)
+    used = (information > 0) & (dof > 0)
+    power, information, dof = power[used], information[used], dof[used]
+    if not power.size:
+        return Component(0.0, 0.0, 0.0, 0.0, np.inf)
+    score_sd = np.sqrt(0.5 * np.sum(dof * information**2))
+    excess = 0.5 * np.sum(information * (power - dof))
+    wider = np.sqrt(1 + scale_variance * np.sum(dof * information) ** 2 / (2 * np.sum(dof * information**2)))
+    expected = np.sum(dof * information)
+    log_p = quadratic_log_p(
+        float(expected + (np.sum(information * power) - expected) / wider), information, dof
+    )
+    score_sd = score_sd / wider
+
+    def loss(log_v: float) -> float:
+        tau = np.exp(log_v) * information
+        return -0.5 * float(np.sum(power * tau / (1 + tau) - dof * np.log1p(tau)))
+
+    if excess <= 0:
+        return Component(0.0, 1 / score_sd, 0.0, log_p, 1 / score_sd)
+    start = np.log(excess / (score_sd * wider) ** 2)
+    best = optimize.minimize_scalar(
+        loss, bounds=(start - 4, start + 4), method="bounded", options={"xatol": 1e-3}
+    )
+    v = float(np.exp(best.x))
+    tau = v * information
+    fisher = 0.5 * np.sum(dof * (information / (1 + tau)) ** 2)
+    return Component(v, float(wider / np.sqrt(fisher)), max(-float(best.fun), 0.0), log_p, 1 / score_sd)

@@ -1,0 +1,282 @@
+"""Shape of the noise of all pixels together: heavy and light tails, and skewness."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy import optimize, special, stats
+
+from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.fields import Fields, channel_index, each_frame
+from cannoise_jax.signatures.least import (
+    pooled,
+)
+from cannoise_jax.signatures.score import Score, normal_log_p, skewed_log_p
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    NOT_SIMULATED,
+    STATIC,
+    Addition,
+    Axes,
+    Found,
+    Signature,
+    unchanged,
+)
+
+_FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0)
+
+
+_EDGES = np.linspace(-40, 40, 4001)
+
+
+def _rounded_enough(field: Fields) -> bool:
+    """Whether rounding to the code step leaves the shape of the noise alone."""
+    return bool(np.median(field.sigma) > 0.65 * field.step)
+
+
+def darks(fields: tuple[Fields, ...]) -> list[Fields]:
+    """Darks of several frames whose noise is not lost in rounding."""
+    return [f for f in fields if f.kind in DARK and len(f.contrasts) and _rounded_enough(f)]
+
+
+def rounding_kurtosis(mean: np.ndarray, sigma: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Excess kurtosis of normal noise after rounding, and what rounding leaves of a small excess kurtosis: of
+    given mean and standard deviation of the rounded values, DN. Below one step both depend on where between
+    two codes the mean lies (Sheppard's correction is their mean over that place).
+
+    A small excess kurtosis k adds k He4 / 24 to the normal density (Gram-Charlier), -k He3 / 24 to its
+    integral.
+    """
+    place, wide = np.broadcast_arrays(np.asarray(mean, float) / step, np.asarray(sigma, float) / step)
+    out = np.array(-1.0 / (120 * wide**4), float)
+    left = np.array(np.clip(1 - 1 / (12 * wide**2), 0, 1) ** 2, float)
+    for at in np.ndindex(wide.shape):
+        width, goal = float(wide[at]), float(place[at]) % 1.0
+        if width > 1.5:
+            continue
+        latent, middle = math.sqrt(max(width**2 - 1 / 12, 0.02)), goal
+        reach = math.ceil(9 * latent) + 2
+        codes = np.arange(-reach, reach + 2.0)
+        for _ in range(4):  # the latent mean and width whose rounded values have the given ones
+            edges = (np.append(codes, codes[-1] + 1) - 0.5 - middle) / latent
+            p = np.diff(special.ndtr(edges))
+            centre = float(np.sum(p * codes))
+            variance = float(np.sum(p * (codes - centre) ** 2))
+            middle += goal - centre
+            latent = math.sqrt(max(latent**2 + width**2 - variance, 1e-3))
+        fourth = float(np.sum(p * (codes - centre) ** 4))
+        out[at] = fourth / variance**2 - 3
+        moved = np.diff((3 * edges - edges**3) * np.exp(-0.5 * edges**2)) / (24 * math.sqrt(2 * math.pi))
+        second_moved, fourth_moved = (float(np.sum(moved * (codes - centre) ** k)) for k in (2, 4))
+        left[at] = fourth_moved / variance**2 - 2 * fourth * second_moved / variance**3
+    return out, left
+
+
+def known_kurtosis(field: Fields) -> tuple[np.ndarray, np.ndarray]:
+    """Excess kurtosis of each pixel by Poisson noise and by rounding, and the share of an excess kurtosis of
+    its read noise that shows in it."""
+    poisson = float(np.mean(field.gain)) ** 3 * field.signal / field.sigma**4
+    if field.kind not in DARK:
+        read = np.clip(1 - field.shot - field.step**2 / 12 / field.sigma**2, 0, 1)
+        return poisson - field.step**4 / 120 / field.sigma**4, read**2
+    channel = channel_index(field.mean.shape)
+    chosen = [channel == c for c in range(4)]
+    mean = np.array([np.median(field.mean[m]) for m in chosen])
+    sigma = np.array([np.median(field.sigma[m]) for m in chosen])
+    own, left = rounding_kurtosis(mean, sigma, field.step)
+    return poisson + own[channel], left[channel] * np.clip(1 - field.shot, 0, 1) ** 2
+
+
+def kurtosis_doubt(field: Fields) -> float:
+    """Standard error of a dark's kurtosis by Poisson noise: that of the dark level that it follows from.
+    Matters where single electrons stand out from the read noise."""
+    # The dark level is that beyond another dark's.
+    values = 2 / max(field.frames * int(field.usable.sum()), 1)
+    return float(np.mean(field.gain) ** 3 * np.sqrt(values) / np.median(field.sigma) ** 3)
+
+
+def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | None:
+    """Fourth moment beyond Poisson and rounding (tails=-1: short of them), weighted by the share of read
+    noise; gain of Student's t."""
+    doubt = u = squares = cubes = scatter = 0.0
+    pooled = []
+    for f in fields:
+        narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
+        # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
+        if f.static is None or np.median(f.sigma**2 * (1 - f.shot)) < narrow**2:
+            continue
+        base, share = known_kurtosis(f)
+        w = (share * f.usable * (np.abs(f.static) < 7)).astype(np.float64)
+        squares += float(np.sum(w**2)) * f.frames
+        cubes += float(np.sum(w**3)) * f.frames
+        doubt += (float(np.sum(w)) * f.frames * kurtosis_doubt(f)) ** 2 if f.kind in DARK else 0.0
+        for values in each_frame(f):
+            z2 = values**2
+            terms = w * (z2 * z2 - 6 * z2 + 3 - base)
+            u += float(np.sum(terms))
+            scatter += float(np.sum(terms**2))
+            if f.kind in DARK:
+                width = f.step / float(np.median(f.sigma))
+                pooled.append((np.histogram(np.clip(values[w > 0], -39.9, 39.9), _EDGES)[0], width))
+    if squares < 1:
+        return None
+    z, kappa = tails * u / np.sqrt(24 * squares + doubt), tails * u / squares
+    heavy = pooled and z > 0 and tails > 0
+    gain, nu = _student_gain(pooled) if heavy else (0.5 * max(z, 0) ** 2, np.inf)
+    # The moment is the definition; of very heavy tails it scatters too much to be used.
+    amplitude = 6 / (nu - 4) if kappa > 1 and 4 < nu < np.inf else max(kappa, 0.0)
+    error = float(np.sqrt(max(24 * squares, scatter) + doubt) / squares)
+    return Score(
+        log_p=skewed_log_p(z, 14.7 * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
+        gain=gain,
+        penalty=0.5 * float(np.log(squares)),
+        amplitude=float(amplitude),
+        error=error,
+        shift=float(np.sqrt(24 * squares + doubt) / squares),
+        power=1,
+        parameters={"excess_kurtosis": (float(tails * amplitude), "1", error)},
+        where={"axis": "signal", "range": [0.0, 0.0]},
+        payload=tails * kappa,
+    )
+
+
+def _student_gain(pooled: list[tuple[np.ndarray, float]]) -> tuple[float, float]:
+    """Log-likelihood gain of the best scaled Student t over the best normal, and its freedoms. pooled: counts
+    of standardised values in `_EDGES` with the code step in the same units: each value stands for the
+    interval that was rounded to it."""
+    middle = (_EDGES[1:] + _EDGES[:-1]) / 2
+    merged: dict[float, np.ndarray] = {}
+    for n, width in pooled:
+        merged[round(width, 3)] = merged.get(round(width, 3), 0) + n
+    counts = np.concatenate([n[n > 0] for n in merged.values()]).astype(float)
+    centre = np.concatenate([-np.abs(middle[n > 0]) for n in merged.values()])
+    half = np.concatenate([np.full(int((n > 0).sum()), width / 2) for width, n in merged.items()])
+
+    def fit(cdf: Callable[[np.ndarray], np.ndarray]) -> float:
+        def loss(scale: float) -> float:
+            inside = cdf((centre + half) / scale) - cdf((centre - half) / scale)
+            return -float(np.sum(counts * np.log(np.maximum(inside, 1e-300))))
+
+        return -float(
+            optimize.minimize_scalar(loss, bounds=(0.5, 1.1), method="bounded", options={"xatol": 1e-3}).fun
+        )
+
+    normal = fit(special.ndtr)
+    gains = np.array([fit(partial(special.stdtr, nu)) - normal for nu in _FREEDOMS])
+    k = int(np.argmax(gains))
+    return (float(gains[k]), parabola_peak(np.array(_FREEDOMS), gains, k)) if gains[k] > 0 else (0.0, np.inf)
+
+
+def parabola_peak(grid: np.ndarray, values: np.ndarray, k: int) -> float:
+    """Place of the largest of values on a grid, a parabola laid through it and its neighbours in log x."""
+    if k in (0, len(grid) - 1):
+        return float(grid[k])
+    x, y = np.log(grid[k - 1 : k + 2]), values[k - 1 : k + 2]
+    a, b, _ = np.polyfit(x - x[1], y, 2)
+    return float(np.exp(x[1] - b / (2 * a))) if a < 0 else float(grid[k])
+
+
+def skew_score(fields: tuple[Fields, ...]) -> Score | None:
+    """Third moment beyond Poisson, weighted by the share of shot noise."""
+    u = i = squares = 0.0
+    for f in fields:
+        if f.static is None or not f.lit or not _rounded_enough(f):
+            continue
+        system = float(np.mean(f.gain))
+        base = system**2 * f.signal / f.sigma**3
+        w = f.usable * base * (np.abs(f.static) < 7)
+        for values in each_frame(f):
+            term = w * (values**3 - 3 * values - base)
+            u += float(np.sum(term, dtype=np.float64))
+            squares += float(np.sum(term**2, dtype=np.float64))
+        i += float(np.sum(w * base)) * f.frames
+    if i == 0:
+        return None
+    # Half a per cent of the expected skewness is the uncertainty of the fitted gain.
+    error = float(np.sqrt(squares + (0.005 * i) ** 2) / i)
+    relative = u / i
+    z = relative / error
+    return Score(
+        log_p=normal_log_p(z),
+        gain=0.5 * z**2,
+        penalty=5.0,
+        amplitude=abs(relative),
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"relative_skewness": (relative, "1", error)},
+        where={"axis": "signal", "range": [0.0, 1.0]},
+    )
+
+
+def lambda_of(kurtosis: float) -> float:
+    """Shape of the Tukey lambda distribution with this excess kurtosis."""
+
+    def miss(shape: float) -> float:
+        return float(stats.tukeylambda.stats(shape, moments="k")) - kurtosis
+
+    return float(optimize.brentq(miss, -0.24, 1.0)) if miss(1.0) < 0 < miss(-0.24) else 0.0
+
+
+_READ_SHARE = 0.9
+"""Share of the read noise that a field of other tails carries; its Gaussian part is lowered to make room."""
+
+
+def _place_tails(found: Found) -> Addition:
+    point = Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda")
+    kurtosis = float(found.score.parameters["excess_kurtosis"][0])
+    values = {
+        amplitude_name(point): _READ_SHARE * found.read_dn,
+        "tukey_lambda": lambda_of(kurtosis / _READ_SHARE**4),
+    }
+    return Addition(values, point=point)
+
+
+def tails(*, name: str, heavy: bool, mechanism: str | None = None, covers: tuple[str, ...] = ()) -> Signature:
+    """A fourth moment beyond Poisson and rounding, or short of them."""
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("readout", "pixel", "redrawn", "additive", "heavy tails" if heavy else "light tails"),
+        reads=CONTRASTS | STATIC | {"mean", "signal", "shot"},
+        score=partial(kurtosis_score, tails=1 if heavy else -1),
+        absorb=unchanged,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=(lambda found: Addition({"tukey_lambda": lambda_of(found.score.amplitude)}))
+        if heavy
+        else NOT_SIMULATED,
+        place=_place_tails,
+        detectable=BY_SHIFT,
+        least=(lambda sets: pooled(s.frames * np.sum(s.tails**2) / 24 for s in sets))
+        if heavy
+        else NO_CLOSED_FORM,
+    )
+
+
+def skewed(*, name: str) -> Signature:
+    """A third moment beyond that of Poisson noise."""
+    return Signature(
+        name=name,
+        mechanism=None,
+        axes=Axes("photons", "pixel", "redrawn", "signal", "skewed"),
+        reads=CONTRASTS | STATIC | {"signal"},
+        score=skew_score,
+        absorb=unchanged,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=NOT_SIMULATED,
+        place=NO_PLACE,
+        detectable=BY_SHIFT,
+        least=NO_CLOSED_FORM,
+    )

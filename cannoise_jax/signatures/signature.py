@@ -1,0 +1,344 @@
+"""What a signature is: how one mechanism shows in recordings, as a record of pure functions.
+
+Whoever holds a signature never asks its name: where it sits in the grammar, what it looks at, what it takes
+out, what it predicts for other frames and what it adds to a camera model are fields of the record. A field
+that has nothing to say says so by a constant (`NO_LAW`, `NO_PATTERN`, `NOT_SIMULATED`, `NO_PLACE`,
+`NO_CLOSED_FORM`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.least import Law, Seen
+from cannoise_jax.signatures.score import Score
+
+RARE = 0.3
+"""Weight of a test whose p is 1 unless something is far off, against 1 of the others: it takes that much less
+of the common error rate, and rejects with so little when it does."""
+
+Many = tuple[Fields, ...]
+Scales = Literal["additive", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
+
+
+class Axes(NamedTuple):
+    """Where an effect enters, what it varies over, how it behaves in time, how its strength scales and the
+    law of one number of it: one spelling for report, card and wording."""
+
+    enters: str
+    varies_over: str
+    time: str
+    scales: Scales
+    law: str
+
+
+CONTRASTS = frozenset({"contrasts", "usable", "sigma"})
+"""What a statistic of differences between frames reads of a field."""
+STATIC = frozenset({"static", "usable", "sigma"})
+"""What a statistic of what stays reads of a field."""
+FILES = frozenset[str]()
+"""Of statistics of what the files hold, whatever was taken out: codes, levels, statements."""
+
+
+OFFSETS = Point("readout", "signal", "pixel", "frozen")
+"""An offset map; a sparse frozen pattern is one with zeros."""
+BLINKING = Point("readout", "signal", "pixel", "telegraph")
+"""Noisy pixels blink about their level."""
+
+
+class Predicted(NamedTuple):
+    """What one finding predicts for new frames.
+
+    pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting;
+    scaling: 'additive' DN, 'signal' fractions of it, 'exposure' DN per second. row, column, frame:
+    standard deviation of random offsets, DN; exponent: of the spectrum of the row offsets, 0: white.
+    """
+
+    pattern: np.ndarray | None = None
+    doubt: np.ndarray | float = 0.0
+    scaling: str = "additive"
+    row: float = 0.0
+    column: float = 0.0
+    frame: float = 0.0
+    exponent: float = 0.0
+
+
+class Found(NamedTuple):
+    """A finding as it is handed to a camera model.
+
+    mechanism: as it was named. fields: before it was taken out. pattern: `Signature.pattern` of it. gain:
+    DN/e-, read_dn: DN, of the baseline. seconds: longest exposure, unknown ones counted as 1 s; longest: the
+    longest known one, 0: none. span: white minus black, DN.
+    """
+
+    mechanism: str
+    score: Score
+    fields: Many
+    pattern: np.ndarray | None
+    gain: float
+    read_dn: float
+    seconds: float
+    longest: float
+    span: float
+    size: tuple[int, int]
+    rng: np.random.Generator
+
+    @property
+    def by_exposure(self) -> Scaling:
+        """Growing with the exposure from the longest one."""
+        return Scaling(exposure=1.0, reference_exposure_s=self.longest or 1.0)
+
+
+class Addition(NamedTuple):
+    """What a finding adds to a camera model: strengths of a mechanism, measured maps, another place or
+    scaling than its own where given. black_shift: DN per channel taken from the black level; fitted_black:
+    whether the model takes the black level that was fitted. bare: nothing but these."""
+
+    values: dict[str, float] = {}
+    maps: dict[str, Any] = {}
+    scaling: Scaling | None = None
+    point: Point | None = None
+    black_shift: np.ndarray | None = None
+    fitted_black: bool = False
+    bare: bool = False
+
+
+class Asked(NamedTuple):
+    """What a run asks of the weakest effect that it would find: the fields of each look, the log p that it
+    rejects at, what share of the error rate the last look may spend, and the weight of the test."""
+
+    looks: tuple[Many, ...]
+    log_p: float
+    share: float
+    weight: float = 1.0
+
+    @property
+    def own_log_p(self) -> float:
+        """log p at which the test itself rejects in the last look."""
+        return float(self.log_p + np.log(self.weight * self.share))
+
+
+Look = Callable[[Many], Score | None]
+Limit = Callable[[Asked, Score, str], float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signature:
+    """How one mechanism shows.
+
+    name: unique. mechanism: its id in the vocabulary, None: it has none. axes: its place in words. kin:
+      shared by signatures of the same thing at another time or scaling. reads: attributes of `Fields` that
+      the score depends on; a score stands as long as none of them changed.
+    score(fields) -> Score, None where it cannot be tested; absorb(fields, score) -> fields with the effect
+      taken out. covers: signatures that cannot be trusted once this one is in the model; hides(score): more
+      of them, for an effect of that size; before(score): those that it must be judged before. rare: whether p
+      is 1 unless something is far off.
+    readings(score, scores) -> mechanisms and the evidence for each, the first may stay unnamed; None: its
+      own. reads_as: those that it may mean beside its own. lifted_by: signatures whose evidence counts for
+      this one's where both reject.
+    predict(fields, score) -> what it predicts for new frames. pattern(fields, score, rng) -> a draw of the
+      frozen map, given what the frames say. simulate(found) -> what a named finding adds to a camera model;
+      place(found) -> what one without a name adds, at its place in the grammar.
+    again(fields, score) -> score of the same finding on other frames; None: its score there.
+      strength(score, looked, held) -> the score with the strength that frames held back tell beside those
+      that looked; None: that of the score there.
+    detectable(asked, score, mechanism) -> amplitude found with probability one half; decides: whether that
+      holds whatever other signatures of the mechanism see. least(sets) -> law of the least amplitude that
+      all frames can show.
+    quoted(score, mechanism) -> the score in that mechanism's unit. at(score, amplitude) -> the score of the
+      same finding at another strength. moves_frames(score, size) -> how far, DN, it moves the means of
+      frames. says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is
+      about pixels that others set aside. restates: what it corrects of what was stated.
+    """
+
+    name: str
+    mechanism: str | None
+    axes: Axes
+    reads: frozenset[str]
+    score: Look
+    absorb: Callable[[Many, Score], Many]
+    predict: Callable[[Many, Score], Predicted | None]
+    pattern: Callable[[Many, Score, np.random.Generator], np.ndarray | None]
+    simulate: Callable[[Found], Addition | None]
+    place: Callable[[Found], Addition | None]
+    detectable: Limit
+    least: Callable[[tuple[Seen, ...]], Law | None]
+    kin: str = ""
+    covers: tuple[str, ...] = ()
+    hides: Callable[[Score], tuple[str, ...]] = lambda score: ()
+    before: Callable[[Score], tuple[str, ...]] = lambda score: ()
+    rare: bool = False
+    readings: Callable[[Score, Mapping[str, Score]], tuple[tuple[str | None, float], ...]] | None = None
+    reads_as: tuple[str, ...] = ()
+    lifted_by: tuple[str, ...] = ()
+    again: Callable[[Many, Score], Score | None] | None = None
+    strength: Callable[[Score, Many, Many], Score | None] | None = None
+    decides: bool = False
+    quoted: Callable[[Score, str], Score] = lambda score, mechanism: score
+    at: Callable[[Score, float], Score] = field(
+        default=lambda score, amplitude: score.replace(amplitude=amplitude)
+    )
+    moves_frames: Callable[[Score, tuple[int, int]], float] | None = None
+    says: Callable[[dict[str, Any]], tuple[str, tuple[float, float]]] | None = None
+    single_pixels: bool = False
+    restates: Literal["gain", "read", None] = None
+
+    @property
+    def weight(self) -> float:
+        """Share of the common error rate that it takes, against 1 of most."""
+        return RARE if self.rare else 1.0
+
+    @property
+    def frozen(self) -> bool:
+        """Whether what it finds stays from frame to frame."""
+        return self.axes.time == "frozen"
+
+    def read_as(self, score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
+        """Mechanisms that a score may mean, and the evidence for each in nats."""
+        return self.readings(score, scores) if self.readings else ((self.mechanism, score.evidence),)
+
+    def score_again(self, fields: Many, found: Score) -> Score | None:
+        """The score of a finding on other frames."""
+        return self.again(fields, found) if self.again else self.score(fields)
+
+
+def unchanged(fields: Many, score: Score) -> Many:
+    """Nothing to take out of the fields: the signatures that see the effect are set aside instead."""
+    return fields
+
+
+def NO_LAW(fields: Many, score: Score) -> None:
+    """It predicts no codes: the composite score serves."""
+
+
+def NO_PATTERN(fields: Many, score: Score, rng: np.random.Generator) -> None:
+    """Nothing of it stays that could be measured pixel by pixel."""
+
+
+def NOT_SIMULATED(found: Found) -> None:
+    """It is not the camera's, or no camera model has it."""
+
+
+def NO_PLACE(found: Found) -> None:
+    """The grammar has no place for it."""
+
+
+def NO_CLOSED_FORM(sets: tuple[Seen, ...]) -> None:
+    """No law of its least amplitude is known: its own score tells."""
+
+
+def NO_STRENGTH(asked: Asked, score: Score, mechanism: str) -> float:
+    """Its amplitude says where, not how strongly, it acts."""
+    return float("nan")
+
+
+def by_shift(quoted: Callable[[Score, str], Score] = lambda score, mechanism: score) -> Limit:
+    """The amplitude that shifts the score to the threshold."""
+
+    def limit(asked: Asked, score: Score, mechanism: str) -> float:
+        if not np.isfinite(score.shift):
+            return float("inf")
+        threshold = float(stats.norm.isf(np.exp(asked.log_p)))
+        return quoted(score, mechanism).shift * threshold ** (1 / score.power)
+
+    return limit
+
+
+BY_SHIFT: Limit = by_shift()
+
+
+def as_map(values: np.ndarray) -> Any:
+    """As the chain stores a map: `[1, H, W]`, lines as `[1, H, 1]` or `[1, 1, W]`."""
+    values = np.asarray(values, np.float32)
+    return jnp.asarray(values.reshape((1,) * (3 - values.ndim) + values.shape))
+
+
+def spectrum_values(score: Score, width: int) -> dict[str, float]:
+    """Exponent or frequency of a spectrum, by the grammar's names."""
+    out = {}
+    if "exponent" in score.parameters:
+        out["exponent"] = score.parameters["exponent"][0]
+    if "frequency" in score.parameters:
+        out["frequency"] = abs(score.parameters["frequency"][0])
+    if "frequency_x" in score.parameters:
+        fy, fx = score.parameters["frequency_y"][0], score.parameters["frequency_x"][0]
+        out["frequency"] = _raster_frequency(fy, fx, width)
+    return out
+
+
+def _raster_frequency(fy: float, fx: float, width: int) -> float:
+    """Cycles per pixel of the scan whose aliases are the plane wave (fy, fx): f = fx + n / width
+    nearest to fy."""
+    turns = np.round(fx * width - fy)
+    f = abs((turns + fy) / width)
+    return float(min(f, 1 - f) if f <= 1 else f % 0.5)
+
+
+def strength(
+    parameter: str, *, signed: str | None = None, unit_map: bool = False, by_exposure: bool = False
+) -> Callable[[Found], Addition]:
+    """Adds the mechanism with its amplitude as `parameter` and the measured pattern, if there is one, per
+    unit of it. signed: parameter of the score that has the amplitude's sign; unit_map: the pattern is per
+    unit already; by_exposure: the strength grows with it."""
+
+    def simulate(found: Found) -> Addition:
+        score = found.score
+        value = score.parameters[signed][0] if signed in score.parameters else score.amplitude
+        values = {parameter: value, **spectrum_values(score, found.fields[0].mean.shape[1])}
+        maps = {}
+        if found.pattern is not None:
+            maps = {"field": as_map(found.pattern / (1.0 if unit_map else max(value, 1e-12)))}
+        return Addition(values, maps, found.by_exposure if by_exposure else None)
+
+    return simulate
+
+
+def placed(
+    point: Point | Callable[[Found], Point], *, unit_map: bool = False, by_exposure: bool = False
+) -> Callable[[Found], Addition]:
+    """Adds a finding without a name at a point of the grammar: its amplitude where the point draws its own
+    field, else the measured pattern as strength and map of unit rms. unit_map: the pattern is per unit of the
+    amplitude; by_exposure: the strength grows with it."""
+
+    def place(found: Found) -> Addition:
+        at = point if isinstance(point, Point) else point(found)
+        value, maps = float(found.score.amplitude), {}
+        if found.pattern is not None:
+            shown = found.pattern * value if unit_map else found.pattern
+            if at.over == "pixel":
+                shown = np.broadcast_to(shown, found.size)
+            value = float(np.sqrt(np.mean(np.asarray(shown) ** 2))) or 1.0
+            maps = {"field": jnp.asarray(np.asarray(shown / value)[None], jnp.float32)}
+        values = {amplitude_name(at): value, **spectrum_values(found.score, found.size[1])}
+        if at.time == "telegraph":
+            values["rate"] = 0.5
+        return Addition(values, maps, found.by_exposure if by_exposure else None, at)
+
+    return place
+
+
+def draw(
+    score: np.ndarray, information: np.ndarray, variance: float, rng: np.random.Generator
+) -> Float[np.ndarray, "..."]:
+    """A draw of a pattern of this variance from what is known of it: its estimate, shrunk, and the doubt that
+    is left drawn anew."""
+    mean, doubt = posterior(score, information, variance)
+    return mean + np.sqrt(doubt) * rng.standard_normal(np.shape(score))
+
+
+def posterior(
+    score: np.ndarray, information: np.ndarray, variance: float
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Mean and variance of a pattern of normal values of this variance, given scores and information."""
+    doubt = variance / (1 + variance * information)
+    return doubt * score, doubt

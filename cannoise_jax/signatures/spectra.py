@@ -1,0 +1,288 @@
+"""Slopes of the spectrum on the unpacked mosaic: 1/f noise along the scan and from row to row.
+
+Whittle likelihood: under the baseline the power of every Fourier mode is exponential with mean 1.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import Literal
+
+import numpy as np
+from scipy import fft, optimize
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.signatures.fields import Fields, map_contrasts
+from cannoise_jax.signatures.least import (
+    Law,
+    Seen,
+    pink,
+)
+from cannoise_jax.signatures.lines import alone, held_variance, line_pixels, line_sums
+from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_LAW,
+    NO_PATTERN,
+    Axes,
+    Many,
+    Predicted,
+    Signature,
+    placed,
+    strength,
+)
+
+EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+_EXPONENT_SPREAD = 0.15
+"""Standard deviation of the exponents of 1/f noise about 1: those of transistors lie between 0.7 and 1.3.
+Weak noise leaves the exponent open, and with it how much of the variance lies where nothing is seen."""
+
+
+def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
+    """Summed power of the row offsets per mode of the rows [H/2], mean 1, and the information per mode."""
+    sums = line_sums(field, field.contrasts, "row", scaling)
+    scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
+    power = np.abs(fft.rfft(scaled, axis=1))[:, 1:] ** 2 / scaled.shape[1]
+    # The mean that was taken out is missing in the variance of the sums, but in none of these modes.
+    left = 1 - 1 / scaled.shape[1]
+    return left * power.sum(0), float(np.mean(sums.information)) / left
+
+
+def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
+    """Summed power of the raster scans of all contrasts [N/2], mean 1, and the information per mode."""
+    w = _even_rows(field.weight)
+    power = np.zeros(w.size // 2)
+    for contrast in field.contrasts:
+        x = (contrast * w).ravel()
+        # By the scan's own power: heavy tails add to all frequencies alike.
+        own = max(float(np.sum(x.astype(np.float64) ** 2)), 1e-30)
+        power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2 / own
+    return power, float(np.mean(field.weight.astype(np.float64) ** 2))
+
+
+def _even_rows(weight: np.ndarray) -> np.ndarray:
+    """Weights with a mean square of 1 in every row: slow noise then keeps to its modes in a scan through
+    scenes too, as it does in the sums of rows, and both can be compared."""
+    w = weight.astype(np.float32)
+    root = np.sqrt(np.mean(w**2, axis=1, keepdims=True))
+    return w / np.where(root > 0, root, 1)
+
+
+def mode_weights(size: int) -> np.ndarray:
+    """Complex degrees of freedom of the modes 1..size/2 of `size` values: the last one of an even number is
+    real. Left out, a strong effect would seem to be worth less here than to a white pattern of all lines."""
+    weights = np.ones(size // 2)
+    if size % 2 == 0:
+        weights[-1] = 0.5
+    return weights
+
+
+def banded(values: np.ndarray) -> np.ndarray:
+    """Sums of values [..., n] by frequency over bands in which a slope hardly changes."""
+    return np.add.reduceat(values, _bands(values.shape[-1]), axis=-1)
+
+
+@lru_cache(maxsize=8)
+def _bands(number: int) -> np.ndarray:
+    """First mode of every band: single modes, then bands of a thirtieth of their frequency."""
+    edges = np.unique(np.geomspace(1, number + 1, int(30 * np.log(number + 1))).astype(int))
+    return edges[edges <= number] - 1
+
+
+def white_levels(power: np.ndarray, dof: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Most likely white level [fields, 1] beside a slope `tau` [fields, bands], by Fisher scoring. power:
+    mean of a band, dof: of its modes. A scan is normalised by its own power, mostly that of a strong slope.
+    """
+    level = np.ones((len(power), 1))
+    for _ in range(12):
+        model = level + tau
+        step = np.sum(dof * (power - model) / model**2, 1, keepdims=True)
+        level = np.maximum(level + step / np.sum(dof / model**2, 1, keepdims=True), 1e-4)
+    return level
+
+
+def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score | None:
+    """1/f^a noise along the raster scan, or from row to row."""
+    spectra = [
+        (raster_spectrum(f) if scan == "raster" else row_spectrum(f, "additive"))
+        for f in fields
+        if len(f.contrasts)
+    ]
+    if not spectra:
+        return None
+    size = fields[0].mean.size if scan == "raster" else fields[0].mean.shape[0]
+    weights = mode_weights(size)
+    power = np.array([p for p, _ in spectra]) * weights
+    dof = np.array([len(f.contrasts) for f in fields if len(f.contrasts)], float)[:, None] * weights
+    information = np.array([i for _, i in spectra])[:, None]
+    modes = banded(dof)
+    mean_power, level = banded(power) / modes, _level(scan)
+    fits: list[tuple[float, float, float, float]] = []
+    log_p = 0.0
+    shift = np.inf
+    for exponent in EXPONENTS:
+        tau1 = information * _shape(size, exponent)
+        tau = banded(tau1 * weights) / banded(weights)
+        log_p = min(
+            log_p,
+            quadratic_log_p(float(2 * (tau1 * power).sum()), np.ravel(tau1), np.ravel(2 * dof)),
+        )
+        sd = np.sqrt(np.sum(dof * tau1**2))
+        excess = np.sum(tau1 * (power - dof))
+        shift = min(shift, 1 / sd) if exponent == 1.0 or not np.isfinite(shift) else shift
+        if excess <= 0:
+            continue
+        start = np.log(excess / sd**2)
+        fit = optimize.minimize_scalar(
+            lambda v, t=tau: -_whittle(np.exp(v) * t, mean_power, modes, level),
+            bounds=(start - 4, start + 4),
+            method="bounded",
+            options={"xatol": 1e-3},
+        )
+        v = float(np.exp(fit.x))
+        own = level(mean_power, modes, v * tau)
+        error = 1 / np.sqrt(np.sum(modes * (tau / (own + v * tau)) ** 2))
+        fits.append((-float(fit.fun), v, exponent, float(error)))
+    log_p = sidak(log_p, 3)
+    gain, v, exponent, error = max(fits, key=_with_prior, default=(0.0, 0.0, 1.0, 0.0))
+    sigma = np.sqrt(v)
+    err = np.hypot(error / (2 * sigma), _left_open(fits, sigma)) if sigma > 0 else np.sqrt(shift)
+    penalty = 0.5 * np.log(1e3) + np.log(3)
+    return Score(
+        log_p=log_p,
+        gain=max(gain, 0),
+        penalty=float(penalty),
+        amplitude=float(sigma),
+        error=float(err),
+        shift=float(np.sqrt(shift)),
+        power=2,
+        parameters={"sigma": (float(sigma), "DN", float(err)), "exponent": (exponent, "1", 0.25)},
+        where={"axis": "frequency", "direction": scan},
+        payload=(v, exponent),
+    )
+
+
+def below_frame(score: Score, size: tuple[int, int]) -> float:
+    """Standard deviation, DN, that 1/f noise as found gives the means of frames of this size at most, if it
+    goes on through a few tens of them: in n frames its power rises to 2 ln(n / 2) times that of the first
+    mode, here n of about 25."""
+    v, exponent = score.payload
+    number = size[0] * size[1] if score.where["direction"] == "raster" else size[0]
+    return float(np.sqrt(5 * v * _shape(number, exponent)[0] / number))
+
+
+def _with_prior(fit: tuple[float, float, float, float]) -> float:
+    gain, _, exponent, _ = fit
+    return gain - 0.5 * ((exponent - 1) / _EXPONENT_SPREAD) ** 2
+
+
+def _left_open(fits: list[tuple[float, float, float, float]], sigma: float) -> float:
+    """Standard deviation of the strength about `sigma` over the exponents that the data leave open."""
+    weight = np.exp([_with_prior(f) - max(map(_with_prior, fits)) for f in fits])
+    strengths = np.sqrt([v for _, v, _, _ in fits])
+    return float(np.sqrt(np.average((strengths - sigma) ** 2, weights=weight)))
+
+
+def _level(scan: str):
+    """White level beside a slope: of rows the scores know it, of scans it is fitted."""
+    return white_levels if scan == "raster" else lambda power, dof, tau: 1.0
+
+
+def _whittle(tau: np.ndarray, power: np.ndarray, dof: np.ndarray, level) -> float:
+    """Log-likelihood of mean powers with a slope against that of a white level alone, nats."""
+    none = level(power, dof, 0 * tau)
+    model = level(power, dof, tau) + tau
+    return float(np.sum(dof * (power / none - power / model + np.log(none / model))))
+
+
+def slope_absorb(fields: tuple[Fields, ...], score: Score, *, scan: str) -> tuple[Fields, ...]:
+    """Whitens the low frequencies of every contrast."""
+    v, exponent = score.payload
+    return tuple(_whiten_slope(f, v, exponent, scan) for f in fields)
+
+
+def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields:
+    if len(field.contrasts):
+        held = _held_by_scan(field, v, exponent) if scan == "raster" else _held_by_rows(field)
+        field = alone(field, held, v, "additive")
+    w = field.weight.astype(np.float32)
+    even = _even_rows(w)
+    safe = np.where(w > 0, even, 1)
+    information_rows = np.sum(w.astype(np.float64) ** 2, axis=1)
+    root = np.sqrt(np.maximum(information_rows, 1e-30))
+
+    def function(x: np.ndarray) -> np.ndarray:
+        n = len(x)
+        if scan == "raster":
+            series, information = (x * even).reshape(n, -1), float(np.mean(w.astype(np.float64) ** 2))
+        else:
+            series, information = np.einsum("nij,ij->ni", x, w) / root, float(information_rows.mean())
+        size = series.shape[1]
+        keep = np.concatenate([[1.0], 1 / np.sqrt(1 + v * information * _shape(size, exponent))])
+        spectrum = fft.rfft(series, axis=1)
+        removed = fft.irfft(spectrum * (1 - keep), size, axis=1)
+        if scan == "raster":
+            return (x - (removed.reshape(x.shape) / safe) * (w > 0)).astype(np.float32)
+        return x - (removed / root)[:, :, None].astype(np.float32) * w
+
+    return map_contrasts(field, function)
+
+
+def _shape(size: int, exponent: float) -> np.ndarray:
+    """Power of the modes 1..size/2 of `size` values, 1 on average."""
+    shape = (np.arange(1, size // 2 + 1) / size) ** -exponent
+    return shape / np.average(shape, weights=mode_weights(size))
+
+
+def _held_by_rows(field: Fields) -> np.ndarray:
+    return held_variance(line_pixels(field.contrasts, field.weight.astype(np.float32), "row"))[:, None]
+
+
+def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
+    """Variance, DN^2, that the modelled noise holds beyond the white level of the scan."""
+    power, information = raster_spectrum(field)
+    weights, number = mode_weights(field.weight.size), len(field.contrasts)
+    modes = banded(weights)
+    tau = v * information * banded(_shape(field.weight.size, exponent) * weights) / modes
+    mean_power = banded(power * weights) / modes / number
+    level = float(white_levels(mean_power[None], number * modes[None], tau[None])[0, 0])
+    even, w = _even_rows(field.weight), field.weight.astype(np.float64)
+    seen = float(np.sum((field.contrasts * even) ** 2, dtype=np.float64)) / number
+    full = even.astype(np.float64) ** 2
+    return np.array((full.sum() - level * seen) / max(float(np.sum(full * w**2)), 1e-30))
+
+
+def slope(
+    scan: Literal["raster", "row"],
+    *,
+    name: str,
+    mechanism: str,
+    parameter: str,
+    covers: tuple[str, ...] = (),
+) -> Signature:
+    """1/f noise along the raster scan, or from row to row."""
+    rows = scan == "row"
+
+    def predict(fields: Many, score: Score) -> Predicted:
+        return Predicted(row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
+
+    def least(sets: tuple[Seen, ...]) -> Law:
+        return pink(sets, (lambda s: s.weight.sum(1)) if rows else (lambda s: s.weight.ravel()))
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        axes=Axes("readout", "row" if rows else "raster time", "redrawn", "additive", "1/f"),
+        reads=CONTRASTS,
+        score=partial(slope_score, scan=scan),
+        absorb=partial(slope_absorb, scan=scan),
+        covers=covers,
+        predict=predict if rows else NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter),
+        place=placed(Point("readout", "signal", scan, "redrawn", spectrum="power_law")),
+        detectable=BY_SHIFT,
+        least=least,
+        moves_frames=below_frame,
+    )

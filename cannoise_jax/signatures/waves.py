@@ -1,0 +1,288 @@
+"""Lines in the spectrum: interference, on the unpacked mosaic."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import fft, optimize, special, stats
+
+from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts
+from cannoise_jax.signatures.least import (
+    one,
+    sinusoid,
+)
+from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    STATIC,
+    Addition,
+    Asked,
+    Axes,
+    Found,
+    Many,
+    Signature,
+    as_map,
+    spectrum_values,
+)
+
+_PAD = 2
+
+
+def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
+    """Summed power of 2-D plane waves on the padded frequency grid, mean 1 per field: [pad H, pad W /
+    2 + 1]."""
+    w = field.weight.astype(np.float32)
+    total = np.sum(w.astype(np.float64) ** 2)
+    h, wd = w.shape
+    out = np.zeros((_PAD * h, _PAD * wd // 2 + 1))
+    for x in values:
+        y = x * w
+        y = y - y.sum() / total * w**2
+        own = max(float(np.sum(y.astype(np.float64) ** 2)), 1e-30)
+        out += np.abs(fft.rfft2(y, (_PAD * h, _PAD * wd))) ** 2 / own
+    return out
+
+
+def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
+    """Fields in which what is new in every frame shows: the contrasts, and of two frames their mean as well,
+    which holds half of what two frames know. Frames held back are taken one by one: each holds one wave of
+    full strength, a contrast the difference of several."""
+    if field.before and field.static is not None:
+        return frame_fields(field)
+    if field.frames == 2 and field.static is not None and not field.before:
+        return np.concatenate([field.contrasts, field.static[None]])
+    return field.contrasts
+
+
+def wave_score(
+    fields: tuple[Fields, ...], *, time: str, near: tuple[float, float] | None = None
+) -> Score | None:
+    """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
+    (frozen). Fields count by their information, which is the score for a small amplitude. near: frequency
+    that other frames tell, as well as they resolve it."""
+    chosen = []
+    for f in fields:
+        values = redrawn(f) if time == "redrawn" else None if f.static is None or f.lit else f.static[None]
+        information = float(np.sum(f.weight.astype(np.float64) ** 2))
+        if values is not None and len(values) and information > 0:
+            chosen.append((f, values, information * (f.frames if time == "frozen" else 1)))
+    if not chosen:
+        return None
+    scale = sum(len(v) * i for _, v, i in chosen)
+    power: np.ndarray = np.sum([plane_power(f, v) * (i / scale) for f, v, i in chosen], axis=0)
+    h, w = fields[0].mean.shape
+    power[0, 0] = 0
+    # Less than a period in the frame is a drift, not interference, and its two phases are not independent.
+    power[:_PAD, :_PAD] = power[1 - _PAD :, :_PAD] = 0
+    # Two pixels to a period, along an axis or both: that is what sites of the mosaic share, no interference.
+    middle, last = _PAD * h // 2, power.shape[1] - 1
+    for rows in (slice(0, _PAD + 1), slice(-_PAD, None), slice(middle - _PAD, middle + _PAD + 1)):
+        power[rows, last - _PAD :] = 0
+    power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
+    if near is not None:
+        power[~_about(near, power.shape, (h, w))] = 0
+    where = np.unravel_index(np.argmax(power), power.shape)
+    fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
+    trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
+    y, x = np.arange(h)[:, None], np.arange(w)[None, :]
+    turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
+    own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen])
+    weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen])
+    fit = rician_fit(float(power[where]), own, weights)
+    direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
+    along = np.hypot(fx, fy)
+    return Score(
+        log_p=sidak(fit.log_p, trials),
+        gain=fit.gain,
+        penalty=float(np.log(trials)),
+        amplitude=fit.amplitude,
+        error=fit.error,
+        shift=fit.shift,
+        power=2,
+        parameters={
+            "amplitude": (fit.amplitude, "DN", fit.error),
+            "frequency_y": (fy, "1/px", 0.2 / h),
+            "frequency_x": (fx, "1/px", 0.2 / w),
+        },
+        where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
+        payload=(fy, fx, time),
+    )
+
+
+def _about(near: tuple[float, float], grid: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
+    """Points of the padded frequency grid that frames of this size do not tell from a frequency."""
+    apart_y = np.abs((fft.fftfreq(grid[0]) - near[0] + 0.5) % 1 - 0.5)[:, None]
+    apart_x = np.abs(np.arange(grid[1]) / (_PAD * size[1]) - near[1])[None, :]
+    return (apart_y < 0.75 / size[0]) & (apart_x < 0.75 / size[1])
+
+
+def _centred_power(field: Fields, values: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Power of each field at one frequency, mean 1 under the null."""
+    w = field.weight.astype(np.float32)
+    total = float(np.sum(w.astype(np.float64) ** 2))
+    weighted = values * w
+    level = np.einsum("nij->n", weighted) / total
+    centred = weighted - level[:, None, None] * w**2
+    own = np.maximum(np.einsum("nij,nij->n", centred, centred, dtype=np.float64), 1e-30)
+    return np.abs(np.einsum("nij,ij->n", centred, turn)) ** 2 / own
+
+
+class _Rician(NamedTuple):
+    """Waves of one amplitude in several fields: log p at one frequency, gain, amplitude, its error, shift."""
+
+    log_p: float
+    gain: float
+    amplitude: float
+    error: float
+    shift: float
+
+
+def rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rician:
+    """Likelihood of amplitude A when the power of field k, of information I_k, is that of a phasor of mean
+    power A^2 I_k / 4 in complex noise of power 1. peak: sum of I_k power_k over sum of I_k."""
+    share = information / information.sum()
+    log_p = quadratic_log_p(2 * peak, share, 2.0)
+    start = (
+        4 * max(float(np.sum(information * (power - 1))), 1e-3 * information.sum()) / np.sum(information**2)
+    )
+
+    def loss(log_square: float) -> float:
+        mean = np.exp(log_square) * information / 4
+        argument = 2 * np.sqrt(power * mean)
+        return -float(np.sum(np.log(special.i0e(argument)) + argument - mean))
+
+    middle = float(np.log(start))
+    best = optimize.minimize_scalar(
+        loss, bounds=(middle - 5, middle + 3), method="bounded", options={"xatol": 1e-3}
+    )
+    amplitude = float(np.exp(best.x / 2)) if best.fun < 0 else 0.0
+    error = float(np.sqrt(2 / information.sum()))
+    shift = float(np.sqrt(4 / np.sqrt(np.sum(information**2))))
+    return _Rician(log_p, max(-float(best.fun), 0.0), amplitude, error, shift)
+
+
+def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
+    """Orthonormal rows that span those of the basis, by its small Gram matrix."""
+    values, vectors = np.linalg.eigh(np.einsum("kn,ln->kl", basis, basis))
+    kept = values > 1e-6 * values[-1]
+    return ((vectors[:, kept] / np.sqrt(values[kept])).T @ basis).astype(np.float32)
+
+
+def without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
+    """The field with what the rows of `basis` span projected out."""
+    return map_contrasts(field, partial(projected_out, q=orthonormal(basis)))
+
+
+def projected_out(values: Float[np.ndarray, "n h w"], q: Float[np.ndarray, "m p"]) -> np.ndarray:
+    """Images without what orthonormal rows `q` span."""
+    flat = values.reshape(len(values), q.shape[1])
+    return values - ((flat @ q.T) @ q).reshape(values.shape)
+
+
+def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Projects the wave out of every field, and its near neighbours on the frequency grid."""
+    fy, fx, _ = score.payload
+    h, w = fields[0].mean.shape
+    y, x = np.indices((h, w))
+    out = []
+    for f in fields:
+        weight = f.weight.astype(np.float64)
+        basis = []
+        for dy in (-0.5 / h, 0.0, 0.5 / h):
+            for dx in (-0.5 / w, 0.0, 0.5 / w):
+                phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
+                basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
+        out.append(without(f, np.array(basis)))
+    return tuple(out)
+
+
+def wave_map(fields: Many, fy: float, fx: float) -> np.ndarray | None:
+    """The frozen plane wave of cycles per pixel (fy, fx) in the darks, of peak 1, with its phase `[H, W]`."""
+    dark = [f for f in fields if f.static is not None and not f.lit]
+    if not dark:
+        return None
+    y, x = np.indices(dark[0].mean.shape)
+    phase = 2 * np.pi * (fy * y + fx * x)
+    total = sum(
+        complex(np.sum(f.static * f.weight * np.exp(-1j * phase))) * np.sqrt(f.frames)
+        for f in dark
+        if f.static is not None
+    )
+    return np.cos(phase + np.angle(total))
+
+
+def wave_detectable(asked: Asked, score: Score, mechanism: str) -> float:
+    """A wave whose phase is new in every frame is found where the mean power of all frames, by their
+    information, exceeds what the strongest of all frequencies tried has by chance: a gamma law."""
+    each = [
+        (float(np.sum(f.weight.astype(np.float64) ** 2)), f.contrasts)
+        for fields in asked.looks
+        for f in fields
+    ]
+    # Between two points of the padded grid of frequencies a wave shows less of its power.
+    shown = float(np.mean(np.sinc(np.linspace(0, 0.25, 101)) ** 2)) ** 2
+    information = np.array([i * shown for i, contrasts in each for _ in contrasts])
+    tried = 2 * asked.looks[0][0].mean.size
+    p = np.exp(asked.log_p) * asked.share / tried
+    shape = float(np.sum(information) ** 2 / np.sum(information**2))
+    excess = (float(stats.gamma.isf(p, shape)) - shape) / np.sqrt(shape)
+    return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))
+
+
+def interference(
+    time: Literal["redrawn", "frozen"], *, name: str, mechanism: str, parameter: str
+) -> Signature:
+    """A plane wave: of a new phase in every frame, or of one that stays."""
+    redrawn_too = time == "redrawn"
+    point = Point("readout", "signal", "raster", time, spectrum="sinusoid")
+
+    def score(fields: Many, near: tuple[float, float] | None = None) -> Score | None:
+        return wave_score(fields, time=time, near=near)
+
+    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
+        return wave_map(fields, score.parameters["frequency_y"][0], score.parameters["frequency_x"][0])
+
+    def simulate(found: Found) -> Addition:
+        width = found.fields[0].mean.shape[1]
+        values = {parameter: found.score.amplitude, **spectrum_values(found.score, width)}
+        if redrawn_too:
+            return Addition(values)
+        return Addition(
+            values, {} if found.pattern is None else {"field": as_map(found.pattern)}, point=point
+        )
+
+    def place(found: Found) -> Addition:
+        values = {
+            amplitude_name(point): found.score.amplitude,
+            **spectrum_values(found.score, found.size[1]),
+        }
+        return Addition(
+            values, {} if found.pattern is None else {"field": as_map(found.pattern)}, point=point
+        )
+
+    return Signature(
+        name=name,
+        mechanism=mechanism,
+        kin="wave",
+        axes=Axes("readout", "raster time", time, "additive", "sinusoid"),
+        # Of two frames their mean tells of what is new in each as well.
+        reads=CONTRASTS | STATIC if redrawn_too else STATIC,
+        score=score,
+        again=lambda fields, found: score(fields, near=found.payload[:2]),
+        absorb=wave_absorb,
+        predict=NO_LAW,
+        pattern=NO_PATTERN if redrawn_too else pattern,
+        simulate=simulate,
+        place=place,
+        detectable=wave_detectable if redrawn_too else BY_SHIFT,
+        decides=redrawn_too,
+        least=(lambda sets: sinusoid(sets, one)) if redrawn_too else NO_CLOSED_FORM,
+    )

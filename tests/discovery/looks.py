@@ -1,0 +1,54 @@
+"""Signatures without recordings, and fields of exactly white noise to look at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cannoise_jax.mechanisms.looked_for import looked_for
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.recorded import Codes, Recorded
+from cannoise_jax.signatures.signature import Signature
+
+RECORDED = Recorded(
+    black=np.full(4, 100.0),
+    greens=(1, 2),
+    tolerance=0.5,
+    jitter=0.0,
+    codes=Codes(np.zeros(200), 0.0, (), (), 1.0, 1.0, None),
+    baselines=(),
+    stated=None,
+    fitted_too=False,
+    step=1.0,
+    span=1000.0,
+)
+"""What the files of no recordings say."""
+SIGNATURES: dict[str, Signature] = {s.name: s for s in looked_for(RECORDED)}
+
+
+def white(rng, *, kinds=("dark", "dark", "flat"), frames=4, size=(64, 96), sigma=3.0, signal=3.6):
+    """Fields of exactly white noise."""
+    out = []
+    for n, kind in enumerate(kinds):
+        level = np.full(size, signal if kind != "dark" else 0.0, np.float32)
+        out.append(
+            Fields(
+                f"{n}",
+                kind,
+                frames,
+                n,
+                0,
+                0.1 * (n + 1),
+                1.0,
+                level + 100,
+                level,
+                np.full(size, sigma, np.float32),
+                np.full(size, 0.6 if kind != "dark" else 0.0, np.float32),
+                np.ones(size, bool),
+                rng.standard_normal((frames - 1, *size)).astype(np.float32),
+                rng.standard_normal(size).astype(np.float32),
+                None,
+                np.full(4, 1.5),
+                np.full(4, 100.0),
+            )
+        )
+    return tuple(out)
