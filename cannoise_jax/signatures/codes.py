@@ -239,8 +239,8 @@ def coarse(
 def piled_up(
     recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
 ) -> Signature:
-    """Values that are cut off at a rail above or below black: the shape of what is left is the rail's, so it is
-    judged first."""
+    """Values that are cut off at a rail above or below black: the shape of what is left is the rail's, so it
+    is judged first."""
     return _of_codes(
         "pile-up",
         name=name,
