@@ -1,31 +1,24 @@
-"""The vocabulary is complete, consistent, and imports nothing."""
+"""The vocabulary is complete and consistent; the module that says what a name holds imports nothing."""
 
 import ast
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from cannoise_jax import vocabulary
-from cannoise_jax.vocabulary import CLASSES, VOCABULARY, Term, contains, core_ids, of_kind
-
-CORE_SENSOR = (
-    "gain_error read_noise_error prnu dsnu column_gain nonlinearity saturation black_clipping crosstalk"
-    " dark_current amp_glow hot_pixels heavy_tails pixel_read_noise_map rts row_noise column_noise row_fpn"
-    " column_fpn pink_noise row_pink_noise banding offset_drift channel_offset amplifier_mismatch"
-    " green_imbalance quantization missing_codes in_camera_denoising"
-)
+from cannoise_jax.mechanisms import ENTRIES, VOCABULARY, contains
+from cannoise_jax.vocabulary import CLASSES, Term
 
 
-def test_core_sensor_mechanisms():
-    assert " ".join(of_kind("sensor", core=True)) == CORE_SENSOR
-    others = {"flicker", "illumination_drift", "reference_error", "bookkeeping"}
-    assert set(core_ids()) == {*CORE_SENSOR.split(), *others}
-
-
-def test_classes_partition_the_ids():
-    ids = [i for kind in CLASSES for i in of_kind(kind)]
-    assert sorted(ids) == sorted(VOCABULARY)
-    assert of_kind("unknown") == ("unknown",)
+def test_the_list_goes_class_by_class_the_measured_ones_first():
+    terms = list(VOCABULARY.values())
+    assert [t.id for t in terms][-1] == "unknown" and len({t.listed for t in terms}) == len(terms)
+    for one, next in pairwise(terms):
+        assert CLASSES.index(one.kind) <= CLASSES.index(next.kind)
+    sensor = [e for e in sorted(ENTRIES, key=lambda e: e.term.listed) if e.term.kind == "sensor"]
+    measured = [e.estimator is not None for e in sensor]
+    assert measured == sorted(measured, reverse=True) and 0 < sum(measured) < len(measured)
 
 
 @pytest.mark.parametrize("term", VOCABULARY.values(), ids=lambda t: t.id)

@@ -20,7 +20,7 @@ import numpy as np
 
 from cannoise_jax.blind import peer
 from cannoise_jax.blind.effects import UNLISTED
-from cannoise_jax.vocabulary import VOCABULARY, contains
+from cannoise_jax.blind.listed import NAMES, contains
 
 STRONG = (
     "prnu",
@@ -79,7 +79,7 @@ class Spec:
 
 def concealed_with(mechanism: str) -> tuple[str, ...]:
     """The mechanism and every one that contains it as a special case."""
-    return tuple(name for name in VOCABULARY if contains(name, mechanism) and name != "unknown")
+    return tuple(name for name in NAMES if contains(name, mechanism))
 
 
 def numbers(sets: int, kinds: tuple[str, ...] = ()) -> dict[str, int]:

@@ -7,12 +7,12 @@ from typing import Any
 
 from cannoise_jax.blind import effects_readout, effects_signal, effects_unlisted
 from cannoise_jax.blind.chain import Camera, Effect, frozen
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.blind.listed import NAMES
 
 _MODULES = (effects_signal, effects_readout)
 
 LISTED: dict[str, Callable[[float], Effect]] = {
-    name: getattr(module, name) for module in _MODULES for name in VOCABULARY if hasattr(module, name)
+    name: getattr(module, name) for module in _MODULES for name in NAMES if hasattr(module, name)
 }
 UNLISTED: dict[str, Callable[[float], Effect]] = {
     name: getattr(effects_unlisted, name) for name in effects_unlisted.CARDS

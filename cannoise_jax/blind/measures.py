@@ -9,7 +9,7 @@ import numpy as np
 
 from cannoise_jax.blind.expected import EXPECTED, card_right, place_right
 from cannoise_jax.blind.judge import Rows, alarm, count, findings, matching, seen, share, told
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.blind.listed import NAMES
 
 
 def localisation(rows: Rows) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def abstention(rows: Rows) -> dict[str, Any]:
             continue
         said = {n["mechanism"] for n in report["not_testable"]}
         hidden = set(entry["nothing_shows"]) - set(entry["without"])
-        open_ = {m for m in EXPECTED if m in VOCABULARY} - hidden - set(entry["without"])
+        open_ = {m for m in EXPECTED if m in NAMES} - hidden - set(entry["without"])
         right, blind = right + len(said & hidden), blind + len(hidden)
         wrong, able = wrong + len(said & open_), able + len(open_)
     return {"justified": share(right, blind), "needless": share(wrong, able)}

@@ -22,10 +22,10 @@ from cannoise_jax.blind.chain import Effect
 from cannoise_jax.blind.compose import CURVE, Spec, compose
 from cannoise_jax.blind.effects import effect, facts
 from cannoise_jax.blind.effects_unlisted import CARDS
+from cannoise_jax.blind.listed import NAMES
 from cannoise_jax.blind.sets import SIZE, Design, draw_design, draw_scene, record, write_set
 from cannoise_jax.blind.strength import reachable
 from cannoise_jax.recordings.recording import BadInput, Recording
-from cannoise_jax.vocabulary import VOCABULARY
 
 SCHEMA = "cannoise/blind/1"
 _TRIES = 60
@@ -92,7 +92,7 @@ def make(spec: Spec, rng: np.random.Generator) -> tuple[list[Recording], dict[st
     effects: list[Effect] = []
     for (name, multiple), amplitude in zip(spec.effects, amplitudes, strict=True):
         effects.append(effect(name, float(amplitude or 0)))
-        unit = VOCABULARY[name].unit if name in VOCABULARY else unlisted_unit(name)
+        unit = NAMES[name].unit if name in NAMES else unlisted_unit(name)
         least = reachable(name, 1.0, design.camera, exposed)
         injected.append(
             {

@@ -1,8 +1,7 @@
-"""bin/bench simulate|coverage|likelihood|train: speeds, and how exact what the physics says is.
+"""bin/bench simulate|coverage|train: speeds, and how exact what the physics says is.
 
 simulate     megapixels per second of SensorModel.sample beside getframes on the effects that both have.
 coverage     how often the 90 % intervals of every mechanism's estimator hold the truth.
-likelihood   errors of the likelihood's integrals against brute force, and coverage of its 90 % intervals.
 train        patches per second of the training step on random patches.
 """
 
@@ -20,11 +19,9 @@ import jax
 import numpy as np
 
 from cannoise_jax.commands.parser import OneLineParser
+from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.mechanisms.coverage import coverage, format_rows
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.likelihood import accuracy
-from cannoise_jax.physics.likelihood.codes import CodeGrid
-from cannoise_jax.physics.likelihood.shot import Shot, shot_error
-from cannoise_jax.physics.transfer.estimators.coverage import CASES, coverage, format_rows
 from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
@@ -73,7 +70,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
-    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|likelihood|train")
+    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|train")
     simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
     simulate.add_argument(
         "--sizes", type=int, nargs="+", default=[256, 1024, 2048], help="frame sides, pixels"
@@ -95,10 +92,6 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--patch", type=int, default=32, help="side of the packed patches (default 32)")
     train.add_argument("--steps", type=int, default=10, help="timed, after two that are not (default 10)")
     train.set_defaults(run=_run_train)
-    exact = commands.add_parser("likelihood", help="errors and interval coverage of the likelihood")
-    exact.add_argument("--simulations", type=int, default=300, help="for the coverage (default 300)")
-    exact.add_argument("--seed", type=int, default=0)
-    exact.set_defaults(run=_run_likelihood)
     return parser
 
 
@@ -207,7 +200,7 @@ def _peer_calls(
 
 
 def _run_coverage(arguments: argparse.Namespace) -> None:
-    known = {case.mechanism for case in CASES}
+    known = {entry.id for entry in LISTED if entry.examples.cases}
     wanted = set(arguments.mechanisms or known)
     if wanted - known:
         raise BadInput(
@@ -216,9 +209,10 @@ def _run_coverage(arguments: argparse.Namespace) -> None:
     if arguments.simulations < 1:
         raise BadInput("coverage: --simulations from 1")
     rows = []
-    for case in (c for c in CASES if c.mechanism in wanted):
-        rows += coverage(case, arguments.simulations, arguments.seed)
-        print(f"{case.mechanism} {case.note}", file=sys.stderr, flush=True)
+    for entry in (e for e in LISTED if e.id in wanted):
+        for case in entry.examples.cases:
+            rows += coverage(entry, case, arguments.simulations, arguments.seed)
+            print(f"{entry.id} {case.note}", file=sys.stderr, flush=True)
     print(format_rows(rows))
 
 
@@ -261,25 +255,6 @@ def train_speed(width: float, batch: int, patch: int, steps: int) -> float:
 def load() -> float:
     """Processes that wanted a core in the last minute; nan where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-
-
-def _run_likelihood(arguments: argparse.Namespace) -> None:
-    if arguments.simulations < 1:
-        raise BadInput("likelihood: --simulations from 1")
-    print("Error of integrated offsets against brute force, largest, nats per pixel (codes of step 1 DN)")
-    print(f"{'pixel noise':>12}{'offsets':>9}{'nested':>10}{'crossed normal':>16}{'crossed Laplace':>17}")
-    for sigma in (0.35, 0.5, 0.69, 1.0, 2.0):
-        e = accuracy.shared_errors(sigma, 0.5, arguments.seed)
-        print(f"{sigma:>12g}{0.5:>9g}{e.nested:>10.1e}{e.crossed_normal:>16.1e}{e.crossed_laplace:>17.1e}")
-    print("Log-likelihood lost by a form of shot noise, nats per pixel (read noise 2 e-, 2 DN/e-)")
-    forms: tuple[Shot, ...] = ("gaussian", "skewed", "poisson")
-    print(f"{'electrons':>12}" + "".join(f"{form:>12}" for form in forms))
-    for electrons in (1.0, 5.0, 25.0, 100.0, 400.0):
-        lost = (shot_error(electrons, 2.0, 4.0, CodeGrid(1.0), form) for form in forms)
-        print(f"{electrons:>12g}" + "".join(f"{value:>12.1e}" for value in lost))
-    print(f"Coverage of 90 % intervals over {arguments.simulations} simulations")
-    for c in accuracy.coverage(arguments.simulations, arguments.seed):
-        print(f"{c.parameter:>14}  true {c.truth:g}, mean {c.mean:.4g}, covered {100 * c.covered:.1f} %")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from cannoise_jax.commands.parser import OneLineParser, numbers
+from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.model import Finding, find_mechanisms, format_findings, sensor_model
@@ -54,7 +55,7 @@ def calibrate(folder: Path, overrides: dict) -> tuple[tuple[PhotonTransfer, ...]
     transfers = photon_transfer(load_capture_set(folder, **overrides))
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            return transfers, find_mechanisms(transfer.statistics, transfer.baseline)
+            return transfers, find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
     return transfers, ()
 
 

@@ -11,7 +11,7 @@ import logging
 import struct
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.commands.parser import OneLineParser
+from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor
@@ -50,7 +51,7 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(format="bin/simulate: %(message)s", level=logging.WARNING)
     try:
         if arguments.catalogue:
-            from cannoise_jax.physics.catalogue import write_catalogue
+            from cannoise_jax.mechanisms.catalogue import write_catalogue
 
             write_catalogue(arguments.out)
             print(f"{arguments.out}: the catalogue of mechanisms")
@@ -68,6 +69,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/simulate", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--sensor", metavar="FILE", help="a sensor.json, or preset:NAME")
+    add(
+        "--mechanisms",
+        metavar="MODULE:NAME",
+        action="append",
+        default=[],
+        help="entries of your own that the sensor names (docs/adding_a_mechanism.md); may be repeated",
+    )
     add("--clean", metavar="SCENE", help="a picture, .npy or .h5 file, a folder of them, flat:LEVEL, or dark")
     add(
         "--out",
@@ -117,7 +125,7 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("--unit: must be a whole number from 0 to 4294967295")
     if not 0 <= arguments.seed < 2**32:
         raise BadInput("--seed: must be a whole number from 0 to 4294967295")
-    model = _sensor(arguments.sensor)
+    model = _sensor(arguments.sensor, arguments.mechanisms)
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
@@ -192,10 +200,10 @@ def _stored_size(model: SensorModel) -> tuple[int, int]:
     return height if height > 1 else 512, width if width > 1 else 512
 
 
-def _sensor(name: str) -> SensorModel:
+def _sensor(name: str, places: Sequence[str]) -> SensorModel:
     if name.startswith("preset:"):
         return SensorModel.preset(name.removeprefix("preset:"))
-    return read_sensor(name)
+    return read_sensor(name, [entry for place in places for entry in entries_at(place)])
 
 
 def _scenes(text: str, cfa: str, size: tuple[int, int]) -> list[Clean]:

@@ -4,64 +4,11 @@ what to record."""
 from __future__ import annotations
 
 from cannoise_jax.discovery.locate import Located
+from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.signature import Signature
-from cannoise_jax.vocabulary import VOCABULARY
 
-NEEDS = {
-    "gain_error": "run with --simulator nlf on files that state shot and read, with "
-    "scenes or flats at two levels",
-    "read_noise_error": "run with --simulator nlf on files that state shot and read, with "
-    "darks of two frames or more",
-    "prnu": "flats of two frames or more, or scenes with an independent reference",
-    "dsnu": "darks of two frames or more",
-    "column_gain": "flats of two frames or more, or scenes with an independent reference",
-    "nonlinearity": "scenes with an independent reference that spans the range",
-    "saturation": "scenes or flats of several levels, two frames or more each, up to the white level",
-    "black_clipping": "darks",
-    "crosstalk": "two frames or more of a lit scene or flat",
-    "dark_current": "darks at two exposures or more, exposure_s stated",
-    "amp_glow": "darks, best at a long exposure",
-    "hot_pixels": "darks, best at a long exposure",
-    "heavy_tails": "darks of two frames or more whose noise exceeds two thirds of a code",
-    "pixel_read_noise_map": "three dark frames or more; eight are better",
-    "rts": "three dark frames or more; a hundred show the two levels",
-    "row_noise": "two frames or more at one setting",
-    "column_noise": "two frames or more at one setting",
-    "row_fpn": "darks of two frames or more",
-    "column_fpn": "darks of two frames or more",
-    "pink_noise": "two frames or more at one setting",
-    "row_pink_noise": "two frames or more at one setting",
-    "banding": "two frames or more at one setting",
-    "offset_drift": "two recordings of two frames or more, best darks",
-    "channel_offset": "darks, and a stated black level",
-    "amplifier_mismatch": "darks of two frames or more",
-    "green_imbalance": "flats, or scenes with an independent reference, from a Bayer sensor",
-    "quantization": "files that state code_step",
-    "missing_codes": "flats or scenes whose noise spans three codes or more",
-    "in_camera_denoising": "two frames or more at one setting",
-    "poisson_skew": "a simulator whose shot noise is Gaussian (that of the baseline is Poisson)",
-    "excess_noise": "flats at five levels and the gain from another source, such as single-photon peaks",
-    "clock_induced_charge": "several hundred short darks of an electron-multiplying sensor",
-    "dual_gain": "flats and darks at five ISO values or more",
-    "brighter_fatter": "two frames or more of bright flats",
-    "lens_shading": "flats with a reference of the light falling on the sensor (clean)",
-    "dead_pixels": "flats at two levels, with a hundred dead pixels or more in the frame",
-    "cosmic_rays": "long darks, ten frames or more",
-    "temperature_drift": "darks with the temperature of every frame stated",
-    "image_lag": "a burst with a change from bright to dark",
-    "smear": "a scene with a saturated light source, two frames or more",
-    "lossy_compression": "flats at ten levels up to the white level",
-    "defect_correction": "twenty frames or more of one flat",
-    "hot_pixel_suppression": "twenty long darks",
-    "demosaicing": "two frames or more at one setting",
-    "flicker": "two frames or more of a lit scene or flat",
-    "illumination_drift": "two frames or more of a lit scene or flat, and of a second recording",
-    "reference_error": "scenes with an independent reference",
-    "misregistration": "scenes with an independent reference",
-    "scene_motion": "ten frames or more of a scene with an independent reference",
-    "bookkeeping": "darks, and a stated black level",
-}
+NEEDS = {entry.id: entry.needs for entry in LISTED}
 
 
 UNTESTED = (
@@ -84,7 +31,7 @@ UNTESTED = (
 
 def registered(without: tuple[str, ...] = (), mechanisms: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Ids that this run may name. Raises ValueError for an id that the vocabulary does not have."""
-    known = [id for id in VOCABULARY if id != "unknown"]
+    known = [entry.id for entry in LISTED]
     for id in (*without, *(mechanisms or ())):
         if id not in known:
             raise ValueError(f"{id}: no such mechanism; known: {', '.join(known)}")

@@ -26,11 +26,11 @@ from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unpr
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
 from cannoise_jax.discovery.sides import handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.signatures.fields import refit
 from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
-from cannoise_jax.vocabulary import VOCABULARY
 
 ROWS = Axes("readout", "row", "redrawn", "additive", "white")
 """Offsets of rows, of which some are added to draws for the control of the two-sample test."""

@@ -12,8 +12,8 @@ from cannoise_jax.discovery.declare import UNTESTED
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
 from cannoise_jax.discovery.report import listed_steps
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import Recording
-from cannoise_jax.vocabulary import VOCABULARY
 
 _MEASURES = (
     ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),

@@ -15,8 +15,8 @@ from cannoise_jax.discovery.diagnose import Diagnosis, detectable
 from cannoise_jax.discovery.fit import Step, part_of
 from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.score import Score
-from cannoise_jax.vocabulary import VOCABULARY
 
 SCHEMA = "cannoise/diagnosis/1"
 _PLACES: dict[str, tuple[str, ...]] = {

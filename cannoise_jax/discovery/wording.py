@@ -7,7 +7,7 @@ from typing import Any
 
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.prove import Proof
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.mechanisms import VOCABULARY
 
 
 def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:

@@ -1,1 +1,62 @@
-"""Mechanisms of noise, one file a family."""
+"""Mechanisms of noise: one file a family, one entry each."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from cannoise_jax.mechanisms import (
+    capture,
+    converter,
+    dark_charge,
+    digital,
+    noise_steps,
+    photons,
+    pixel,
+    readout,
+    transport,
+)
+from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.vocabulary import UNKNOWN, Term
+
+_FAMILIES = (
+    capture.ENTRIES,
+    photons.ENTRIES,
+    dark_charge.ENTRIES,
+    noise_steps.ENTRIES,
+    pixel.EARLY,  # charge that is there before any moves
+    transport.ENTRIES,
+    pixel.ENTRIES,
+    readout.ENTRIES,
+    converter.ENTRIES,
+    digital.ENTRIES,
+    capture.LAST,  # the description is laid over whatever came out
+)
+
+
+def _mutual(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
+    """What one record says it is confused with is said of the other as well, after its own list."""
+
+    def both(entry: Entry) -> Entry:
+        own = entry.record.confused_with
+        more = (e.id for e in entries if entry.id in e.record.confused_with and e.id not in own)
+        return dataclasses.replace(
+            entry, record=dataclasses.replace(entry.record, confused_with=(*own, *more))
+        )
+
+    return tuple(both(entry) for entry in entries)
+
+
+ENTRIES: tuple[Entry, ...] = _mutual(tuple(entry for family in _FAMILIES for entry in family))
+"""All mechanisms in the order of the signal chain."""
+
+LISTED: tuple[Entry, ...] = tuple(sorted(ENTRIES, key=lambda entry: entry.term.listed))
+"""The same in the order in which they are listed: class by class, the common ones first."""
+
+MECHANISMS: dict[str, Entry] = {entry.id: entry for entry in ENTRIES}
+
+VOCABULARY: dict[str, Term] = {**{entry.id: entry.term for entry in LISTED}, UNKNOWN.id: UNKNOWN}
+
+
+def contains(general: str, special: str) -> bool:
+    """Whether `general` is `special` or contains it as a special case, in any number of steps."""
+    return general == special or any(contains(general, outer) for outer in VOCABULARY[special].within)

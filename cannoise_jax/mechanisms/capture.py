@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core import scores
+from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples, Shot
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.mosaic_ops import gradient, moved, neighbour_mean
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import codes, light
+from cannoise_jax.vocabulary import FRACTION, Term
 
 FLICKER = mechanism_from_grammar(
     Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
@@ -23,7 +26,6 @@ FLICKER = mechanism_from_grammar(
     reference="Sheinin et al., Computational Imaging on the Electric Grid, CVPR 2017",
     needs=("pair", "burst"),
     confused_with=("row_noise", "row_pink_noise", "banding", "illumination_drift"),
-    likelihood="none",
 )
 
 ILLUMINATION_DRIFT = mechanism_from_grammar(
@@ -66,8 +68,6 @@ def _reference_amplitude(values, context):
 
 REFERENCE_ERROR = Mechanism(
     id="reference_error",
-    stage="photons",
-    acts_on="mean",
     point=Point("photons", "mean", "pixel", "frozen"),
     parameters=(
         Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "log", "rms noise of the reference"),
@@ -84,7 +84,6 @@ REFERENCE_ERROR = Mechanism(
     "section 4",
     needs=("pair", "burst"),
     confused_with=("misregistration", "gain_error", "in_camera_denoising", "read_noise_error", "prnu"),
-    likelihood="approximate",
     amplitude=_reference_amplitude,
     sample=_reference,
     effect=_reference_effect,
@@ -113,17 +112,8 @@ def _edges(context: Context):
     return tuple(g / sigma for g in gradient(context.mean_dn))
 
 
-def _edge_score(z, values, maps, context):
-    down, across = _edges(context)
-    across = across - down * jnp.sum(down * across) / jnp.maximum(jnp.sum(down**2), 1e-30)
-    power = (scores.mean_score(z, down) ** 2 + scores.mean_score(z, across) ** 2) / 2
-    return scores.chi_square_score(power, 2)
-
-
 MISREGISTRATION = Mechanism(
     id="misregistration",
-    stage="photons",
-    acts_on="mean",
     point=Point("photons", "mean", "pixel", "frozen"),
     parameters=(
         Parameter("shift_px", "px", 0.2, 0.0, 16.0, "log", "length of the shift"),
@@ -135,11 +125,9 @@ MISREGISTRATION = Mechanism(
     "section 4",
     needs=("pair",),
     confused_with=("reference_error", "scene_motion", "in_camera_denoising"),
-    likelihood="exact",
     amplitude=lambda values, context: values["shift_px"],
     sample=_misregister,
     effect=_misregister_effect,
-    score=_edge_score,
 )
 
 
@@ -150,15 +138,8 @@ def _move_scene(key, x, values, maps, context):
     return moved(x, t * jnp.reshape(dy, ()), t * jnp.reshape(dx, ()))
 
 
-def _motion_score(z, values, maps, context):
-    t = jnp.arange(z.shape[0], dtype=jnp.float32)[:, None, None]
-    return scores.mean_score(z, sum(_edges(context)) * t)
-
-
 SCENE_MOTION = Mechanism(
     id="scene_motion",
-    stage="photons",
-    acts_on="mean",
     point=Point("photons", "mean", "pixel", "drifting"),
     parameters=(
         Parameter(
@@ -172,10 +153,8 @@ SCENE_MOTION = Mechanism(
     "section 4",
     needs=("burst",),
     confused_with=("misregistration", "reference_error", "image_lag"),
-    likelihood="none",
     amplitude=lambda values, context: values["shift_px"],
     sample=_move_scene,
-    score=_motion_score,
 )
 
 
@@ -200,8 +179,6 @@ def _bookkeeping_amplitude(values, context):
 
 BOOKKEEPING = Mechanism(
     id="bookkeeping",
-    stage="digital",
-    acts_on="signal",
     point=Point("digital", "signal", "channel", "frozen"),
     parameters=(
         Parameter("black_dn", "DN", 2.0, -1e4, 1e4, "identity", "true minus stated black level"),
@@ -215,16 +192,75 @@ BOOKKEEPING = Mechanism(
     reference="Adobe Digital Negative specification 1.7, tags BlackLevel and WhiteLevel",
     needs=("dark", "pair"),
     confused_with=("channel_offset", "gain_error", "nonlinearity", "dark_current"),
-    likelihood="exact",
     amplitude=_bookkeeping_amplitude,
     sample=_bookkeeping,
     effect=_bookkeeping_effect,
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (
-    MISREGISTRATION,
-    SCENE_MOTION,
-    REFERENCE_ERROR,
-    FLICKER,
-    ILLUMINATION_DRIFT,
-)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("misregistration",
+             "The reference is shifted against the frames.",
+             17, "capture", "px", "length of the shift, px", ("reference_error",), listed=47),
+        MISREGISTRATION,
+        needs="scenes with an independent reference",
+        examples=Examples("edges", shown={"shift_px": 1.0}, strong={"shift_px": 1.5, "angle": 0.7}),
+    ),
+    Entry(
+        Term("scene_motion",
+             "The scene moves between frames.",
+             17, "capture", "px", "motion per frame, px", listed=48),
+        SCENE_MOTION,
+        needs="ten frames or more of a scene with an independent reference",
+        examples=Examples("edges", shown={"shift_px": 0.3}),
+    ),
+    Entry(
+        Term("reference_error",
+             "The reference image is not the true mean: noisy, blurred, shifted or scaled.",
+             17, "capture", "DN", "rms difference between the reference and the true mean, DN",
+             listed=46),
+        REFERENCE_ERROR,
+        needs="scenes with an independent reference",
+        estimator=Estimator(light.reference_error),
+        examples=Examples("spatial", shown={"sigma_dn": 3.0, "blur": 0.1},
+                          strong={"sigma_dn": 5.0, "blur": 0.2, "shift_y": 0.6, "shift_x": -0.8,
+                                  "scale": 0.03},
+                          cases=(Case({"sigma_dn": 3.0, "blur": 0.05, "shift_y": 0.1, "shift_x": -0.05,
+                                       "scale": 0.01}, (Shot("scene", scene=True),)),)),
+    ),
+    Entry(
+        Term("flicker",
+             "Mains-driven light read by a rolling shutter: rows brighten and darken in turn.",
+             16, "capture", "1", "peak, as a fraction of the signal", listed=44),
+        FLICKER,
+        needs="two frames or more of a lit scene or flat",
+        estimator=Estimator(light.flicker, searched=True),
+        examples=Examples("row spectrum", strong={"amplitude": 0.08, "frequency": 0.11},
+                          cases=(Case({"amplitude": 0.02, "frequency": 0.06}, FLAT),)),
+    ),
+    Entry(
+        Term("illumination_drift",
+             "The brightness of the light moves from frame to frame.",
+             18, "capture", "1", FRACTION, listed=45),
+        ILLUMINATION_DRIFT,
+        needs="two frames or more of a lit scene or flat, and of a second recording",
+        estimator=Estimator(light.illumination_drift),
+        examples=Examples("frames", shown={"sigma": 0.02}, strong={"sigma": 0.05},
+                          cases=(Case({"sigma": 0.01}, FLAT),)),
+    ),
+)  # fmt: skip
+
+LAST = (
+    Entry(
+        Term("bookkeeping",
+             "Wrong black level, white level, colour pattern or units in the description.",
+             50, "bookkeeping", "DN", "rms error of the description, DN", listed=49),
+        BOOKKEEPING,
+        needs="darks, and a stated black level",
+        estimator=Estimator(codes.bookkeeping),
+        examples=Examples("mean", strong={"black_dn": 4.0, "white_error": 0.1},
+                          cases=(Case({"black_dn": 2.0}, DARK),
+                                 Case({"white_error": -0.05}, (Shot("dark"), Shot("flat", 1.2)), exact=True,
+                                      note="white"))),
+    ),
+)  # fmt: skip

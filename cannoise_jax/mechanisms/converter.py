@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core import scores
+from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.mosaic_ops import cut_below
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import codes
+from cannoise_jax.vocabulary import Term
 
 
 def _clip_effect(values, maps, context):
@@ -20,8 +23,6 @@ def _clip_effect(values, maps, context):
 
 BLACK_CLIPPING = Mechanism(
     id="black_clipping",
-    stage="converter",
-    acts_on="signal",
     point=Point("converter", "signal", "pixel", "frozen"),
     parameters=(
         Parameter("level_dn", "DN", 0.0, -1e4, 1e4, "identity", "lowest value, above the black level"),
@@ -34,7 +35,6 @@ BLACK_CLIPPING = Mechanism(
     "89, 2609 (2009)",
     needs=("dark", "pair"),
     confused_with=("poisson_skew", "bookkeeping", "read_noise_error"),
-    likelihood="exact",
     amplitude=lambda values, context: values["level_dn"],
     sample=lambda key, x, values, maps, context: jnp.maximum(x, context.black_level + values["level_dn"]),
     effect=_clip_effect,
@@ -51,11 +51,6 @@ def _compress(key, x, values, maps, context: Context):
     return context.black_level + jnp.sign(signal) * back * span
 
 
-def _compress_score(z, values, maps, context: Context):
-    step = values["step_dn"] * (context.mean_dn / context.span_dn) ** values["exponent"]
-    return scores.variance_score(z, step**2 / 12 / context.own_variance())
-
-
 def _compress_effect(values, maps, context: Context):
     # Uniform within a step, as long as the noise spans one.
     step = values["step_dn"] * (context.mean_dn / context.span_dn) ** values["exponent"]
@@ -64,8 +59,6 @@ def _compress_effect(values, maps, context: Context):
 
 LOSSY_COMPRESSION = Mechanism(
     id="lossy_compression",
-    stage="converter",
-    acts_on="signal",
     point=Point("converter", "signal", "pixel", "frozen", signal=0.5),
     parameters=(
         Parameter("step_dn", "DN", 8.0, 0.1, 1e4, "log", "code spacing at the white level"),
@@ -76,17 +69,13 @@ LOSSY_COMPRESSION = Mechanism(
     reference="Adobe Digital Negative specification 1.7, tag LinearizationTable",
     needs=("pair", "flat"),
     confused_with=("quantization", "missing_codes", "gain_error"),
-    likelihood="none",
     amplitude=lambda values, context: values["step_dn"],
     sample=_compress,
     effect=_compress_effect,
-    score=_compress_score,
 )
 
 QUANTIZATION = Mechanism(
     id="quantization",
-    stage="converter",
-    acts_on="signal",
     point=Point("converter", "signal", "pixel", "frozen"),
     parameters=(Parameter("step_dn", "DN", 4.0, 1.0, 4096.0, "log", "spacing of the codes"),),
     equation=r"y \to q\,\mathrm{round}(y/q)",
@@ -96,7 +85,6 @@ QUANTIZATION = Mechanism(
     reference="EMVA 1288 release 4.0, section 2.3 (quantization noise)",
     needs=("pair",),
     confused_with=("missing_codes", "lossy_compression", "read_noise_error", "heavy_tails"),
-    likelihood="exact",
     amplitude=lambda values, context: values["step_dn"],
     baseline=lambda noise, values, maps, context: noise._replace(code_step=values["step_dn"]),
     effect=lambda values, maps, context: Effect(lattice={"step": values["step_dn"]}),
@@ -117,8 +105,6 @@ def _skip_effect(values, maps, context):
 
 MISSING_CODES = Mechanism(
     id="missing_codes",
-    stage="converter",
-    acts_on="code",
     point=Point("converter", "code", "whole", "frozen"),
     parameters=(
         Parameter("period", "code steps", 8.0, 2.0, 4096.0, "log", "one code in so many never occurs"),
@@ -128,10 +114,47 @@ MISSING_CODES = Mechanism(
     reference="IEEE 1241-2010, section 4 (missing codes of a converter)",
     needs=("pair",),
     confused_with=("quantization", "lossy_compression"),
-    likelihood="none",
     amplitude=lambda values, context: jnp.round(values["period"]),
     sample=_skip_codes,
     effect=_skip_effect,
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (LOSSY_COMPRESSION, BLACK_CLIPPING, QUANTIZATION, MISSING_CODES)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("lossy_compression",
+             "Raw codes are rounded to a step that grows with the signal.",
+             44, "sensor", "DN", "code spacing at the white level, DN", listed=40),
+        LOSSY_COMPRESSION,
+        needs="flats at ten levels up to the white level",
+        examples=Examples("high codes", shown={"step_dn": 40.0}, strong={"step_dn": 30.0}),
+    ),
+    Entry(
+        Term("black_clipping",
+             "Values below a level near black are cut off.",
+             10, "sensor", "DN", "clipping level above (positive) or below the black level, DN",
+             listed=7),
+        BLACK_CLIPPING,
+        needs="darks",
+        estimator=Estimator(codes.black_clipping, exact=True),
+        examples=Examples("codes", dim=True, strong={"level_dn": 60.0},
+                          cases=(Case({"level_dn": -3.0}, DARK, exact=True),)),
+    ),
+    Entry(
+        Term("quantization",
+             "Codes are spaced more widely than assumed.",
+             41, "sensor", "DN", "spacing of the codes, DN", ("lossy_compression",), listed=26),
+        QUANTIZATION,
+        needs="files that state code_step",
+        estimator=Estimator(codes.quantization, in_baseline=True),
+        examples=Examples("codes", shown={"step_dn": 8.0}, cases=(Case({"step_dn": 4.0}, DARK, exact=True),)),
+    ),
+    Entry(
+        Term("missing_codes",
+             "Some codes never occur: digital scaling or converter faults.",
+             42, "sensor", "code steps", "period: one code in every so many is missing", listed=27),
+        MISSING_CODES,
+        needs="flats or scenes whose noise spans three codes or more",
+        estimator=Estimator(codes.missing_codes, exact=True),
+        examples=Examples("codes", strong={"period": 4.0}, cases=(Case({"period": 8.0}, FLAT, exact=True),)),
+    ),
+)  # fmt: skip

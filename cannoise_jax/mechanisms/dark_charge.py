@@ -7,10 +7,15 @@ import math
 import jax
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core import fields, scores
+from cannoise_jax.mechanisms.entry import LONG, SERIES, Case, Entry, Examples
+from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+from cannoise_jax.physics.transfer import maps as measured
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import charge
+from cannoise_jax.vocabulary import RMS, Term
 
 DOUBLING_C = 7.0
 """Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
@@ -36,8 +41,6 @@ def _rate(definition: str, default: float) -> Parameter:
 
 DARK_CURRENT = Mechanism(
     id="dark_current",
-    stage="pixel",
-    acts_on="mean",
     point=Point("pixel", "mean", "whole", "frozen"),
     parameters=(_rate("mean dark current", 10.0),),
     equation=r"\mu \to \mu + D\,t\,2^{(T-T_0)/T_d}",
@@ -46,7 +49,6 @@ DARK_CURRENT = Mechanism(
     reference=_WIDENHORN,
     needs=("dark", "exposure"),
     confused_with=("bookkeeping", "clock_induced_charge", "read_noise_error", "amp_glow"),
-    likelihood="exact",
     amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
     sample=lambda key, x, values, maps, context: x + values["e_per_s"],
     effect=lambda values, maps, context: _added(values["e_per_s"], context),
@@ -76,8 +78,6 @@ def _glow_amplitude(values, context):
 
 AMP_GLOW = Mechanism(
     id="amp_glow",
-    stage="pixel",
-    acts_on="mean",
     point=Point("pixel", "mean", "pixel", "frozen"),
     parameters=(
         _rate("at the brightest point", 100.0),
@@ -88,7 +88,6 @@ AMP_GLOW = Mechanism(
     reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 7 (luminescence)",
     needs=("dark", "exposure"),
     confused_with=("dsnu", "lens_shading", "dark_current"),
-    likelihood="exact",
     amplitude=_glow_amplitude,
     sample=lambda key, x, values, maps, context: x + values["e_per_s"] * maps["glow"],
     draw_maps=_glow_maps,
@@ -109,8 +108,6 @@ def _hot_maps(key, values, context: Context):
 
 HOT_PIXELS = Mechanism(
     id="hot_pixels",
-    stage="pixel",
-    acts_on="mean",
     point=Point("pixel", "mean", "pixel", "frozen", distribution="sparse"),
     parameters=(
         _rate("mean over the hot pixels; their heights are exponential", 2000.0),
@@ -121,7 +118,6 @@ HOT_PIXELS = Mechanism(
     reference=_WIDENHORN,
     needs=("dark",),
     confused_with=("cosmic_rays", "rts", "dsnu"),
-    likelihood="exact",
     amplitude=lambda values, context: (
         jnp.mean(context.gain_dn_per_e) * values["e_per_s"] * jnp.sqrt(2 * values["fraction"])
     ),
@@ -141,8 +137,6 @@ def _variance_share(context: Context):
 
 CLOCK_INDUCED_CHARGE = Mechanism(
     id="clock_induced_charge",
-    stage="pixel",
-    acts_on="mean",
     point=Point("pixel", "mean", "whole", "frozen"),
     parameters=(Parameter("charge_e", "e-", 0.01, 0.0, 1e3, "log", "mean per pixel and frame"),),
     equation=r"\mu \to \mu + c",
@@ -150,11 +144,9 @@ CLOCK_INDUCED_CHARGE = Mechanism(
     reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 7 (spurious charge)",
     needs=("dark", "exposure"),
     confused_with=("dark_current", "bookkeeping"),
-    likelihood="exact",
     amplitude=lambda values, context: values["charge_e"],
     sample=lambda key, x, values, maps, context: x + values["charge_e"],
     effect=lambda values, maps, context: _added(values["charge_e"], context),
-    score=lambda z, values, maps, context: scores.variance_score(z, _variance_share(context)),
 )
 
 
@@ -177,8 +169,6 @@ def _temperature_effect(values, maps, context):
 
 TEMPERATURE_DRIFT = Mechanism(
     id="temperature_drift",
-    stage="pixel",
-    acts_on="mean",
     point=Point("pixel", "mean", "whole", "drifting"),
     parameters=(
         Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "log", "rms temperature change"),
@@ -190,19 +180,61 @@ TEMPERATURE_DRIFT = Mechanism(
     reference=_WIDENHORN,
     needs=("burst", "temperature"),
     confused_with=("offset_drift", "illumination_drift", "dark_current"),
-    likelihood="none",
     amplitude=lambda values, context: values["sigma_k"],
     sample=_temperature,
     effect=_temperature_effect,
-    score=lambda z, values, maps, context: scores.frame_score(z),
     scaling=_THERMAL,
     scales="e_per_s",
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (
-    DARK_CURRENT,
-    AMP_GLOW,
-    HOT_PIXELS,
-    CLOCK_INDUCED_CHARGE,
-    TEMPERATURE_DRIFT,
-)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("dark_current",
+             "Thermal charge grows with the exposure and brings its own shot noise.",
+             19, "sensor", "e-/s", "mean dark current, e-/s", listed=9),
+        DARK_CURRENT,
+        needs="darks at two exposures or more, exposure_s stated",
+        estimator=Estimator(charge.dark_current),
+        examples=Examples("mean", shown={"e_per_s": 30.0}, strong={"e_per_s": 60.0},
+                          cases=(Case({"e_per_s": 2.0}, SERIES),)),
+    ),
+    Entry(
+        Term("amp_glow",
+             "Light of the readout electronics adds charge near an edge or corner.",
+             21, "sensor", "DN", RMS, listed=10),
+        AMP_GLOW,
+        needs="darks, best at a long exposure",
+        estimator=Estimator(charge.amp_glow, gives_way_to=("hot_pixels",), maps=measured.glow),
+        examples=Examples("columns", strong={"e_per_s": 200.0, "length": 0.4},
+                          cases=(Case({"e_per_s": 3.0, "length": 0.2}, LONG),)),
+    ),
+    Entry(
+        Term("hot_pixels",
+             "A few pixels have a dark current far above the others, at fixed places.",
+             22, "sensor", "DN", RMS, listed=11),
+        HOT_PIXELS,
+        needs="darks, best at a long exposure",
+        estimator=Estimator(charge.hot_pixels, maps=measured.heat),
+        examples=Examples("tail", shown={"e_per_s": 300.0, "fraction": 0.004}, dim=True,
+                          strong={"fraction": 0.1, "e_per_s": 100.0},
+                          cases=(Case({"e_per_s": 50.0, "fraction": 0.02}, LONG),
+                          Case({"e_per_s": 300.0, "fraction": 0.05}, LONG, note="strong"))),
+    ),
+    Entry(
+        Term("clock_induced_charge",
+             "Spurious charge of the clocking, the same in every exposure time.",
+             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=31),
+        CLOCK_INDUCED_CHARGE,
+        needs="several hundred short darks of an electron-multiplying sensor",
+        examples=Examples("variance", shown={"charge_e": 2.0}, dim=True, strong={"charge_e": 5.0}),
+    ),
+    Entry(
+        Term("temperature_drift",
+             "The temperature, and with it the dark current, moves from frame to frame.",
+             25, "sensor", "K", "rms temperature change, K", listed=37),
+        TEMPERATURE_DRIFT,
+        needs="darks with the temperature of every frame stated",
+        examples=Examples("frames", shown={"e_per_s": 50.0, "sigma_k": 3.0},
+                          strong={"sigma_k": 4.0, "e_per_s": 120.0, "memory_frames": 1.5}),
+    ),
+)  # fmt: skip

@@ -8,10 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.physics.core import scores
+from cannoise_jax.mechanisms.entry import DARK, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.mosaic_ops import neighbour_maximum, neighbour_mean, shifted
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import neighbours
+from cannoise_jax.vocabulary import Term
 
 
 def _blend(x, weight):
@@ -32,8 +35,6 @@ def _denoise_effect(values, maps, context: Context):
 
 IN_CAMERA_DENOISING = Mechanism(
     id="in_camera_denoising",
-    stage="digital",
-    acts_on="code",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 0.15, 0.0, 1.0, "logit", "weight of the four neighbours' mean"),),
     equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn,\ same\ colour}} y",
@@ -42,7 +43,6 @@ IN_CAMERA_DENOISING = Mechanism(
     reference="Clark, Digital camera raw spatial filtering tests, clarkvision.com (spectra of dark frames)",
     needs=("pair", "dark"),
     confused_with=("crosstalk", "gain_error", "demosaicing", "lossy_compression"),
-    likelihood="none",
     amplitude=lambda values, context: values["weight"],
     sample=lambda key, x, values, maps, context: _blend(x, values["weight"]),
     effect=_denoise_effect,
@@ -63,8 +63,6 @@ def _defect_effect(values, maps, context: Context):
 
 DEFECT_CORRECTION = Mechanism(
     id="defect_correction",
-    stage="digital",
-    acts_on="code",
     point=Point("digital", "code", "pixel", "frozen", distribution="sparse"),
     parameters=(Parameter("fraction", "1", 0.01, 1e-7, 1.0, "logit", "share of the pixels"),),
     equation=r"y_{ij} \to \frac{1}{4}\sum_{\mathrm{nn,\ same\ colour}} y \ \mathrm{at\ listed\ pixels}",
@@ -73,12 +71,10 @@ DEFECT_CORRECTION = Mechanism(
     reference="Adobe Digital Negative specification 1.7, opcode FixBadPixelsList",
     needs=("pair", "burst"),
     confused_with=("in_camera_denoising", "dead_pixels"),
-    likelihood="none",
     amplitude=lambda values, context: values["fraction"],
     sample=lambda key, x, values, maps, context: x + maps["sites"] * (neighbour_mean(x, 2) - x),
     draw_maps=_defect_maps,
     effect=_defect_effect,
-    score=lambda z, values, maps, context: scores.interpolation_score(z),
 )
 
 
@@ -106,8 +102,6 @@ def _clamp_effect(values, maps, context: Context):
 
 HOT_PIXEL_SUPPRESSION = Mechanism(
     id="hot_pixel_suppression",
-    stage="digital",
-    acts_on="code",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "logit", "weight of the clamped value"),),
     equation=r"y \to (1-w)\,y + w\,\min(y, \mathrm{max}_{\mathrm{8\ of\ same\ colour}}\,y)",
@@ -116,13 +110,11 @@ HOT_PIXEL_SUPPRESSION = Mechanism(
     reference="Shelley, Nikon coolpix and DSLR star eater tests, markshelley.co.uk",
     needs=("pair", "dark"),
     confused_with=("in_camera_denoising", "defect_correction"),
-    likelihood="none",
     amplitude=lambda values, context: values["weight"],
     sample=lambda key, x, values, maps, context: (
         x + values["weight"] * (jnp.minimum(x, neighbour_maximum(x)) - x)
     ),
     effect=_clamp_effect,
-    score=lambda z, values, maps, context: scores.peak_deficit_score(z),
 )
 
 
@@ -147,8 +139,6 @@ def _demosaic_effect(values, maps, context: Context):
 
 DEMOSAICING = Mechanism(
     id="demosaicing",
-    stage="digital",
-    acts_on="code",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "logit", "weight of the interpolated value"),),
     equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn}} y \ \mathrm{on\ every\ second\ pixel\ of\ a\ "
@@ -160,18 +150,45 @@ DEMOSAICING = Mechanism(
     "TSP 53, 3948 (2005)",
     needs=("pair",),
     confused_with=("in_camera_denoising", "crosstalk", "defect_correction"),
-    likelihood="none",
     amplitude=lambda values, context: values["weight"],
     sample=_demosaic,
     effect=_demosaic_effect,
-    score=lambda z, values, maps, context: (
-        (scores.lag_score(z, 0, 2) + scores.lag_score(z, 2, 0)) / jnp.sqrt(2.0)
-    ),
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (
-    DEMOSAICING,
-    IN_CAMERA_DENOISING,
-    DEFECT_CORRECTION,
-    HOT_PIXEL_SUPPRESSION,
-)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("demosaicing",
+             "The mosaic has been interpolated from a coarser or another mosaic.",
+             48, "sensor", "1", "blend weight of the interpolated value", listed=43),
+        DEMOSAICING,
+        needs="two frames or more at one setting",
+        examples=Examples("lags"),
+    ),
+    Entry(
+        Term("in_camera_denoising",
+             "The camera has averaged each pixel with its neighbours of the same colour.",
+             45, "sensor", "1", "blend weight of the neighbours' mean", listed=28),
+        IN_CAMERA_DENOISING,
+        needs="two frames or more at one setting",
+        estimator=Estimator(neighbours.in_camera_denoising, least=0.01, smooths=True),
+        examples=Examples("lags", shown={"weight": 0.4}, strong={"weight": 0.4},
+                          cases=(Case({"weight": 0.15}, DARK), Case({"weight": 0.45}, DARK, note="strong"),
+                          Case({"weight": 0.5}, DARK, note="eighths of a code"))),
+    ),
+    Entry(
+        Term("defect_correction",
+             "Listed pixels are replaced by the mean of their neighbours.",
+             47, "sensor", "1", "fraction of the pixels", listed=41),
+        DEFECT_CORRECTION,
+        needs="twenty frames or more of one flat",
+        examples=Examples("gaps", shown={"fraction": 0.05}, strong={"fraction": 0.2}),
+    ),
+    Entry(
+        Term("hot_pixel_suppression",
+             "Pixels above all their neighbours of the same colour are clamped to them.",
+             46, "sensor", "1", "blend weight of the clamped value", listed=42),
+        HOT_PIXEL_SUPPRESSION,
+        needs="twenty long darks",
+        examples=Examples("tail", strong={"weight": 0.7}),
+    ),
+)  # fmt: skip

@@ -5,10 +5,15 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core import scores, tukey_lambda
+from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples
+from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+from cannoise_jax.physics.transfer import maps as measured
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import maps, noise
+from cannoise_jax.vocabulary import Term
 
 
 def _gain(noise, values, maps, context):
@@ -30,8 +35,6 @@ def _gain_effect(values, maps, context):
 
 GAIN_ERROR = Mechanism(
     id="gain_error",
-    stage="photons",
-    acts_on="charge",
     point=Point("photons", "charge", "pixel", "redrawn", "multiply", signal=0.5),
     parameters=(Parameter("error", "1", 0.05, -0.9, 10.0, "identity", "true over assumed gain, minus one"),),
     equation=r"\mathrm{var} = (1+\epsilon)\,K\,(y-b) + K^2 s^2",
@@ -41,7 +44,6 @@ GAIN_ERROR = Mechanism(
     reference="EMVA 1288 release 4.0, section 2.2 (photon transfer)",
     needs=("pair",),
     confused_with=("in_camera_denoising", "crosstalk", "brighter_fatter", "excess_noise", "reference_error"),
-    likelihood="exact",
     amplitude=lambda values, context: values["error"],
     baseline=_gain,
     effect=_gain_effect,
@@ -59,8 +61,6 @@ def _read_effect(values, maps, context):
 
 READ_NOISE_ERROR = Mechanism(
     id="read_noise_error",
-    stage="readout",
-    acts_on="signal",
     point=Point("readout", "signal", "pixel", "redrawn"),
     parameters=(
         Parameter("error", "1", 0.1, -0.99, 10.0, "identity", "true over assumed read noise, minus one"),
@@ -72,7 +72,6 @@ READ_NOISE_ERROR = Mechanism(
     reference="EMVA 1288 release 4.0, section 2.2 (temporal dark noise)",
     needs=("dark", "pair"),
     confused_with=("quantization", "pixel_read_noise_map", "heavy_tails", "reference_error"),
-    likelihood="exact",
     amplitude=lambda values, context: values["error"],
     baseline=_read,
     effect=_read_effect,
@@ -90,8 +89,6 @@ def _tails_effect(values, maps, context):
 
 HEAVY_TAILS = Mechanism(
     id="heavy_tails",
-    stage="readout",
-    acts_on="signal",
     point=Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"),
     parameters=(
         Parameter("tukey_lambda", "1", -0.1, -0.45, 0.3, "identity", "shape: 0.135 is near Gaussian"),
@@ -103,7 +100,6 @@ HEAVY_TAILS = Mechanism(
     "section 3.2",
     needs=("dark", "burst"),
     confused_with=("pixel_read_noise_map", "rts", "quantization", "cosmic_rays"),
-    likelihood="approximate",
     amplitude=lambda values, context: tukey_lambda.excess_kurtosis(values["tukey_lambda"]),
     baseline=_tails,
     effect=_tails_effect,
@@ -129,8 +125,6 @@ def _spread_effect(values, maps, context):
 
 PIXEL_READ_NOISE_MAP = Mechanism(
     id="pixel_read_noise_map",
-    stage="pixel",
-    acts_on="signal",
     point=Point("pixel", "signal", "pixel", "redrawn"),
     parameters=(
         Parameter(
@@ -144,7 +138,6 @@ PIXEL_READ_NOISE_MAP = Mechanism(
     "(pixel source follower)",
     needs=("dark", "burst"),
     confused_with=("heavy_tails", "rts"),
-    likelihood="exact",
     amplitude=lambda values, context: values["spread"],
     baseline=_spread,
     draw_maps=_spread_maps,
@@ -161,15 +154,8 @@ def _skew_effect(values, maps, context):
     return Effect(third=(share**3 - 1) * gain**2 * mean, fourth=(share**4 - 1) * gain**3 * mean)
 
 
-def _skew_score(z, values, maps, context):
-    gain, own = context.gain_dn_per_e, context.own_variance()
-    return scores.skew_score(z, gain**2 * context.mean_dn / own**1.5)
-
-
 POISSON_SKEW = Mechanism(
     id="poisson_skew",
-    stage="photons",
-    acts_on="charge",
     point=Point("photons", "charge", "pixel", "redrawn", signal=0.5),
     parameters=(Parameter("strength", "1", 0.0, 0.0, 1.0, "identity", "0: Gaussian shot noise, 1: Poisson"),),
     equation=r"N = \mu + \sigma_P\,(P(\mu)-\mu) + \sqrt{1-\sigma_P^2}\,\sqrt{\mu}\,z",
@@ -178,11 +164,62 @@ POISSON_SKEW = Mechanism(
     reference="EMVA 1288 release 4.0, section 2.1 (Poisson statistics of the light)",
     needs=("pair",),
     confused_with=("hot_pixels", "cosmic_rays", "black_clipping"),
-    likelihood="approximate",
     amplitude=lambda values, context: values["strength"],
     baseline=_skew,
     effect=_skew_effect,
-    score=_skew_score,
 )
 
-MECHANISMS = (GAIN_ERROR, READ_NOISE_ERROR, HEAVY_TAILS, PIXEL_READ_NOISE_MAP, POISSON_SKEW)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("gain_error",
+             "The system gain differs from the one assumed, so shot noise has another slope.",
+             1, "sensor", "1", "relative error of the gain: true over assumed, minus one", listed=0),
+        GAIN_ERROR,
+        needs="run with --simulator nlf on files that state shot and read, with scenes or flats at two "
+              "levels",
+        estimator=Estimator(noise.gain_error, in_baseline=True),
+        examples=Examples("variance", shown={"error": 0.5}, strong={"error": 0.4},
+                          cases=(Case({"error": 0.1}, FLAT),)),
+    ),
+    Entry(
+        Term("read_noise_error",
+             "The white read noise differs from the one assumed.",
+             39, "sensor", "1", "relative error of the read noise: true over assumed, minus one",
+             listed=1),
+        READ_NOISE_ERROR,
+        needs="run with --simulator nlf on files that state shot and read, with darks of two frames or "
+              "more",
+        estimator=Estimator(noise.read_noise_error, in_baseline=True),
+        examples=Examples("variance", shown={"error": 1.0}, dim=True, strong={"error": 0.5},
+                          cases=(Case({"error": 0.1}, DARK),)),
+    ),
+    Entry(
+        Term("heavy_tails",
+             "Read noise has heavier tails than a Gaussian, in every pixel alike.",
+             26, "sensor", "1", "excess kurtosis of the read noise", listed=12),
+        HEAVY_TAILS,
+        needs="darks of two frames or more whose noise exceeds two thirds of a code",
+        estimator=Estimator(noise.heavy_tails, least=0.02, law="tails",
+                            neutral=tukey_lambda.GAUSSIAN, against=noise.no_heavier),
+        examples=Examples("tail", shown={"tukey_lambda": -0.15}, dim=True,
+                          cases=(Case({"tukey_lambda": -0.05}, DARK),)),
+    ),
+    Entry(
+        Term("pixel_read_noise_map",
+             "Every pixel has its own fixed read noise.",
+             27, "sensor", "1", "rms relative spread of the read noise over the pixels", listed=13),
+        PIXEL_READ_NOISE_MAP,
+        needs="three dark frames or more; eight are better",
+        estimator=Estimator(maps.pixel_read_noise_map, least=0.03, law="spread", maps=measured.read_noise),
+        examples=Examples("spread", shown={"spread": 0.8}, dim=True, cases=(Case({"spread": 0.2}, DARK),
+                          Case({"spread": 0.8}, DARK, note="strong"))),
+    ),
+    Entry(
+        Term("poisson_skew",
+             "Shot noise is Poisson, with its skewness, where a Gaussian was assumed.",
+             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=29),
+        POISSON_SKEW,
+        needs="a simulator whose shot noise is Gaussian (that of the baseline is Poisson)",
+        examples=Examples("tail", shown={"strength": 0.0}, dim=True),
+    ),
+)  # fmt: skip

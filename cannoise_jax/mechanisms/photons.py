@@ -7,9 +7,13 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.physics.core import scores
+from cannoise_jax.mechanisms.entry import FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
+from cannoise_jax.physics.transfer import maps as measured
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import maps
+from cannoise_jax.vocabulary import FRACTION, Term
 
 _EMVA = "EMVA 1288 release 4.0, section 4.2 (PRNU1288)"
 
@@ -82,10 +86,6 @@ def _shading_maps(key, values, context: Context):
     return {"field": jnp.asarray(-(x**2 + y**2) / 2, jnp.float32)[None]}
 
 
-def _shading_score(z, values, maps, context):
-    return scores.mean_score(z, maps["field"] * context.mean_dn / jnp.sqrt(context.own_variance()))
-
-
 LENS_SHADING = dataclasses.replace(
     mechanism_from_grammar(
         Point("photons", "mean", "pixel", "frozen", "multiply"),
@@ -100,7 +100,6 @@ LENS_SHADING = dataclasses.replace(
         confused_with=("reference_error", "prnu"),
     ),
     draw_maps=_shading_maps,
-    score=_shading_score,
 )
 
 
@@ -118,8 +117,6 @@ def _dead_effect(values, maps, context):
 
 DEAD_PIXELS = Mechanism(
     id="dead_pixels",
-    stage="pixel",
-    acts_on="mean",
     point=Point("pixel", "mean", "pixel", "frozen", "multiply", distribution="sparse"),
     parameters=(Parameter("fraction", "1", 0.001, 1e-7, 0.5, "logit", "share of the pixels"),),
     equation=r"\mu_{ij} \to 0 \ \mathrm{at\ listed\ pixels}",
@@ -127,12 +124,58 @@ DEAD_PIXELS = Mechanism(
     reference="EMVA 1288 release 4.0, section 4.4 (defect pixels)",
     needs=("flat", "pair_independent"),
     confused_with=("prnu", "defect_correction"),
-    likelihood="exact",
     amplitude=lambda values, context: values["fraction"],
     sample=lambda key, x, values, maps, context: x * (1 - maps["dead"]),
     draw_maps=_dead_maps,
     effect=_dead_effect,
-    score=lambda z, values, maps, context: scores.low_score(z),
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (LENS_SHADING, PRNU, COLUMN_GAIN, GREEN_IMBALANCE, DEAD_PIXELS)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("lens_shading",
+             "Sensitivity falls smoothly towards the corners.",
+             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=34),
+        LENS_SHADING,
+        needs="flats with a reference of the light falling on the sensor (clean)",
+        examples=Examples("radius", strong={"sigma": 0.3}),
+    ),
+    Entry(
+        Term("prnu",
+             "Photo-response non-uniformity: every pixel has its own fixed sensitivity.",
+             5, "sensor", "1", FRACTION, listed=2),
+        PRNU,
+        needs="flats of two frames or more, or scenes with an independent reference",
+        estimator=Estimator(maps.prnu, least=1e-3, maps=measured.response),
+        examples=Examples("spatial", shown={"sigma": 0.03}, strong={"sigma": 0.1},
+                          cases=(Case({"sigma": 0.005}, FLAT),)),
+    ),
+    Entry(
+        Term("column_gain",
+             "Every column has its own fixed gain.",
+             6, "sensor", "1", FRACTION, ("prnu",), listed=4),
+        COLUMN_GAIN,
+        needs="flats of two frames or more, or scenes with an independent reference",
+        estimator=Estimator(maps.column_gain, least=3e-4, maps=measured.column_response),
+        examples=Examples("columns", shown={"sigma": 0.02}, strong={"sigma": 0.1},
+                          cases=(Case({"sigma": 0.002}, FLAT),)),
+    ),
+    Entry(
+        Term("green_imbalance",
+             "The two green channels differ in sensitivity.",
+             49, "sensor", "1",
+             "rms fraction of the signal over the green pixels: half of the relative difference", ("prnu",),
+             listed=25),
+        GREEN_IMBALANCE,
+        needs="flats, or scenes with an independent reference, from a Bayer sensor",
+        estimator=Estimator(maps.green_imbalance, least=1e-3),
+        examples=Examples("sites", strong={"sigma": 0.05}, cases=(Case({"sigma": 0.01}, FLAT),)),
+    ),
+    Entry(
+        Term("dead_pixels",
+             "A few pixels do not respond to light.",
+             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=35),
+        DEAD_PIXELS,
+        needs="flats at two levels, with a hundred dead pixels or more in the frame",
+        examples=Examples("mean", shown={"fraction": 0.003}, strong={"fraction": 0.1}),
+    ),
+)  # fmt: skip

@@ -5,11 +5,16 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core import fields, scores
+from cannoise_jax.mechanisms.entry import DARK, FLAT, LADDER, Case, Entry, Examples, Shot
+from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling, effect_in_dn
 from cannoise_jax.physics.core.mosaic_ops import cut_above, shifted
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+from cannoise_jax.physics.transfer import maps as measured
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import light, maps, noise
+from cannoise_jax.vocabulary import RMS, Term
 
 _JANESICK = "Janesick, Photon Transfer, SPIE Press 2007"
 
@@ -28,8 +33,6 @@ def _bend_effect(values, maps, context):
 
 NONLINEARITY = Mechanism(
     id="nonlinearity",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "whole", "frozen", "multiply", signal=1.0),
     parameters=(Parameter("loss", "1", 0.02, -0.49, 0.49, "identity", "share of the signal lost at white"),),
     equation=r"e \to e\,(1 - a\,K e/(W-b))",
@@ -37,7 +40,6 @@ NONLINEARITY = Mechanism(
     reference="EMVA 1288 release 4.0, section 6.7 (linearity error); " + _JANESICK,
     needs=("flat", "exposure"),
     confused_with=("saturation", "prnu", "reference_error", "brighter_fatter"),
-    likelihood="approximate",
     amplitude=lambda values, context: values["loss"],
     sample=lambda key, x, values, maps, context: x * (1 - _coefficient(values, context) * x),
     effect=_bend_effect,
@@ -53,8 +55,6 @@ def _saturation_effect(values, maps, context):
 
 SATURATION = Mechanism(
     id="saturation",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "frozen", "multiply"),
     parameters=(Parameter("full_well_e", "e-", 1000.0, 1.0, 1e7, "log", "charge at which a pixel is full"),),
     equation=r"e \to \min(e, e_{FW})",
@@ -62,7 +62,6 @@ SATURATION = Mechanism(
     reference="EMVA 1288 release 4.0, section 6.6 (saturation capacity)",
     needs=("pair", "flat"),
     confused_with=("nonlinearity", "bookkeeping"),
-    likelihood="approximate",
     amplitude=lambda values, context: (
         jnp.mean(context.gain_dn_per_e / context.span_dn) * values["full_well_e"]
     ),
@@ -102,8 +101,6 @@ def _rts_effect(values, maps, context):
 
 RTS = Mechanism(
     id="rts",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "telegraph", distribution="sparse"),
     parameters=(
         Parameter("jump_dn", "DN", 10.0, 0.0, 1e4, "log", "distance of the two levels"),
@@ -116,7 +113,6 @@ RTS = Mechanism(
     "2006",
     needs=("dark", "burst"),
     confused_with=("heavy_tails", "pixel_read_noise_map", "hot_pixels"),
-    likelihood="none",
     amplitude=lambda values, context: values["jump_dn"] / 2 * jnp.sqrt(values["fraction"]),
     sample=_rts,
     draw_maps=_rts_maps,
@@ -144,8 +140,6 @@ def _cosmic_effect(values, maps, context):
 
 COSMIC_RAYS = Mechanism(
     id="cosmic_rays",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "redrawn", distribution="sparse"),
     parameters=(
         Parameter("rate", "1/(Mpx s)", 5000.0, 0.0, 1e9, "log", "events per megapixel and second"),
@@ -156,11 +150,9 @@ COSMIC_RAYS = Mechanism(
     reference="Groom, Cosmic rays and other nonsense in astronomical CCD imagers, Exp. Astron. 14, 45 (2002)",
     needs=("burst", "dark"),
     confused_with=("hot_pixels", "heavy_tails"),
-    likelihood="none",
     amplitude=lambda values, context: values["rate"],
     sample=_cosmic,
     effect=_cosmic_effect,
-    score=lambda z, values, maps, context: scores.high_score(z),
 )
 
 
@@ -176,15 +168,8 @@ def _multiply_effect(values, maps, context):
     return effect_in_dn(context, variance=values["excess"] * context.mean_charge())
 
 
-def _excess_score(z, values, maps, context):
-    shot = context.gain_dn_per_e * context.mean_dn
-    return scores.variance_score(z, shot / context.own_variance())
-
-
 EXCESS_NOISE = Mechanism(
     id="excess_noise",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "redrawn", signal=0.5),
     parameters=(Parameter("excess", "1", 0.3, 0.0, 3.0, "log", "excess noise factor F^2, minus one"),),
     equation=r"e \to \Gamma(e/x,\ x),\quad F^2 = 1 + x",
@@ -193,11 +178,73 @@ EXCESS_NOISE = Mechanism(
     "(2003)",
     needs=("flat", "pair"),
     confused_with=("gain_error",),
-    likelihood="none",
     amplitude=lambda values, context: values["excess"],
     sample=_multiply,
     effect=_multiply_effect,
-    score=_excess_score,
 )
 
-MECHANISMS: tuple[Mechanism, ...] = (SATURATION, EXCESS_NOISE, NONLINEARITY, RTS, DSNU)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("saturation",
+             "Pixels hold no more charge than their full well.",
+             9, "sensor", "1",
+             "full well in normalised units: the clean signal at which the pixel is full", listed=6),
+        SATURATION,
+        needs="scenes or flats of several levels, two frames or more each, up to the white level",
+        estimator=Estimator(light.saturation, exact=True),
+        examples=Examples("high codes", shown={"full_well_e": 900.0}, strong={"full_well_e": 420.0},
+                          cases=(Case({"full_well_e": 5000.0}, (*FLAT, Shot("flat", 0.9))),)),
+    ),
+    Entry(
+        Term("excess_noise",
+             "Random gain of an electron multiplier raises the shot noise.",
+             3, "sensor", "1", "excess noise factor F^2, minus one", listed=30),
+        EXCESS_NOISE,
+        needs="flats at five levels and the gain from another source, such as single-photon peaks",
+        examples=Examples("variance"),
+    ),
+    Entry(
+        Term("nonlinearity",
+             "The response bends: the mean signal is not proportional to the light.",
+             8, "sensor", "1", "fraction of the signal lost at the white level", listed=5),
+        NONLINEARITY,
+        needs="scenes with an independent reference that spans the range",
+        estimator=Estimator(light.nonlinearity, least=3e-3),
+        examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},
+                          cases=(Case({"loss": 0.03}, LADDER),)),
+    ),
+    Entry(
+        Term("rts",
+             "Random telegraph signal: a few pixels jump between two levels.",
+             28, "sensor", "DN", RMS, listed=14),
+        RTS,
+        needs="three dark frames or more; a hundred show the two levels",
+        estimator=Estimator(noise.rts, law="telegraph", maps=measured.telegraph),
+        examples=Examples("spread", shown={"jump_dn": 12.0, "fraction": 0.05}, dim=True,
+                          strong={"jump_dn": 12.0, "fraction": 0.3},
+                          cases=(Case({"jump_dn": 40.0, "fraction": 0.03, "rate": 0.2},
+                                      (Shot("dark", frames=16),)),)),
+    ),
+    Entry(
+        Term("dsnu",
+             "Dark-signal non-uniformity: every pixel has its own fixed offset.",
+             20, "sensor", "DN", RMS, listed=3),
+        DSNU,
+        needs="darks of two frames or more",
+        estimator=Estimator(maps.dsnu, maps=measured.offsets),
+        examples=Examples("spatial", dim=True, strong={"sigma_dn": 3.0},
+                          cases=(Case({"sigma_dn": 0.5}, DARK),)),
+    ),
+)  # fmt: skip
+
+EARLY = (
+    Entry(
+        Term("cosmic_rays",
+             "Single bright tracks that do not repeat.",
+             24, "sensor", "1/(Mpx s)", "events per megapixel and second", listed=36),
+        COSMIC_RAYS,
+        needs="long darks, ten frames or more",
+        examples=Examples("tail", shown={"rate": 600.0, "charge_e": 300.0}, dim=True,
+                          strong={"rate": 40000.0, "charge_e": 60.0}),
+    ),
+)  # fmt: skip

@@ -7,21 +7,23 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.physics.core import scores
+from cannoise_jax.mechanisms.entry import DARK, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
+from cannoise_jax.physics.transfer import maps as measured
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import codes, lines, spectra
+from cannoise_jax.vocabulary import RMS, Term
 
 _EMVA_LINES = "EMVA 1288 release 4.0, section 8.2 (row and column nonuniformity)"
 _ELD = "Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, section 3"
 
 
-def _offsets(
-    id, over, time, sentence, reference, needs, confused, equation, default=0.5, likelihood=None, **point
-):
+def _offsets(id, over, time, sentence, reference, needs, confused, equation, default=0.5, **point):
     place = Point("readout", "signal", over, time, **point)
     return mechanism_from_grammar(
         place, id=id, default=default, sentence=sentence, equation=equation, reference=reference, needs=needs,
-        confused_with=confused, likelihood=likelihood,
+        confused_with=confused,
     )  # fmt: skip
 
 
@@ -66,14 +68,8 @@ def _switch_effect(values, maps, context: Context):
     return Effect(variance=((gain - 1) * shot + (total**2 - 1) * read)[0])
 
 
-def _switch_score(z, values, maps, context: Context):
-    return scores.variance_score(z, 1.0 + 0 * context.mean_dn)
-
-
 DUAL_GAIN = Mechanism(
     id="dual_gain",
-    stage="readout",
-    acts_on="signal",
     point=Point("readout", "signal", "whole", "frozen", "multiply"),
     parameters=(
         Parameter("iso_switch", "ISO", 800.0, 1.0, 1e7, "log", "first ISO of the high conversion gain"),
@@ -90,78 +86,175 @@ DUAL_GAIN = Mechanism(
     "table)",
     needs=("iso", "dark"),
     confused_with=("read_noise_error", "gain_error"),
-    likelihood="exact",
     amplitude=lambda values, context: jnp.abs(values["gain_ratio"] / values["read_ratio"] - 1),
     baseline=_switch,
     effect=_switch_effect,
-    score=_switch_score,
 )
 
 
-MECHANISMS: tuple[Mechanism, ...] = (
-    _offsets(
-        "row_noise", "row", "redrawn",
-        "Every row is read at its own instant, and what the supply does at that instant shifts the whole "
-        "row.",
-        _ELD, ("dark", "pair"), ("row_pink_noise", "row_fpn", "flicker", "banding", "pink_noise"),
-        r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("row_noise",
+             "One random offset per row, white from row to row, redrawn in every frame.",
+             29, "sensor", "DN", RMS, ("row_pink_noise",), listed=15),
+        _offsets(
+            "row_noise", "row", "redrawn",
+            "Every row is read at its own instant, and what the supply does at that instant shifts the whole "
+            "row.",
+            _ELD, ("dark", "pair"), ("row_pink_noise", "row_fpn", "flicker", "banding", "pink_noise"),
+            r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
+        ),
+        needs="two frames or more at one setting",
+        estimator=Estimator(lines.row_noise, gives_way_to=("row_pink_noise",), placed=lines.placed_rows),
+        examples=Examples("row spectrum", dim=True, strong={"sigma_dn": 3.0},
+                          cases=(Case({"sigma_dn": 1.0}, DARK),
+                          Case({"sigma_dn": 0.1}, DARK, note="near zero"))),
     ),
-    _offsets(
-        "column_noise", "column", "redrawn",
-        "Every column has its own amplifier or converter, whose offset jitters from frame to frame.",
-        _ELD, ("dark", "pair"), ("column_fpn", "column_gain", "smear"),
-        r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
+    Entry(
+        Term("column_noise",
+             "One random offset per column, white, redrawn in every frame.",
+             30, "sensor", "DN", RMS, listed=16),
+        _offsets(
+            "column_noise", "column", "redrawn",
+            "Every column has its own amplifier or converter, whose offset jitters from frame to frame.",
+            _ELD, ("dark", "pair"), ("column_fpn", "column_gain", "smear"),
+            r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
+        ),
+        needs="two frames or more at one setting",
+        estimator=Estimator(lines.column_noise),
+        examples=Examples("column jitter", dim=True, strong={"sigma_dn": 3.0},
+                          cases=(Case({"sigma_dn": 1.0}, DARK),)),
     ),
-    _offsets(
-        "row_fpn", "row", "frozen",
-        "Some rows are always a little brighter or darker: a fixed pattern that a dark average removes.",
-        _EMVA_LINES, ("dark", "burst"), ("row_noise", "dsnu"),
-        r"y_{tij} \to y_{tij} + \sigma r_i",
+    Entry(
+        Term("row_fpn",
+             "One fixed offset per row.",
+             37, "sensor", "DN", RMS, ("dsnu",), listed=17),
+        _offsets(
+            "row_fpn", "row", "frozen",
+            "Some rows are always a little brighter or darker: a fixed pattern that a dark average removes.",
+            _EMVA_LINES, ("dark", "burst"), ("row_noise", "dsnu"),
+            r"y_{tij} \to y_{tij} + \sigma r_i",
+        ),
+        needs="darks of two frames or more",
+        estimator=Estimator(lines.row_fpn, maps=measured.row_pattern),
+        examples=Examples("rows", dim=True, strong={"sigma_dn": 3.0}, cases=(Case({"sigma_dn": 1.0}, DARK),)),
     ),
-    _offsets(
-        "column_fpn", "column", "frozen",
-        "Column amplifiers differ in offset: fixed vertical stripes that a dark average removes.",
-        _EMVA_LINES, ("dark", "burst"), ("column_noise", "column_gain", "dsnu"),
-        r"y_{tij} \to y_{tij} + \sigma c_j",
+    Entry(
+        Term("column_fpn",
+             "One fixed offset per column.",
+             37, "sensor", "DN", RMS, ("dsnu",), listed=18),
+        _offsets(
+            "column_fpn", "column", "frozen",
+            "Column amplifiers differ in offset: fixed vertical stripes that a dark average removes.",
+            _EMVA_LINES, ("dark", "burst"), ("column_noise", "column_gain", "dsnu"),
+            r"y_{tij} \to y_{tij} + \sigma c_j",
+        ),
+        needs="darks of two frames or more",
+        estimator=Estimator(lines.column_fpn, maps=measured.column_pattern),
+        examples=Examples("columns", dim=True, strong={"sigma_dn": 3.0},
+                          cases=(Case({"sigma_dn": 1.0}, DARK),)),
     ),
-    _offsets(
-        "pink_noise", "raster", "redrawn",
-        "The output amplifier wanders slowly while the pixels are read one after another: soft horizontal "
-        "clouds.",
-        "Rauscher, Teledyne H2RG noise generator, PASP 127, 1144 (2015)",
-        ("dark", "pair"), ("row_pink_noise", "row_noise", "offset_drift"),
-        r"y_n \to y_n + p_n,\quad S_p(f) \propto f^{-\alpha},\ n = iW + j",
-        likelihood="none", spectrum="power_law",
+    Entry(
+        Term("pink_noise",
+             "1/f noise along the raster scan.",
+             32, "sensor", "DN", RMS, listed=19),
+        _offsets(
+            "pink_noise", "raster", "redrawn",
+            "The output amplifier wanders slowly while the pixels are read one after another: soft "
+            "horizontal clouds.",
+            "Rauscher, Teledyne H2RG noise generator, PASP 127, 1144 (2015)",
+            ("dark", "pair"), ("row_pink_noise", "row_noise", "offset_drift"),
+            r"y_n \to y_n + p_n,\quad S_p(f) \propto f^{-\alpha},\ n = iW + j",
+            spectrum="power_law",
+        ),
+        needs="two frames or more at one setting",
+        estimator=Estimator(spectra.pink_noise),
+        examples=Examples("raster spectrum", dim=True, strong={"sigma_dn": 4.0, "exponent": 1.2},
+                          cases=(Case({"sigma_dn": 2.0, "exponent": 1.0}, DARK),)),
     ),
-    _offsets(
-        "row_pink_noise", "row", "redrawn",
-        "Row offsets wander slowly from row to row: soft horizontal bands, new in every frame.",
-        _ELD, ("dark", "pair"), ("row_noise", "pink_noise", "flicker"),
-        r"y_{tij} \to y_{tij} + r_{ti},\quad S_r(f) \propto f^{-\alpha}",
-        spectrum="power_law",
+    Entry(
+        Term("row_pink_noise",
+             "An offset constant along each row and 1/f from row to row, redrawn per frame.",
+             31, "sensor", "DN", RMS, listed=20),
+        _offsets(
+            "row_pink_noise", "row", "redrawn",
+            "Row offsets wander slowly from row to row: soft horizontal bands, new in every frame.",
+            _ELD, ("dark", "pair"), ("row_noise", "pink_noise", "flicker"),
+            r"y_{tij} \to y_{tij} + r_{ti},\quad S_r(f) \propto f^{-\alpha}",
+            spectrum="power_law",
+        ),
+        needs="two frames or more at one setting",
+        estimator=Estimator(spectra.row_pink_noise, against=spectra.reaches_no_further),
+        examples=Examples("row spectrum", dim=True, strong={"sigma_dn": 4.0, "exponent": 0.8},
+                          cases=(Case({"sigma_dn": 2.0, "exponent": 1.0}, DARK),)),
     ),
-    _offsets(
-        "banding", "raster", "redrawn",
-        "A clock, supply or radio couples into the readout: a regular pattern of stripes, slanted or "
-        "straight.",
-        "EMVA 1288 release 4.0, section 8.3 (spectrogram)",
-        ("dark", "pair"), ("flicker", "row_pink_noise", "demosaicing"),
-        r"y_n \to y_n + A\cos(2\pi f n + \phi_t),\ n = iW + j",
-        likelihood="none", spectrum="sinusoid",
+    Entry(
+        Term("banding",
+             "A sinusoid of fixed frequency in the raster scan: interference pick-up.",
+             33, "sensor", "DN", "peak, DN", listed=21),
+        _offsets(
+            "banding", "raster", "redrawn",
+            "A clock, supply or radio couples into the readout: a regular pattern of stripes, slanted or "
+            "straight.",
+            "EMVA 1288 release 4.0, section 8.3 (spectrogram)",
+            ("dark", "pair"), ("flicker", "row_pink_noise", "demosaicing"),
+            r"y_n \to y_n + A\cos(2\pi f n + \phi_t),\ n = iW + j",
+            spectrum="sinusoid",
+        ),
+        needs="two frames or more at one setting",
+        estimator=Estimator(spectra.banding, searched=True, beside=spectra.beside_rows),
+        examples=Examples("raster spectrum", shown={"amplitude_dn": 1.0, "frequency": 0.0823}, dim=True,
+                          strong={"amplitude_dn": 6.0, "frequency": 0.13},
+                          cases=(Case({"amplitude_dn": 1.0, "frequency": 0.12345}, DARK),)),
     ),
-    _offsets(
-        "offset_drift", "whole", "redrawn",
-        "The black level is set anew for every frame and never quite the same.",
-        "Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 (dark shading)",
-        ("dark", "burst"), ("illumination_drift", "temperature_drift"),
-        r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal{N}(0,\sigma^2)", default=0.2,
+    Entry(
+        Term("offset_drift",
+             "The black level moves from frame to frame.",
+             35, "sensor", "DN", RMS, listed=22),
+        _offsets(
+            "offset_drift", "whole", "redrawn",
+            "The black level is set anew for every frame and never quite the same.",
+            "Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 (dark shading)",
+            ("dark", "burst"), ("illumination_drift", "temperature_drift"),
+            r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal{N}(0,\sigma^2)", default=0.2,
+        ),
+        needs="two recordings of two frames or more, best darks",
+        estimator=Estimator(lines.offset_drift),
+        examples=Examples("frames", shown={"sigma_dn": 0.5}, dim=True, strong={"sigma_dn": 3.0},
+                          cases=(Case({"sigma_dn": 0.3}, DARK),)),
     ),
-    _offsets(
-        "channel_offset", "channel", "frozen",
-        "The black level differs between the colour channels: shadows take on a tint.",
-        _ELD + " (colour bias)", ("dark",), ("bookkeeping", "dark_current", "nonlinearity"),
-        r"y_{tij} \to y_{tij} + \sigma d_{c(i,j)}",
+    Entry(
+        Term("channel_offset",
+             "Each colour channel has its own black-level error.",
+             36, "sensor", "DN", RMS, ("dsnu", "bookkeeping"), listed=23),
+        _offsets(
+            "channel_offset", "channel", "frozen",
+            "The black level differs between the colour channels: shadows take on a tint.",
+            _ELD + " (colour bias)", ("dark",), ("bookkeeping", "dark_current", "nonlinearity"),
+            r"y_{tij} \to y_{tij} + \sigma d_{c(i,j)}",
+        ),
+        needs="darks, and a stated black level",
+        estimator=Estimator(codes.channel_offset, reported="(the measured black level is in the baseline)"),
+        examples=Examples("sites", dim=True, strong={"sigma_dn": 3.0},
+                          cases=(Case({"sigma_dn": 1.0}, DARK),)),
     ),
-    AMPLIFIER_MISMATCH,
-    DUAL_GAIN,
+    Entry(
+        Term("amplifier_mismatch",
+             "Regions read by different amplifiers differ by a step in offset.",
+             38, "sensor", "DN", "step between adjoining regions, DN", ("dsnu",), listed=24),
+        AMPLIFIER_MISMATCH,
+        needs="darks of two frames or more",
+        estimator=Estimator(codes.amplifier_mismatch),
+        examples=Examples("columns", dim=True, strong={"step_dn": 5.0},
+                          cases=(Case({"step_dn": 1.0}, DARK),)),
+    ),
+    Entry(
+        Term("dual_gain",
+             "The conversion gain switches at an ISO or at a signal level.",
+             7, "sensor", "1", "relative step of the gain at the switch", listed=32),
+        DUAL_GAIN,
+        needs="flats and darks at five ISO values or more",
+        examples=Examples("variance", shown={"iso_switch": 50.0}, dim=True,
+                          strong={"iso_switch": 50.0, "gain_ratio": 1.3, "read_ratio": 0.5}),
+    ),
 )  # fmt: skip

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core import scores
+from cannoise_jax.mechanisms.entry import FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Parameter, effect_in_dn
 from cannoise_jax.physics.core.mosaic_ops import neighbour_mean, shifted
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.physics.transfer.estimators import neighbours
+from cannoise_jax.vocabulary import Term
 
 
 def _share(x, fraction):
@@ -29,8 +30,6 @@ def _crosstalk_effect(values, maps, context):
 
 CROSSTALK = Mechanism(
     id="crosstalk",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("fraction", "1", 0.02, 0.0, 0.8, "logit", "share of the charge given away"),),
     equation=r"e_{ij} \to (1-\alpha)\,e_{ij} + \frac{\alpha}{4}\sum_{\mathrm{nn}} e",
@@ -41,7 +40,6 @@ CROSSTALK = Mechanism(
     "resulting from interpixel capacitance, Opt. Eng. 45, 076402 (2006)",
     needs=("pair", "flat"),
     confused_with=("brighter_fatter", "in_camera_denoising", "demosaicing", "gain_error"),
-    likelihood="none",
     amplitude=lambda values, context: values["fraction"],
     sample=lambda key, x, values, maps, context: _share(x, values["fraction"]),
     effect=_crosstalk_effect,
@@ -69,8 +67,6 @@ def _repel_effect(values, maps, context):
 
 BRIGHTER_FATTER = Mechanism(
     id="brighter_fatter",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "redrawn", "multiply", signal=2.0),
     parameters=(Parameter("a00", "1/e-", 2e-6, 0.0, 1e-3, "log", "relative loss of variance per electron"),),
     equation=r"\mathrm{var} = \mu + a_{00}\mu^2,\quad \mathrm{cov}_{ij} = a_{ij}\mu^2,\quad \sum a_{ij} = 0",
@@ -80,14 +76,9 @@ BRIGHTER_FATTER = Mechanism(
     reference="Astier et al., The shape of the photon transfer curve of CCD sensors, A&A 629, A36 (2019)",
     needs=("flat",),
     confused_with=("crosstalk", "nonlinearity", "gain_error"),
-    likelihood="none",
     amplitude=lambda values, context: values["a00"],
     sample=_repel,
     effect=_repel_effect,
-    score=lambda z, values, maps, context: (
-        (scores.lag_score(z, 0, 1, context.mean_charge()) + scores.lag_score(z, 1, 0, context.mean_charge()))
-        / math.sqrt(2)
-    ),
 )
 
 
@@ -105,8 +96,6 @@ def _lag_effect(values, maps, context):
 
 IMAGE_LAG = Mechanism(
     id="image_lag",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "pixel", "drifting", "multiply"),
     parameters=(Parameter("fraction", "1", 0.01, 0.0, 0.9, "logit", "share of the charge left behind"),),
     equation=r"e_t \to (1-\lambda)\,e_t + \lambda\,e_{t-1}",
@@ -114,12 +103,10 @@ IMAGE_LAG = Mechanism(
     reference="Fossum and Hondongwa, A Review of the Pinned Photodiode, IEEE JEDS 2, 33 (2014), section VI",
     needs=("burst",),
     confused_with=("scene_motion", "rts", "illumination_drift"),
-    likelihood="none",
     amplitude=lambda values, context: values["fraction"],
     sample=_lag,
     looks_back=True,
     effect=_lag_effect,
-    score=lambda z, values, maps, context: scores.temporal_score(z),
 )
 
 
@@ -133,15 +120,8 @@ def _smear_effect(values, maps, context):
     return effect_in_dn(context, s * column + 0 * mu, 2 * s * mu / rows + s**2 * column / rows)
 
 
-def _smear_score(z, values, maps, context):
-    column = jnp.mean(context.mean_dn, axis=-2, keepdims=True)
-    return scores.mean_score(z, column / jnp.sqrt(context.own_variance()))
-
-
 SMEAR = Mechanism(
     id="smear",
-    stage="pixel",
-    acts_on="charge",
     point=Point("pixel", "charge", "column", "frozen", "multiply"),
     parameters=(Parameter("fraction", "1", 0.002, 0.0, 1.0, "logit", "share of the column's mean signal"),),
     equation=r"e_{ij} \to e_{ij} + s\,\langle e_{\cdot j} \rangle",
@@ -149,12 +129,46 @@ SMEAR = Mechanism(
     reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 5",
     needs=("pair_independent", "flat"),
     confused_with=("column_gain", "column_fpn", "reference_error"),
-    likelihood="none",
     amplitude=lambda values, context: values["fraction"],
     sample=_smear,
     effect=_smear_effect,
-    score=_smear_score,
 )
 
 
-MECHANISMS: tuple[Mechanism, ...] = (BRIGHTER_FATTER, IMAGE_LAG, SMEAR, CROSSTALK)
+ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        Term("brighter_fatter",
+             "Collected charge repels further charge: shot noise correlates.",
+             12, "sensor", "1/e-", "minus a00: relative loss of shot-noise variance per electron",
+             listed=33),
+        BRIGHTER_FATTER,
+        needs="two frames or more of bright flats",
+        examples=Examples("variance", shown={"a00": 0.0001}, strong={"a00": 0.0003}),
+    ),
+    Entry(
+        Term("image_lag",
+             "A frame keeps part of the charge of the frame before it.",
+             14, "sensor", "1", "fraction of the charge left behind", listed=38),
+        IMAGE_LAG,
+        needs="a burst with a change from bright to dark",
+        examples=Examples("temporal", shown={"fraction": 0.15}, strong={"fraction": 0.2}),
+    ),
+    Entry(
+        Term("smear",
+             "Bright pixels leak into their whole column.",
+             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=39),
+        SMEAR,
+        needs="a scene with a saturated light source, two frames or more",
+        examples=Examples("columns", shown={"fraction": 0.02}, strong={"fraction": 0.1}),
+    ),
+    Entry(
+        Term("crosstalk",
+             "Charge or signal leaks into the neighbouring pixels of the mosaic after collection.",
+             13, "sensor", "1", "total fraction of charge given away", listed=8),
+        CROSSTALK,
+        needs="two frames or more of a lit scene or flat",
+        estimator=Estimator(neighbours.crosstalk, least=5e-3, smooths=True),
+        examples=Examples("lags", shown={"fraction": 0.15}, strong={"fraction": 0.3},
+                          cases=(Case({"fraction": 0.03}, FLAT),)),
+    ),
+)  # fmt: skip

@@ -3,15 +3,13 @@ deviation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma, sample_normal
+from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, nlf_sigma, sample_normal
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import read_sensor
 
-InitialNoise = Callable[..., tuple[Any, Any]]
 _LEAST_VARIANCE = 1e-9
 """Normalised units: a third of a code of a 16-bit converter, so that sigma can be divided by."""
 
@@ -54,10 +52,6 @@ def initial_noise(choice: str | InitialNoise) -> InitialNoise:
         return choice
     kind, _, name = choice.partition(":")
     if name and kind in ("sensor", "preset"):
-        # Sensor models draw on this module.
-        from cannoise_jax.physics.core.sensor import SensorModel
-        from cannoise_jax.physics.core.sensor_json import read_sensor
-
         return (read_sensor(name) if kind == "sensor" else SensorModel.preset(name)).n_init()
     if choice not in INITIAL_NOISE:
         names = ", ".join(INITIAL_NOISE)

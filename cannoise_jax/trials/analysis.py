@@ -22,9 +22,9 @@ from cannoise_jax.discovery.name import mechanism_of
 from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document
 from cannoise_jax.discovery.stacks import Stack
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import Fields, channel_index
-from cannoise_jax.vocabulary import VOCABULARY
 
 ALPHA = 0.01
 

@@ -9,8 +9,10 @@ import pytest
 
 import cannoise_jax
 from cannoise_jax.blind.compose import SHARES, Spec, compose, concealed_with
+from cannoise_jax.blind.listed import NAMES
 from cannoise_jax.blind.seal import make, seal
 from cannoise_jax.blind.sets import write_set
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import BadInput
 
 PACKAGE = Path(cannoise_jax.__file__).parent
@@ -20,6 +22,7 @@ INJECTORS = (
     "effects_signal",
     "effects_readout",
     "effects_unlisted",
+    "listed",
     "sets",
     "shifts",
     "sparse",
@@ -52,10 +55,16 @@ def test_nothing_but_the_blind_room_and_its_command_reaches_the_injectors():
 
 @pytest.mark.parametrize("name", [*INJECTORS, "compose", "seal"])
 def test_injectors_share_no_code_with_physics_or_discovery(name):
-    allowed = ("cannoise_jax.blind", "cannoise_jax.recordings", "cannoise_jax.vocabulary")
+    allowed = ("cannoise_jax.blind", "cannoise_jax.recordings")
     ours = [n for n in imports(PACKAGE / "blind" / f"{name}.py") if n.startswith("cannoise_jax")]
-    assert ours or name in ("chain", "sparse")
+    assert ours or name in ("chain", "listed", "sparse")
     assert all(n.startswith(allowed) for n in ours), ours
+
+
+def test_the_injectors_names_mean_what_the_vocabulary_says():
+    for id, name in NAMES.items():
+        assert (name.unit, name.within) == (VOCABULARY[id].unit, VOCABULARY[id].within), id
+        assert set(name.within) <= set(NAMES)
 
 
 def test_seal_commits_to_a_truth_kept_elsewhere(tmp_path):

@@ -13,11 +13,10 @@ from cannoise_jax.physics.core.sensor import Settings
 def test_bad_options_end_with_one_line(capsys):
     assert bench.main(["simulate", "--sizes", "0"]) == 2
     assert bench.main(["simulate", "--electrons", "1e9"]) == 2
-    assert bench.main(["likelihood", "--simulations", "0"]) == 2
     assert bench.main(["coverage", "--mechanisms", "moonlight"]) == 2
     assert bench.main(["train", "--patch", "7"]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 5 and all(line.startswith("bin/bench: ") for line in lines)
+    assert len(lines) == 4 and all(line.startswith("bin/bench: ") for line in lines)
 
 
 def test_both_simulators_are_given_the_same_camera():

@@ -2,7 +2,7 @@
 
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import NEEDS, UNTESTED, needs
-from cannoise_jax.vocabulary import VOCABULARY
+from cannoise_jax.mechanisms import VOCABULARY
 from tests.discovery.capture import capture_set
 
 

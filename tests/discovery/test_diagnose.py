@@ -16,10 +16,10 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.sampling import SMALLEST
-from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import (
     capture_set,
     column_pattern,

@@ -21,10 +21,10 @@ from cannoise_jax.discovery.page import advice, page
 from cannoise_jax.discovery.prove import Proof
 from cannoise_jax.discovery.report import document
 from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import CaptureSet
-from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
 from tests.discovery.looks import SIGNATURES
 

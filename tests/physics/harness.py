@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.physics.core import chain
-from cannoise_jax.physics.core.registry import MECHANISMS
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
 
@@ -17,52 +17,6 @@ SIZE = (8, 12)
 FRAMES = 1500
 SETTINGS = Settings(iso=100.0, exposure_s=0.5, frames=FRAMES)
 
-# Strong enough to be seen in a small simulation, and no special case of anything weaker.
-STRONG = {
-    "gain_error": {"error": 0.4},
-    "read_noise_error": {"error": 0.5},
-    "dual_gain": {"iso_switch": 50.0, "gain_ratio": 1.3, "read_ratio": 0.5},
-    "prnu": {"sigma": 0.1},
-    "column_gain": {"sigma": 0.1},
-    "green_imbalance": {"sigma": 0.05},
-    "lens_shading": {"sigma": 0.3},
-    "dead_pixels": {"fraction": 0.1},
-    "defect_correction": {"fraction": 0.2},
-    "hot_pixels": {"fraction": 0.1, "e_per_s": 100.0},
-    "clock_induced_charge": {"charge_e": 5.0},
-    "dsnu": {"sigma_dn": 3.0},
-    "nonlinearity": {"loss": 0.2},
-    "saturation": {"full_well_e": 420.0},
-    "crosstalk": {"fraction": 0.3},
-    "brighter_fatter": {"a00": 3e-4},
-    "image_lag": {"fraction": 0.2},
-    "smear": {"fraction": 0.1},
-    "rts": {"jump_dn": 12.0, "fraction": 0.3},
-    "cosmic_rays": {"rate": 40000.0, "charge_e": 60.0},
-    "row_noise": {"sigma_dn": 3.0},
-    "column_noise": {"sigma_dn": 3.0},
-    "row_fpn": {"sigma_dn": 3.0},
-    "column_fpn": {"sigma_dn": 3.0},
-    "pink_noise": {"sigma_dn": 4.0, "exponent": 1.2},
-    "row_pink_noise": {"sigma_dn": 4.0, "exponent": 0.8},
-    "banding": {"amplitude_dn": 6.0, "frequency": 0.13},
-    "offset_drift": {"sigma_dn": 3.0},
-    "channel_offset": {"sigma_dn": 3.0},
-    "amplifier_mismatch": {"step_dn": 5.0},
-    "flicker": {"amplitude": 0.08, "frequency": 0.11},
-    "illumination_drift": {"sigma": 0.05},
-    "temperature_drift": {"sigma_k": 4.0, "e_per_s": 120.0, "memory_frames": 1.5},
-    "reference_error": {"sigma_dn": 5.0, "blur": 0.2, "shift_y": 0.6, "shift_x": -0.8, "scale": 0.03},
-    "misregistration": {"shift_px": 1.5, "angle": 0.7},
-    "bookkeeping": {"black_dn": 4.0, "white_error": 0.1},
-    "missing_codes": {"period": 4.0},
-    "lossy_compression": {"step_dn": 30.0},
-    "in_camera_denoising": {"weight": 0.4},
-    "black_clipping": {"level_dn": 60.0},
-    "dark_current": {"e_per_s": 60.0},
-    "amp_glow": {"e_per_s": 200.0, "length": 0.4},
-    "hot_pixel_suppression": {"weight": 0.7},
-}
 EACH = pytest.mark.parametrize("id", MECHANISMS)
 # These move the scene with time, or are fixed within a recording and new in the next.
 PER_RECORDING = ("reference_error",)
@@ -78,7 +32,7 @@ def camera(id: str, **more) -> SensorModel:
     base = SensorModel.poisson_gaussian(
         0.5, 4.0, (60, 61, 62, 63), 1060, "GRBG", unit_key=jax.random.key(5), **more
     )
-    return base.with_mechanism(id, **STRONG.get(id, {}))
+    return base.with_mechanism(id, **MECHANISMS[id].examples.strong)
 
 
 def prepared(model: SensorModel, size=SIZE, settings=SETTINGS):

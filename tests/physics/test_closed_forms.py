@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.physics.core import chain
-from cannoise_jax.physics.core.registry import MECHANISMS, mechanism
+from cannoise_jax.physics.core.registry import mechanism
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.settings import context_of
 from tests.physics.harness import (
@@ -32,7 +33,7 @@ def analogue(model: SensorModel, key, frames: int) -> np.ndarray:
 
 
 # The clamp's holds on an even light, and has a test of its own.
-WITH_EFFECT = [id for id, m in MECHANISMS.items() if m.effect is not None and id != "hot_pixel_suppression"]
+WITH_EFFECT = [e.id for e in ENTRIES if e.record.effect is not None and e.id != "hot_pixel_suppression"]
 
 
 @pytest.mark.parametrize("id", WITH_EFFECT)

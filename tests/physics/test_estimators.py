@@ -5,24 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.core import registry
+from cannoise_jax.mechanisms import ENTRIES, MECHANISMS
+from cannoise_jax.mechanisms.coverage import Row, assumed_baseline, coverage, format_rows
+from cannoise_jax.mechanisms.entry import DARK, Case
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, root, variance_difference
-from cannoise_jax.physics.transfer.estimators import ESTIMATORS
 from cannoise_jax.physics.transfer.estimators.circle import circle
 from cannoise_jax.physics.transfer.estimators.codes import black_level_errors
-from cannoise_jax.physics.transfer.estimators.coverage import (
-    CASES,
-    Case,
-    Row,
-    Shot,
-    assumed_baseline,
-    coverage,
-    format_rows,
-)
 from cannoise_jax.physics.transfer.estimators.spectra import _expected_rows, power_law_correlation
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.recordings import Recording
-from cannoise_jax.vocabulary import core_ids
 
 # A thin slice of `bin/bench coverage`: one mechanism of each kind of estimator.
 SLICE = (
@@ -44,42 +35,47 @@ def darks(frames, exposure_s=1.0, kind="dark"):
     )
 
 
-def test_every_core_mechanism_has_an_estimator_and_a_case_for_its_parameters():
-    assert set(core_ids()) <= set(ESTIMATORS)
-    assert {c.mechanism for c in CASES} == set(ESTIMATORS)
-    for case in CASES:
-        names = {p.name for p in registry.mechanism(case.mechanism).parameters}
-        assert set(case.truth) <= names, case.mechanism
-        assert set(case.truth) == names or case.mechanism in ("row_noise", "bookkeeping"), case.mechanism
+def estimated(id, statistics):
+    return MECHANISMS[id].estimator(statistics, assumed_baseline())
 
 
-@pytest.mark.parametrize(
-    "case", [c for c in CASES if c.mechanism in SLICE and not c.note], ids=lambda c: c.mechanism
-)
-def test_intervals_hold_the_truth(case):
+CASES = [pytest.param(e, c, id=f"{e.id}{c.note}") for e in ENTRIES for c in e.examples.cases]
+
+
+def test_every_estimator_has_a_case_for_its_parameters():
+    for entry in ENTRIES:
+        assert (entry.estimator is None) == (not entry.examples.cases), entry.id
+        for case in entry.examples.cases:
+            names = set(entry.record.defaults())
+            assert set(case.truth) == names or entry.id in ("row_noise", "bookkeeping"), entry.id
+
+
+@pytest.mark.parametrize("id", SLICE)
+def test_intervals_hold_the_truth(id):
     # Of 16 intervals at 90 % fewer than 10 hold the truth once in 5000; the draws are fixed.
-    for row in coverage(case, 16):
+    entry = MECHANISMS[id]
+    for row in coverage(entry, entry.examples.cases[0], 16):
         assert row.coverage >= 10 / 16, row
         assert abs(row.mean - row.truth) < 4 * row.spread / np.sqrt(16) + 0.02 * abs(row.truth), row
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.note == "strong"], ids=lambda c: c.mechanism)
-def test_strong_mechanisms_are_measured_without_bias(case):
-    for row in coverage(case, 12):
+@pytest.mark.parametrize(("entry", "case"), [p for p in CASES if p.values[1].note == "strong"])
+def test_strong_mechanisms_are_measured_without_bias(entry, case):
+    for row in coverage(entry, case, 12):
         assert row.coverage >= 7 / 12, row
         assert abs(row.mean - row.truth) < 4 * row.spread / np.sqrt(12) + 0.005 * row.truth, row
 
 
 def test_a_wave_too_weak_to_find_may_have_any_frequency():
-    weak = Case("banding", {"amplitude_dn": 0.3, "frequency": 0.12345}, (Shot("dark"),))
-    _, frequency = coverage(weak, 24)
+    weak = Case({"amplitude_dn": 0.3, "frequency": 0.12345}, DARK)
+    _, frequency = coverage(MECHANISMS["banding"], weak, 24)
     assert frequency.parameter == "frequency" and frequency.coverage >= 0.75
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.mechanism}{c.note}")
-def test_intervals_are_calibrated(case):
-    for row in coverage(case, 300):
+@pytest.mark.parametrize(("entry", "case"), CASES)
+def test_intervals_are_calibrated(entry, case):
+    for row in coverage(entry, case, 300):
         assert row.calibrated, format_rows([row])
 
 
@@ -90,14 +86,14 @@ def test_wrong_black_and_white_levels_are_found_per_channel():
     errors = black_level_errors([dark])
     for error, truth in zip(errors, (1.0, -2.0, 0.5, 3.0), strict=True):
         assert abs(error.value - truth) < 4 * error.stderr < 0.3
-    unlit = ESTIMATORS["bookkeeping"]([dark], assumed_baseline())
+    unlit = estimated("bookkeeping", [dark])
     assert set(unlit) == {"black_dn"}
     assert abs(unlit["black_dn"].value - 0.625) < 4 * unlit["black_dn"].stderr
     full = darks(np.minimum(rng.normal(12000, 100, (4, 64, 96)), 12000), kind="flat")
-    found = ESTIMATORS["bookkeeping"]([dark, full], assumed_baseline())["white_error"]
+    found = estimated("bookkeeping", [dark, full])["white_error"]
     assert found.value == pytest.approx((12000 - 200) / (16383 - 200) - 1, abs=1e-4)
     cut = darks(np.maximum(rng.normal(200, 6, (4, 64, 96)), 198))
-    assert isinstance(ESTIMATORS["bookkeeping"]([cut], assumed_baseline()), NotMeasurable)
+    assert isinstance(estimated("bookkeeping", [cut]), NotMeasurable)
 
 
 def test_white_noise_shows_no_mechanism():
@@ -113,29 +109,29 @@ def test_white_noise_shows_no_mechanism():
         "pixel_read_noise_map",
         "offset_drift",
     ):
-        estimates = ESTIMATORS[id]([s], assumed_baseline())
+        estimates = estimated(id, [s])
         strength = next(iter(estimates.values()))
         if strength.value > 3 * strength.stderr:
             wrong.append(id)
     assert not wrong
-    weight = ESTIMATORS["in_camera_denoising"]([s], assumed_baseline())["weight"]
+    weight = estimated("in_camera_denoising", [s])["weight"]
     assert abs(weight.value) < 3 * weight.stderr
 
 
 def test_missing_recordings_are_asked_for():
     rng = np.random.default_rng(2)
     single = darks(rng.normal(900, 6, (1, 16, 24)), kind="scene")
-    for id, estimator in ESTIMATORS.items():
-        outcome = estimator([single], assumed_baseline())
-        if id in ("quantization",):
+    for entry in ENTRIES:
+        if entry.estimator is None or entry.id == "quantization":
             continue
-        assert isinstance(outcome, NotMeasurable) and len(outcome.record) > 20, id
+        outcome = entry.estimator([single], assumed_baseline())
+        assert isinstance(outcome, NotMeasurable) and len(outcome.record) > 20, entry.id
 
 
 def test_row_noise_does_not_pass_for_pink_noise():
     rng = np.random.default_rng(3)
     rows = 5 * rng.normal(size=(8, 64, 1))
-    found = ESTIMATORS["pink_noise"]([darks(rng.normal(200, 6, (8, 64, 96)) + rows)], assumed_baseline())
+    found = estimated("pink_noise", [darks(rng.normal(200, 6, (8, 64, 96)) + rows)])
     assert found["sigma_dn"].ci90[0] == 0.0
 
 

@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.mechanisms.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
-from cannoise_jax.physics.transfer.estimators.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
-from cannoise_jax.physics.transfer.estimators.loudness import LOUD
 from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms
@@ -39,8 +39,8 @@ def statistics(ids, seed=3, frames=8, size=(64, 96), offsets=0.0, student=0.0):
 
 
 def causes(stats):
-    found = {f.mechanism: f for f in find_mechanisms(stats, assumed_baseline())}
-    return {id: found[id].estimates for id in LOUD if found[id].verdict == "in the model"}
+    found = {f.mechanism: f for f in find_mechanisms(stats, assumed_baseline(), LISTED)}
+    return {id: found[id].estimates for id in TRUTH if found[id].verdict == "in the model"}
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def causes(stats):
         ("heavy_tails", "pixel_read_noise_map"),
         pytest.param(("pixel_read_noise_map", "rts"), marks=pytest.mark.slow),
         pytest.param(("heavy_tails", "rts"), marks=pytest.mark.slow),
-        pytest.param(LOUD, marks=pytest.mark.slow),
+        pytest.param(tuple(TRUTH), marks=pytest.mark.slow),
     ],
     ids="+".join,
 )

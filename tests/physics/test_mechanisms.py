@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cannoise_jax.mechanisms import ENTRIES, MECHANISMS, VOCABULARY, curves
+from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core import chain
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import STAGES
-from cannoise_jax.physics.core.registry import MECHANISMS, estimator, mechanism
+from cannoise_jax.physics.core.registry import mechanism
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import resolve
-from cannoise_jax.physics.likelihood.model import pixel_law
-from cannoise_jax.vocabulary import VOCABULARY, core_ids
 from tests.physics import naive
 from tests.physics.harness import (
     EACH,
@@ -68,7 +68,8 @@ def test_samples_like_a_naive_draw(id):
 
 @EACH
 def test_record_is_complete(id):
-    record, term = mechanism(id), VOCABULARY[id]
+    entry = MECHANISMS[id]
+    record, examples = entry.record, entry.examples
     assert record.stage in STAGES and record.acts_on in ("mean", "charge", "signal", "code")
     assert (record.sample is None) != (record.baseline is None), "a mechanism acts in one way"
     assert record.sentence.endswith(".") and record.equation and record.reference and record.needs
@@ -77,7 +78,9 @@ def test_record_is_complete(id):
     assert len(set(record.confused_with)) == len(record.confused_with)
     # A moving scene changes the mean by another amount in every frame: there is no one effect to state.
     assert record.effect is not None or id == "scene_motion"
-    assert term.core or record.score is not None
+    assert entry.needs and examples.curve in curves.KINDS
+    for values in (examples.shown, examples.strong, *(case.truth for case in examples.cases)):
+        assert set(values) <= set(record.defaults())
     for p in record.parameters:
         assert p.low <= p.default <= p.high and p.unit and p.definition
     if record.scales is not None:
@@ -86,19 +89,16 @@ def test_record_is_complete(id):
     assert np.isfinite(float(np.mean(record.amplitude(values[0], context))))
 
 
-def test_every_sensor_and_capture_id_has_a_mechanism():
-    assert set(MECHANISMS) == set(VOCABULARY) - {"unknown"}
-    assert set(core_ids()) <= set(MECHANISMS)
+def test_every_name_has_a_mechanism_and_every_mechanism_one_name():
+    assert set(MECHANISMS) == set(VOCABULARY) - {"unknown"} and len(MECHANISMS) == len(ENTRIES)
     with pytest.raises(ValueError, match="gremlins"):
         mechanism("gremlins")
+    first, second, *_ = ENTRIES
+    with pytest.raises(ValueError, match="give both one name"):
+        Entry(first.term, second.record, needs="darks")
 
 
-def test_estimators_are_found_by_id():
-    assert callable(estimator("row_noise"))
-    assert estimator("gremlins") is None
-
-
-FROZEN = [id for id, m in MECHANISMS.items() if m.draw_maps is not None]
+FROZEN = [e.id for e in ENTRIES if e.record.draw_maps is not None]
 # Their pattern follows from the colour pattern or the geometry, the same in every unit.
 FIXED = ("green_imbalance", "lens_shading", "amplifier_mismatch")
 
@@ -186,7 +186,7 @@ def test_gradients_are_finite_differences(id, name):
 
 
 def test_a_wrong_description_is_laid_over_all_that_is_analogue():
-    """What has saturated, or was cut off at black, is at one code, as the likelihood's rails say."""
+    """What has saturated, or was cut off at black, is at one code."""
     base = SensorModel.poisson_gaussian(1.0, 3.0, 100, 1023, "MONO").with_mechanism(
         "bookkeeping", black_dn=6.0, white_error=-0.1
     )
@@ -201,16 +201,14 @@ def test_a_wrong_description_is_laid_over_all_that_is_analogue():
     low, high = np.round(106 - 0.9 * 2), np.round(106 + 0.9 * 923)
     assert codes[:, :4].min() == low and 0.2 < np.mean(codes[:, :4] == low) < 0.6
     assert np.unique(codes[:, 4:]) == high
-    grid = pixel_law(model.without("stripes"), clean, Settings()).grid
-    assert np.unique(grid.low) == low and np.unique(grid.high) == high
 
 
 def test_equations_can_be_set():
     from matplotlib.mathtext import MathTextParser
 
     parser = MathTextParser("agg")
-    for record in MECHANISMS.values():
-        parser.parse(f"${record.equation}$")
+    for entry in ENTRIES:
+        parser.parse(f"${entry.record.equation}$")
 
 
 def _spread_factors(rng, p, size):

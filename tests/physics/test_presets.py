@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.core.presets import PHONES, preset, preset_names, read_table
+from cannoise_jax.physics.core.presets import PHONES, preset_names, read_table
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import baseline_at
 from cannoise_jax.recordings.recording import BadInput
@@ -32,7 +32,7 @@ def row_sigma(frames):
 
 @pytest.fixture(scope="module")
 def sony():
-    return preset("sony_a7s2")
+    return SensorModel.preset("sony_a7s2")
 
 
 def test_dual_gain_switch_lowers_the_read_noise(sony):
@@ -70,8 +70,8 @@ def test_one_iso_equals_the_whole_table_there(sony):
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_gives_frames_between_its_rails_with_its_gain(name):
     # Name and pattern are static under jit: with one of each, and one ISO, presets share compiled code.
-    iso = float(np.asarray(preset(name).iso)[-1])
-    model = dataclasses.replace(preset(name, iso), camera="camera", cfa="RGGB")
+    iso = float(np.asarray(SensorModel.preset(name).iso)[-1])
+    model = dataclasses.replace(SensorModel.preset(name, iso), camera="camera", cfa="RGGB")
     gain = float(np.asarray(model.gain_dn_per_e)[-1, 0])
     span = float(model.white_level) - float(model.black_level[0])
     clean = np.full(SIZE, min(0.3, 400 * gain / span), np.float32)
@@ -99,6 +99,6 @@ def test_the_dual_gain_switches_between_isos_at_once(sony):
 
 def test_unknown_names_and_isos_are_refused():
     with pytest.raises(BadInput, match="no such preset"):
-        preset("nokia_3310")
+        SensorModel.preset("nokia_3310")
     with pytest.raises(BadInput, match="no values for ISO 123"):
-        preset("sony_a7s2", iso=123)
+        SensorModel.preset("sony_a7s2", iso=123)

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import ENTRIES, MECHANISMS
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
-from cannoise_jax.physics.core.registry import MECHANISMS
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import SCHEMA, read_sensor, sensor_document, write_sensor
 from cannoise_jax.recordings import BadInput
@@ -81,7 +81,7 @@ def test_every_mechanism_round_trips(id, tmp_path):
 @pytest.mark.parametrize("end", ["low", "high"])
 def test_the_ends_of_all_ranges_can_be_stored(end, tmp_path):
     path, base = tmp_path / "sensor.json", SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, "RGGB")
-    for id, record in MECHANISMS.items():
+    for id, record in ((e.id, e.record) for e in ENTRIES):
         values = {p.name: getattr(p, end) for p in record.parameters}
         write_sensor(path, base.with_mechanism(id, **values))
         (fitted,) = read_sensor(path).mechanisms

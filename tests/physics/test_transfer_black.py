@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.transfer.black import black_at
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
-from cannoise_jax.physics.transfer.estimators import ESTIMATORS
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, format_findings, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import transfer_at
@@ -42,7 +42,7 @@ def test_one_long_dark_is_remarked_and_explains_nothing():
     transfer = transfer_at(statistics)
     text = format_transfer(transfer)
     assert "flats at 0.01 s" in text and "dark of 10 s" in text and "record a dark at 0.01 s" in text
-    findings = find_mechanisms(statistics, transfer.baseline)
+    findings = find_mechanisms(statistics, transfer.baseline, LISTED)
     verdicts = {f.mechanism: f.verdict for f in findings}
     unknown = {"nonlinearity", "channel_offset", "bookkeeping"}
     assert {verdicts[id] for id in unknown} == {"not measurable"}
@@ -61,16 +61,16 @@ def test_black_is_that_of_the_flats_where_darks_allow_it(times):
     assert np.allclose(transfer.baseline.gain, GAIN, rtol=0.03)
     # In the line's darks 9 e-^2 of read noise stand beside 100 of charge, known to 2 of every channel.
     assert np.mean(transfer.baseline.read_noise_e) == pytest.approx(READ, abs=0.5 if black.note else 0.1)
-    loss = ESTIMATORS["nonlinearity"](statistics)["loss"]
+    loss = MECHANISMS["nonlinearity"].estimator.measure(statistics)["loss"]
     assert abs(loss.value) < 3.5 * loss.stderr and loss.stderr < 0.01
-    offset = ESTIMATORS["channel_offset"](statistics, transfer.baseline)["sigma_dn"]
+    offset = MECHANISMS["channel_offset"].estimator.measure(statistics, transfer.baseline)["sigma_dn"]
     assert offset.value < 1.0
 
 
 def test_the_model_of_long_darks_has_the_black_level_without_their_charge():
     statistics = gathered(*flats(), *(shot(20 + n, "dark", 0.0, t) for n, t in enumerate((5.0, 10.0, 20.0))))
     transfer = transfer_at(statistics)
-    model = sensor_model([transfer], find_mechanisms(statistics, transfer.baseline))
+    model = sensor_model([transfer], find_mechanisms(statistics, transfer.baseline, LISTED))
     assert "dark_current" in {f.mechanism for f in model.mechanisms}
     np.testing.assert_allclose(model.black_level, BLACK, atol=1.0)
     assert np.mean(model.read_noise_e) == pytest.approx(READ, abs=0.5)
@@ -98,4 +98,4 @@ def test_unknown_exposures_leave_the_dark_as_it_is():
     dark = shot(1, "dark", 0.0, 10.0)
     (s,) = gathered(dark)
     assert black_at([s], None).level == per_channel(s.frame_means.mean(0))
-    assert not isinstance(ESTIMATORS["bookkeeping"]([s]), NotMeasurable)
+    assert not isinstance(MECHANISMS["bookkeeping"].estimator.measure([s]), NotMeasurable)

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.physics.transfer.estimate import normal_estimate, root, variance_difference
 from cannoise_jax.physics.transfer.estimators.charge import _log_estimate
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -48,7 +49,7 @@ def entries(kind, seed):
 
 def _entries(kind, seed):
     statistics = [frame_statistics(r) for r in KINDS[kind](np.random.default_rng([seed, len(kind)]))]
-    findings = find_mechanisms(statistics, transfer_at(statistics).baseline)
+    findings = find_mechanisms(statistics, transfer_at(statistics).baseline, LISTED)
     return [f.mechanism for f in findings if f.verdict == "in the model"]
 
 

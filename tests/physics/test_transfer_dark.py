@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
@@ -42,7 +43,7 @@ def calibrated(request):
             )
         )
     transfers = photon_transfer(CaptureSet("c", tuple(recordings)))
-    findings = find_mechanisms(transfers[0].statistics, transfers[0].baseline)
+    findings = find_mechanisms(transfers[0].statistics, transfers[0].baseline, LISTED)
     return transfers, findings, sensor_model(transfers, findings), recordings
 
 
@@ -67,7 +68,8 @@ def test_interval_of_the_dark_current_holds_the_doubt_about_the_gain(calibrated)
     held = [q.ci90[0] <= RATE <= q.ci90[1] for q in channels]
     assert sum(held) >= 3  # four intervals of 90 %
     certain = dataclasses.replace(slope, gain_stderr=(0.0,) * 4)
-    (again,) = (f for f in find_mechanisms(transfers[0].statistics, certain) if f.mechanism == "dark_current")
+    findings = find_mechanisms(transfers[0].statistics, certain, [MECHANISMS["dark_current"]])
+    again = findings[0]
     assert again.estimates["e_per_s"].stderr < found.estimates["e_per_s"].stderr
 
 

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
@@ -37,7 +38,7 @@ def recorded(camera, kind, level=0.0, exposure_s=0.1, frames=16, seed=0):
 
 def calibrated(*recordings):
     transfer = transfer_at([frame_statistics(r) for r in recordings])
-    return sensor_model([transfer], find_mechanisms(transfer.statistics, transfer.baseline))
+    return sensor_model([transfer], find_mechanisms(transfer.statistics, transfer.baseline, LISTED))
 
 
 def drawn(model, id):
@@ -61,7 +62,7 @@ def transfer_and_findings(truth):
         recorded(truth, "flat", 0.5, seed=3),
     )
     transfer = transfer_at([frame_statistics(r) for r in shots])
-    return transfer, find_mechanisms(transfer.statistics, transfer.baseline)
+    return transfer, find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +124,7 @@ def test_even_and_odd_columns_may_have_row_offsets_of_their_own():
     camera = BASE.with_mechanism("row_noise", point=place, sigma_dn=4.0)
     dark = frame_statistics(recorded(camera, "dark", frames=8))
     measured = row_noise([dark])
-    finding = placed(Finding("row_noise", measured, "in the model"), dark)
+    finding = placed(Finding(MECHANISMS["row_noise"], measured, "in the model"), dark)
     assert (finding.point.group, finding.point.phase, finding.point.interleave) == (2, 1, 2)
     assert finding.estimates["sigma_dn"].value == pytest.approx(4.0, rel=0.1)
     assert "even and odd columns apart" in finding.because
@@ -157,6 +158,6 @@ def test_rows_of_alternate_columns_are_no_wave():
     camera = BASE.with_mechanism("pairs", point=point, sigma_dn=5.0)
     shots = recorded(camera, "dark", seed=1), recorded(camera, "flat", 0.5, seed=2)
     transfer = transfer_at([frame_statistics(r) for r in shots])
-    found = {f.mechanism: f for f in find_mechanisms(transfer.statistics, transfer.baseline)}
+    found = {f.mechanism: f for f in find_mechanisms(transfer.statistics, transfer.baseline, LISTED)}
     assert found["row_noise"].point is not None and found["row_noise"].point.interleave == 2
     assert found["banding"].verdict != "in the model"

@@ -6,6 +6,7 @@ effect is known in closed form, and it can be stored, whether the field has a na
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -195,7 +196,6 @@ def mechanism_from_grammar(
     reference: str = "",
     needs: tuple[str, ...] = (),
     confused_with: tuple[str, ...] = (),
-    likelihood: Literal["exact", "approximate", "none"] | None = None,
     scaling: Scaling | None = None,
     parameters: tuple[Parameter, ...] | None = None,
     amplitude=None,
@@ -205,8 +205,6 @@ def mechanism_from_grammar(
     for axes that do not go together, see `contradiction`.
 
     scaling: default: a field in DN follows the gain, for it arises before the amplifier.
-    likelihood: default: frozen maps shift the mean, so "exact"; Gaussian fields of rows, columns or
-      frames are integrated, "approximate"; anything else "none".
     strength: name of the parameter that sets the strength, when `parameters` name it otherwise.
     """
     wrong = contradiction(point)
@@ -215,12 +213,6 @@ def mechanism_from_grammar(
     if parameters is None:
         parameters = point_parameters(point, default if default is not None else 0.01)
     name = strength or amplitude_name(point)
-    if likelihood is None:
-        normal = point.distribution == "gaussian" and point.spectrum != "sinusoid"
-        lines = point.over in ("row", "column", "whole")
-        white = point.over == "pixel" and point.spectrum == "white"
-        integrable = point.time == "redrawn" and normal and (lines or white) and point.interleave == 1
-        likelihood = "exact" if point.time == "frozen" else "approximate" if integrable else "none"
     if scaling is None:
         scaling = Scaling(gain=1.0 if name.endswith("_dn") else 0.0)
     if equation is None:
@@ -228,8 +220,6 @@ def mechanism_from_grammar(
         equation = "x \\to " + symbol.format(s="A" if point.spectrum == "sinusoid" else "\\sigma")
     return Mechanism(
         id=id,
-        stage=point.stage,
-        acts_on=point.acts_on,
         point=point,
         parameters=parameters,
         equation=equation,
@@ -237,7 +227,6 @@ def mechanism_from_grammar(
         reference=reference,
         needs=needs,
         confused_with=confused_with,
-        likelihood=likelihood,
         amplitude=amplitude or (lambda values, context: values[name]),
         sample=_sample(point, name),
         draw_maps=_draw_maps(point),
@@ -245,3 +234,10 @@ def mechanism_from_grammar(
         scaling=scaling,
         scales=name,
     )
+
+
+@functools.cache
+def bare(point: Point, id: str) -> Mechanism:
+    """The mechanism at a point of the grammar with nothing else given: one record for each, so that models
+    that share a point share compiled code."""
+    return mechanism_from_grammar(point, id=id)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,6 @@ from jaxtyping import Array, Float, Key
 Stage = Literal["photons", "pixel", "readout", "converter", "digital"]
 STAGES: tuple[Stage, ...] = ("photons", "pixel", "readout", "converter", "digital")
 ActsOn = Literal["mean", "charge", "signal", "code"]
-Likelihood = Literal["exact", "approximate", "none"]
 Transform = Literal["identity", "log", "logit"]
 
 Values = Mapping[str, Any]
@@ -162,52 +161,68 @@ def effect_in_dn(context: Context, mean=None, variance=None, **more) -> Effect:
     )
 
 
-@dataclass(frozen=True)
+def _first(values: Values, context: Context) -> Any:
+    return next(iter(values.values()))
+
+
+@dataclass(frozen=True, eq=False)
 class Mechanism:
     """One way in which cameras depart from Poisson-Gaussian noise.
 
-    id: a name of `vocabulary`, or "unnamed" for a bare grammar point.
-    point: its place in the grammar (see `grammar.Point`).
+    id: its name, or "unnamed" for a bare grammar point.
+    point: its place in the grammar (see `grammar.Point`), which says where it enters the chain.
     parameters: what is fitted; `scales` names the one that the scaling law multiplies, if any.
     sample(key, x, parameters, maps, context) -> x: pure, over all frames at once.
     baseline(noise, parameters, maps, context) -> noise: for mechanisms that alter the noise steps themselves.
     draw_maps(unit_key, parameters, context) -> maps: frozen patterns of a camera unit; None: it has none.
     effect(parameters, maps, context) -> Effect: closed form; None: there is none.
-    amplitude(parameters, context) -> the one number that the vocabulary defines, of parameters at that
-    setting.
-    score(z, parameters, maps, context) -> statistic of standardised residuals z[T, H, W] that is standard
-      normal for white Gaussian z: how strongly the data look like this mechanism.
+    amplitude(parameters, context) -> the one number that its term defines, of parameters at that setting; the
+      first parameter unless said.
     looks_back: it needs the frame before, x rolled by one: another is drawn through the same chain as the
       last of x, and dropped.
-    likelihood: "exact" and "approximate": the discretised likelihood integrates it; "none": composite score.
     needs: data kinds that identify it, of "pair", "pair_independent", "burst", "dark", "flat", "iso",
       "exposure", "temperature". confused_with: ids. equation: LaTeX without dollar signs.
+    home: "module:NAME" of the entries that hold it, where it is none of the package's; stored models say it.
     """
 
     id: str
-    stage: Stage
-    acts_on: ActsOn
     point: Any
     parameters: tuple[Parameter, ...]
-    equation: str
-    sentence: str
-    reference: str
-    needs: tuple[str, ...]
-    confused_with: tuple[str, ...]
-    likelihood: Likelihood
-    amplitude: Callable[[Values, Context], Any]
+    equation: str = ""
+    sentence: str = ""
+    reference: str = ""
+    needs: tuple[str, ...] = ()
+    confused_with: tuple[str, ...] = ()
+    amplitude: Callable[[Values, Context], Any] = _first
     sample: SampleFn | None = None
     baseline: Callable[[Noise, Values, Maps, Context], Noise] | None = None
     draw_maps: Callable[[Key[Array, ""], Values, Context], dict[str, Array]] | None = None
     effect: Callable[[Values, Maps, Context], Effect] | None = None
-    score: Callable[[Array, Values, Maps, Context], Array] | None = None
     looks_back: bool = False
     scaling: Scaling = field(default_factory=Scaling)
     scales: str | None = None
+    home: str = ""
+
+    @property
+    def stage(self) -> Stage:
+        """Where it enters the chain."""
+        return self.point.stage
+
+    @property
+    def acts_on(self) -> ActsOn:
+        """What it changes there."""
+        return self.point.acts_on
 
     def defaults(self) -> dict[str, float]:
         """Typical values of the parameters."""
         return {p.name: p.default for p in self.parameters}
+
+
+class HasRecord(Protocol):
+    """Anything that holds a mechanism, as an entry of `mechanisms` does."""
+
+    @property
+    def record(self) -> Mechanism: ...
 
 
 def scaling_factor(scaling: Scaling, context: Context, reference_gain: Array) -> Array:

@@ -12,6 +12,8 @@ pixel, which XLA fuses into one loop, so the cost is that of the random bits.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +21,9 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core.random_bits import random_bits
+
+InitialNoise = Callable[..., tuple[Any, Any]]
+"""What a learned generator starts from: (key, clean, shot, read) -> (noise, sigma)."""
 
 _SWITCH = 12.0
 """Mean count above which the expansion is used: there it misses the exact quantile in < 5e-4 of the draws."""

@@ -17,12 +17,12 @@ from __future__ import annotations
 import functools
 import json
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
+from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.recordings.recording import BadInput
 
 PHONES = {
@@ -43,8 +43,23 @@ def preset_names() -> tuple[str, ...]:
     return (*read_table("cameras")["cameras"], *PHONES)
 
 
-def preset(name: str, iso: float | None = None) -> SensorModel:
-    """A camera from published tables, at all its ISOs, or at `iso` alone.
+class Preset(NamedTuple):
+    """Numbers of a camera: per ISO gain, DN/e-, and read noise, e-; levels in DN; mechanisms with the one
+    parameter that the table gives."""
+
+    iso: tuple[float, ...]
+    gain_dn_per_e: np.ndarray
+    read_noise_e: np.ndarray
+    black_level: float
+    white_level: float
+    code_step: float
+    cfa: str
+    mechanisms: tuple[tuple[str, dict[str, IsoTable | float]], ...]
+
+
+def preset(name: str, iso: float | None = None) -> Preset:
+    """A camera from published tables, at all its ISOs, or at `iso` alone: what `SensorModel.preset` makes a
+    model of.
 
     Raises BadInput for an unknown name, or an ISO that is not in the camera's table.
     """
@@ -60,7 +75,7 @@ def preset(name: str, iso: float | None = None) -> SensorModel:
         table = {**table, **{k: [table[k][list(isos).index(iso)]] for k in _ROWS if k in table}}
     elif name in _SWITCHES:
         table = _stepped(table, _SWITCHES[name])
-    return _model(name, table)
+    return _numbers(table)
 
 
 @functools.cache
@@ -100,23 +115,22 @@ _MECHANISMS = {
 }
 
 
-def _model(name: str, table: dict[str, Any]) -> SensorModel:
+def _numbers(table: dict[str, Any]) -> Preset:
     gain, read = np.asarray(table["gain"]), np.asarray(table["read"])
-    model = SensorModel.poisson_gaussian(
+    return Preset(
+        tuple(float(i) for i in table["iso"]),
         gain[:, None],
         (read / gain)[:, None],
         table["black_level"],
         table["white_level"],
+        _CODE_STEP,
         table["cfa"],
-        iso=tuple(float(i) for i in table["iso"]),
-        code_step=_CODE_STEP,
-        camera=name,
+        tuple(
+            (id, {parameter: by_iso(table["iso"], table[column])})
+            for column, (id, parameter) in _MECHANISMS.items()
+            if column in table
+        ),
     )
-    for column, (id, parameter) in _MECHANISMS.items():
-        if column in table:
-            parameters: dict[str, Any] = {parameter: by_iso(table["iso"], table[column])}
-            model = model.with_mechanism(id, **parameters)
-    return model
 
 
 def by_iso(isos, values) -> IsoTable | float:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
-from cannoise_jax.physics.core import ranges, registry
+from cannoise_jax.physics.core import presets, ranges, registry
 from cannoise_jax.physics.core.chain import altered_noise, closed_form, maps_of, run_chain, to_codes
-from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
-from cannoise_jax.physics.core.mechanism import Scaling
-from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
+from cannoise_jax.physics.core.grammar import Point, bare
+from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
+from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
 from cannoise_jax.physics.core.settings import (
     DEFAULT,
     ExtrapolationWarning,
@@ -30,7 +30,6 @@ from cannoise_jax.physics.core.settings import (
     resolve,
     warn_outside,
 )
-from cannoise_jax.physics.initial_noise import InitialNoise
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
 from cannoise_jax.recordings.recording import PerChannel
 
@@ -122,13 +121,25 @@ class SensorModel:
     @staticmethod
     def preset(name: str, iso: float | None = None) -> SensorModel:
         """A camera from published tables, see `presets`; iso: keep only this ISO."""
-        from cannoise_jax.physics.core import presets
-
-        return presets.preset(name, iso)
+        found = presets.preset(name, iso)
+        model = SensorModel.poisson_gaussian(
+            found.gain_dn_per_e,
+            found.read_noise_e,
+            found.black_level,
+            found.white_level,
+            found.cfa,
+            iso=found.iso,
+            code_step=found.code_step,
+            camera=name,
+        )
+        for id, parameters in found.mechanisms:
+            model = model.with_mechanism(id, **cast(dict[str, Any], parameters))
+        return model
 
     def with_mechanism(
         self,
-        id: str,
+        mechanism: str | Mechanism | HasRecord,
+        /,
         *,
         scaling: Scaling | None = None,
         maps: dict[str, Array] | None = None,
@@ -137,21 +148,19 @@ class SensorModel:
     ) -> SensorModel:
         """The model with one more mechanism; parameters not given take their typical values.
 
-        id: of the vocabulary; or any name with `point`, a bare place in the grammar. Parameters: numbers or
-        `IsoTable`s, maybe traced; they hold at the scaling law's reference setting. Raises ValueError for
-        unknown names, numbers outside the parameter's range (`registry.mechanism(id).parameters`), and maps
-        that the mechanism does not have.
+        mechanism: a name of the package; an entry or record of one's own; or any name with `point`, a bare
+        place in the grammar. Parameters: numbers or `IsoTable`s, maybe traced; they hold at the scaling law's
+        reference setting. Raises ValueError for unknown names, numbers outside the parameter's range (as its
+        record states it), and maps that the mechanism does not have.
         """
-        if point is not None:
-            ranges.check_point(id, point)
-        record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
-        known = record.defaults()
+        record = _record(mechanism, point)
+        id, known = record.id, record.defaults()
         unknown = sorted(set(parameters) - set(known))
         if unknown:
             raise ValueError(
                 f"{id} has no parameter {', '.join(unknown)}: it has {', '.join(known) or 'none'}"
             )
-        fitted = Fitted(id, {**known, **parameters}, scaling or record.scaling, dict(maps or {}), point)
+        fitted = Fitted(record, {**known, **parameters}, scaling or record.scaling, dict(maps or {}), point)
         ranges.check_fitted(fitted)
         ranges.check_maps(self, fitted)
         return dataclasses.replace(self, mechanisms=chain_order((*self.mechanisms, fitted)))
@@ -227,6 +236,19 @@ class SensorModel:
             return pack(noise, self.cfa), pack(jax.vmap(sigma)(mosaic, *levels), self.cfa)
 
         return draw
+
+
+def _record(mechanism: str | Mechanism | HasRecord, point: Point | None) -> Mechanism:
+    if isinstance(mechanism, str):
+        if point is None:
+            return registry.mechanism(mechanism)
+        ranges.check_point(mechanism, point)
+        return bare(point, mechanism)
+    record = mechanism if isinstance(mechanism, Mechanism) else mechanism.record
+    if point is not None:
+        raise ValueError(f"{record.id}: has its place in the grammar: give a name with point, or it alone")
+    registry.check_name(record)
+    return record
 
 
 def _array(values) -> Any:

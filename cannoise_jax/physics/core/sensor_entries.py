@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.physics.core import registry
-from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
-from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.grammar import Point, bare
+from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.ranges import check_point, is_whole
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
 from cannoise_jax.recordings.recording import per_channel
@@ -28,8 +28,16 @@ _MAY_BE_NULL = ("doubling_c", "reference_iso", "reference_temperature_c")
 _KINDS: dict[Any, str] = {str: "text", list: "a list", dict: "entries by name"}
 
 
-def model_of(document: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> SensorModel:
-    """The model of a document as `sensor_json.sensor_document` makes it; maps: by the names it gives them."""
+class Foreign(ValueError):
+    """A mechanism that is not of the package, and whose entry was not given."""
+
+
+def model_of(
+    document: Mapping[str, Any], maps: Mapping[str, np.ndarray], mechanisms: Sequence[HasRecord] = ()
+) -> SensorModel:
+    """The model of a document as `sensor_json.sensor_document` makes it; maps: by the names it gives them;
+    mechanisms: those from outside the package. Raises Foreign where one is not given."""
+    known = {**{m.record.id: m.record for m in mechanisms}, **registry.packaged()}
     rows = [
         _of_kind(row, f"baseline {n}", dict) for n, row in enumerate(entry_of(document, "baseline", list))
     ]
@@ -55,7 +63,7 @@ def model_of(document: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Sen
         unit_key=_key(document.get("unit_key"), document.get("unit_key_impl", IMPLEMENTATION)),
     )
     for n, entry in enumerate(entry_of(document, "mechanisms", list)):
-        model = _with_entry(model, _of_kind(entry, f"mechanisms {n}", dict), n, maps)
+        model = _with_entry(model, _of_kind(entry, f"mechanisms {n}", dict), n, maps, known)
     return model
 
 
@@ -156,28 +164,36 @@ def _parameter(value: Any, what: str) -> IsoTable | float:
     return IsoTable(*columns)
 
 
-def _lacking(id: str, point: Point | None, given: Mapping[str, Any]) -> list[str]:
-    """The parameters of a mechanism that a file does not give."""
+def _record(id: str, point: Point | None, known: Mapping[str, Mechanism], home: Any) -> Mechanism:
+    """The mechanism of an entry."""
     if point is not None:
         check_point(id, point)
-    record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
-    return [name for name in record.defaults() if name not in given]
+        return bare(point, id)
+    if id not in known and home is not None:
+        where = _of_kind(home, f"{id}: home", str) or "another package"
+        raise Foreign(f"needs the mechanism {id} of {where}: give its entry, as with --mechanisms {where}")
+    return known[id] if id in known else registry.mechanism(id)
 
 
 def _with_entry(
-    model: SensorModel, entry: dict[str, Any], number: int, maps: Mapping[str, np.ndarray]
+    model: SensorModel,
+    entry: dict[str, Any],
+    number: int,
+    maps: Mapping[str, np.ndarray],
+    known: Mapping[str, Mechanism],
 ) -> SensorModel:
     id = entry_of(entry, "mechanism", str, f"mechanisms {number}: ")
     parameters = {
         name: _parameter(v, f"{id}: {name}")
         for name, v in entry_of(entry, "parameters", dict, f"{id}: ").items()
     }
-    reserved = {"self", "id", "scaling", "maps", "point"} & set(parameters)
+    reserved = {"scaling", "maps", "point"} & set(parameters)
     if reserved:
         raise ValueError(f"{id} has no parameter {reserved.pop()}")
     point = _point(id, entry.get("grammar"))
     # A typical value is for those who compose a model: a file that leaves one out is damaged.
-    for name in _lacking(id, point, parameters):
+    record = _record(id, point, known, entry.get("home"))
+    for name in (n for n in record.defaults() if n not in parameters):
         raise ValueError(f"{id} lacks the parameter {name!r}")
     named = _of_kind(entry.get("maps", {}), f"{id}: maps", dict)
     for name, key in named.items():
@@ -186,7 +202,7 @@ def _with_entry(
                 f"{id}: map {name} is {reprlib.repr(key)}, which is not in the .npz file, or holds no numbers"
             )
     return model.with_mechanism(
-        id,
+        record if point is None else id,
         scaling=_scaling(id, entry.get("scaling", {})),
         maps={name: jnp.asarray(maps[key]) for name, key in named.items()},
         point=point,

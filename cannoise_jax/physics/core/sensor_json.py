@@ -1,7 +1,9 @@
 """Sensor models on disk: `sensor.json` (schema cannoise/sensor/1) and, beside it, an `.npz` with maps.
 
 A parameter is a number, or {"iso": [...], "value": [...]}. A mechanism with a place of its own in the grammar
-carries it. Maps are named in the JSON file, which records the SHA-256 of the `.npz`; nothing is unpickled.
+carries it; one from outside the package says where its entry is, which the reader is given: no code is loaded
+because a file names it. Maps are named in the JSON file, which records the SHA-256 of the `.npz`; nothing is
+unpickled.
 """
 
 from __future__ import annotations
@@ -13,15 +15,17 @@ import json
 import os
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core import registry
+from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
-from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, entry_of, model_of
+from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
 from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/sensor/1"
@@ -43,7 +47,7 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
     check_place(path, bool(maps))
     try:
         document = sensor_document(model)
-        model_of(document, maps)
+        model_of(document, maps, model.mechanisms)
     except (ValueError, TypeError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"{path}: not written, {said}: correct the model") from error
@@ -144,11 +148,14 @@ def _mechanism(index: int, fitted) -> dict[str, Any]:
     if fitted.point is not None:
         axes = dataclasses.asdict(fitted.point)
         entry["grammar"] = {axis: list(v) if isinstance(v, tuple) else v for axis, v in axes.items()}
+    elif fitted.mechanism not in registry.packaged():
+        entry["home"] = fitted.record.home
     return entry
 
 
-def read_sensor(path: str | Path) -> SensorModel:
-    """The model of a `sensor.json`. Raises BadInput with one line for anything that is not one."""
+def read_sensor(path: str | Path, mechanisms: Sequence[HasRecord] = ()) -> SensorModel:
+    """The model of a `sensor.json`. mechanisms: entries from outside the package that it may name. Raises
+    BadInput with one line for anything that is not one, and where an entry is missing."""
     path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -159,9 +166,11 @@ def read_sensor(path: str | Path) -> SensorModel:
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise BadInput(f"{path}: has no schema {SCHEMA}: name a sensor.json written by bin/calibrate")
     try:
-        return model_of(document, _read_maps(path, document))
+        return model_of(document, _read_maps(path, document), mechanisms)
     except BadInput:
         raise
+    except Foreign as error:
+        raise BadInput(f"{path}: {error}") from error
     except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"{path}: {said}: correct the entry, or write the file anew") from error

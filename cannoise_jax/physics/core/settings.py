@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from cannoise_jax.physics.core import registry
-from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Scaling, scaling_factor
 from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
 
@@ -61,26 +61,25 @@ class Fitted:
     """A mechanism with its parameters: numbers or `IsoTable`s by name, and the frozen maps that were
     measured.
 
-    maps empty: they are drawn from the model's `unit_key`. point: for a mechanism without a name ("unnamed").
+    maps empty: they are drawn from the model's `unit_key`. point: of a mechanism that is nothing but a place
+    in the grammar, under whatever name.
     """
 
-    mechanism: str = field(metadata={"static": True})
+    record: Mechanism = field(metadata={"static": True})
     parameters: dict[str, Any]
     scaling: Scaling
     maps: dict[str, Array]
     point: Point | None = field(default=None, metadata={"static": True})
 
     @property
-    def record(self) -> Mechanism:
-        """The functions of this mechanism."""
-        if self.point is not None:
-            return mechanism_from_grammar(self.point, id=self.mechanism)
-        return registry.mechanism(self.mechanism)
+    def mechanism(self) -> str:
+        """Its name."""
+        return self.record.id
 
 
 def chain_order(fitted: tuple[Fitted, ...]) -> tuple[Fitted, ...]:
     """Fitted mechanisms in the order of the signal chain; equals keep their order."""
-    return tuple(sorted(fitted, key=lambda f: registry.chain_position(f.mechanism, f.record)))
+    return tuple(sorted(fitted, key=lambda f: registry.chain_position(f.record)))
 
 
 def site_map(values: Float[Array, "... 4"], size: tuple[int, int]) -> Float[Array, "... h w"]:

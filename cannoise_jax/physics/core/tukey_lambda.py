@@ -14,6 +14,8 @@ from jaxtyping import Array, Float
 from scipy import optimize
 from scipy.special import beta
 
+GAUSSIAN = 0.135
+"""The shape nearest to a Gaussian."""
 _NEAR_ZERO = 0.15
 """Below this |l| the variance is a polynomial through float64 values, for the closed form divides by l^2."""
 

@@ -193,8 +193,3 @@ def gaussian_log_prob(codes: Values, mean: Values, variance: Values, grid: CodeG
     below = log_normal_cdf((rail_edge(grid.low, half) - mean) / sigma)
     above = log_normal_cdf((mean - rail_edge(grid.high, -half)) / sigma)
     return censored(codes, inner, below, above, grid)
-
-
-def code_entropy(log_prob: Float[Array, "... codes"]) -> Real:
-    """Entropy in nats of distributions over all codes (last axis): minus the expected log-likelihood."""
-    return -jnp.sum(jnp.where(log_prob > -80, jnp.exp(log_prob) * log_prob, 0.0), -1)

@@ -64,8 +64,7 @@ def student_mixture(dof: Values) -> tuple[Real, Real]:
     each.
 
     Student's t is a normal whose variance is divided by chi2(dof) / dof; the trapezoid rule in the logarithm
-    of
-    that quotient is good to 2e-5 nats for codes down to a probability of e^-30.
+    of that quotient is good to 2e-5 nats for codes down to a probability of e^-30.
     """
     dof = jnp.asarray(dof, jnp.float32)
     low, high = -60.0 / dof - 3 * jnp.sqrt(2 / dof), 7 * jnp.sqrt(2 / dof) / (1 + jnp.sqrt(1 / dof))

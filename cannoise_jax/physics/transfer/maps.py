@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +23,7 @@ from cannoise_jax.physics.core.chain import mechanism_key
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge, noise
 from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
 from cannoise_jax.physics.transfer.estimators.pick import (
@@ -37,25 +38,44 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 
 Statistics = Sequence[FrameStatistics]
-_SPREAD_CHARGE = ("dark_current", "amp_glow")
-_DARK_CHARGE = (*_SPREAD_CHARGE, "hot_pixels")
-"""Mechanisms that add dark charge: to all pixels, whose noise it is too; or to few, which the read noise
-leaves out."""
 
 
 class Seen(NamedTuple):
     """What a map is made of: recordings, the baseline that was measured on them, standard normal numbers of a
-    shape from the unit's key, and the mechanisms before it in the chain with their maps, by id."""
+    shape from the unit's key, and the mechanisms before it in the chain with their maps."""
 
     statistics: Statistics
     baseline: Baseline
     draw: Callable[[tuple[int, ...]], np.ndarray]
-    known: dict[str, Fitted]
+    known: tuple[Fitted, ...]
+
+    def earlier(self, has: Callable[[Fitted], bool]) -> Fitted | None:
+        """The mechanism of a kind that has maps and stands before in the chain."""
+        return next((f for f in self.known if f.maps and has(f)), None)
 
 
-def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Baseline) -> SensorModel:
+def _is_charge(fitted: Fitted) -> bool:
+    """Whether it adds dark charge."""
+    return fitted.record.acts_on == "mean" and fitted.record.stage == "pixel"
+
+
+def _is_heat(fitted: Fitted) -> bool:
+    """Whether it adds dark charge to few pixels, which the read noise leaves out."""
+    return _is_charge(fitted) and fitted.record.point.distribution == "sparse"
+
+
+def _jumps(fitted: Fitted) -> bool:
+    return fitted.record.point.time == "telegraph"
+
+
+def with_measured_maps(
+    model: SensorModel,
+    statistics: Statistics,
+    baseline: Baseline,
+    estimators: Mapping[str, Estimator],
+) -> SensorModel:
     """The model with the maps of the unit that was recorded, where its mechanisms have any and the recordings
-    show them; the others stay as they are drawn from the unit's key."""
+    show them; the others stay as they are drawn from the unit's key. estimators: by id."""
     kept: list[Fitted] = []
     for i, fitted in enumerate(model.mechanisms):
         key = mechanism_key(model.unit_key, model, i)
@@ -63,8 +83,8 @@ def with_measured_maps(model: SensorModel, statistics: Statistics, baseline: Bas
         def draw(shape: tuple[int, ...], key=key) -> np.ndarray:
             return np.asarray(sample_normal(key, shape), np.float64)
 
-        measure = _MEASURED.get(fitted.mechanism)
-        seen = Seen(statistics, baseline, draw, {f.mechanism: f for f in kept})
+        measure = estimators[fitted.mechanism].maps
+        seen = Seen(statistics, baseline, draw, tuple(kept))
         maps = measure(fitted.parameters, seen) if measure else {}
         stored = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
         kept.append(dataclasses.replace(fitted, maps=stored))
@@ -78,9 +98,9 @@ def without_charge(model: SensorModel, exposures: Sequence[float], size: tuple[i
     gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
     read2, black = np.asarray(read, np.float64) ** 2, np.asarray(model.black_level, np.float64)
     for n, seconds in enumerate(exposures):
-        spread = _charge(model, _SPREAD_CHARGE, n, seconds, size)
+        spread = _charge(model, lambda f: _is_charge(f) and not _is_heat(f), n, seconds, size)
         read2[n] = np.maximum(read2[n] - gain[n] * spread, 0.01 * read2[n])
-    black = black - _charge(model, _DARK_CHARGE, 0, exposures[0], size)
+    black = black - _charge(model, _is_charge, 0, exposures[0], size)
     return dataclasses.replace(
         model,
         black_level=black.astype(np.float32),
@@ -89,10 +109,10 @@ def without_charge(model: SensorModel, exposures: Sequence[float], size: tuple[i
 
 
 def _charge(
-    model: SensorModel, some: tuple[str, ...], n: int, seconds: float, size: tuple[int, int]
+    model: SensorModel, some: Callable[[Fitted], bool], n: int, seconds: float, size: tuple[int, int]
 ) -> Float[np.ndarray, "4"]:
     """Mean of what some mechanisms add in a dark at the n-th ISO, DN per mosaic site."""
-    bare = dataclasses.replace(model, mechanisms=tuple(f for f in model.mechanisms if f.mechanism in some))
+    bare = dataclasses.replace(model, mechanisms=tuple(f for f in model.mechanisms if some(f)))
     at = Settings(float(np.asarray(model.iso)[n]), seconds)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a dark outside the range of its own calibration is no news
@@ -100,7 +120,9 @@ def _charge(
     return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - np.asarray(model.black_level)
 
 
-def without_repetition(model: SensorModel, statistics: Statistics) -> SensorModel:
+def without_repetition(
+    model: SensorModel, statistics: Statistics, estimators: Mapping[str, Estimator]
+) -> SensorModel:
     """The model with a baseline that leaves out what its mechanisms add or take away; dark charge:
     `without_charge`.
 
@@ -110,13 +132,13 @@ def without_repetition(model: SensorModel, statistics: Statistics) -> SensorMode
     """
     gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
     for fitted in model.mechanisms:
-        if fitted.mechanism in ("crosstalk", "in_camera_denoising"):
+        if estimators[fitted.mechanism].smooths:
             share = next(iter(fitted.parameters.values()))
             kept = (1 - share) ** 2 + share**2 / 4  # of the variance of white noise
             gain = gain / kept
-            read = read if fitted.mechanism == "crosstalk" else read / np.sqrt(kept)
+            read = read if fitted.record.acts_on == "charge" else read / np.sqrt(kept)
         dark = darkest(statistics)
-        if fitted.mechanism == "rts" and fitted.maps and dark is not None:
+        if _jumps(fitted) and fitted.maps and dark is not None:
             quiet, keep = np.asarray(fitted.maps["sites"])[0] == 0, steady_pixels(dark)
             for c in range(4):
                 variance, inside = pixel_variance(dark, c), site(keep, c)
@@ -145,7 +167,8 @@ def shrunk(shown: np.ndarray, sigma: float, noise_variance: float, rest: np.ndar
     return share * shown / sigma + np.sqrt(1 - share) * rest
 
 
-def _dsnu(values, seen: Seen):
+def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Fixed offsets of the pixels, in units of their rms."""
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
@@ -156,27 +179,27 @@ def _dsnu(values, seen: Seen):
     out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
     far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(found.noise)
     field = np.where(found.keep, field, np.where(far, out, rest))
-    hot = seen.known.get("hot_pixels")
-    return {
-        "field": np.where(np.asarray(hot.maps["heat"])[0] > 0, 0.0, field)[None]
-        if hot and hot.maps
-        else field[None]
-    }
+    hot = seen.earlier(_is_heat)
+    if hot is not None:
+        field = np.where(np.asarray(hot.maps["heat"])[0] > 0, 0.0, field)
+    return {"field": field[None]}
 
 
-def _prnu(values, seen: Seen):
+def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Fixed sensitivities of the pixels, in units of their rms."""
     flat, dark = brightest_flat(seen.statistics), darkest(seen.statistics)
     if flat is None:
         return {}
-    found, offsets = response_pattern(flat), np.zeros(flat.mean.shape)
+    found, dark_pattern = response_pattern(flat), np.zeros(flat.mean.shape)
     if dark is not None:
-        offsets = offset_pattern(dark).pixels / float(np.mean(flat.level))
+        dark_pattern = offset_pattern(dark).pixels / float(np.mean(flat.level))
     rest = seen.draw(found.pixels.shape)
-    field = shrunk(found.pixels - offsets, values["sigma"], found.noise, rest)
+    field = shrunk(found.pixels - dark_pattern, values["sigma"], found.noise, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 
-def _column_gain(values, seen: Seen):
+def column_response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Fixed gains of the columns, in units of their rms."""
     flat = brightest_flat(seen.statistics)
     if flat is None:
         return {}
@@ -192,7 +215,8 @@ def _lines(offsets: Float[np.ndarray, "T n"], sigma: float, draw) -> np.ndarray:
     return shrunk(offsets.mean(0), sigma, temporal / len(offsets), draw(offsets.shape[1:]))
 
 
-def _row_fpn(values, seen: Seen):
+def row_pattern(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Fixed offsets of the rows, in units of their rms."""
     dark = darkest(seen.statistics)
     return (
         {}
@@ -201,21 +225,23 @@ def _row_fpn(values, seen: Seen):
     )
 
 
-def _column_fpn(values, seen: Seen):
+def column_pattern(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Fixed offsets of the columns, in units of their rms."""
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
     return {"field": _lines(column_offsets(dark), values["sigma_dn"], seen.draw)[None, None]}
 
 
-def _read_noise_map(values, seen: Seen):
+def read_noise(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """The pixels' read noise over that of the baseline."""
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
     # Log-normal read noise of unit mean square: the variances have logs of rms 2 w, w^2 = ln(1 + spread^2).
     width, half = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2))), dark.dof / 2
-    telegraph, ratio, jumps = seen.known.get("rts"), np.empty(dark.mean.shape), np.zeros(dark.mean.shape)
-    if telegraph is not None and telegraph.maps:
+    telegraph, ratio, jumps = seen.earlier(_jumps), np.empty(dark.mean.shape), np.zeros(dark.mean.shape)
+    if telegraph is not None:
         jumps = np.asarray(telegraph.maps["sites"])[0] * telegraph.parameters["jump_dn"] ** 2 / 4
     for c in range(4):
         square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
@@ -238,31 +264,21 @@ def _loud(ratio: np.ndarray, dof: float) -> np.ndarray:
     return (ratio > 1.0) & (loud > chance)
 
 
-def _hot_pixels(values, seen: Seen):
+def heat(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Dark current of the hot pixels over their mean; 0 elsewhere."""
     found = charge.hot_map(seen.statistics, seen.baseline, values["e_per_s"], values["fraction"])
     return {} if found is None else {"heat": found[None]}
 
 
-def _glow(values, seen: Seen):
+def glow(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Glow over its brightest point."""
     found = charge.glow_map(seen.statistics, seen.baseline)
     return {} if found is None else {"glow": found[None]}
 
 
-def _telegraph(values, seen: Seen):
+def telegraph(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """1 at telegraph pixels."""
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
     return {"sites": noise.telegraph_sites(dark, **values)[None]}
-
-
-_MEASURED = {
-    "dsnu": _dsnu,
-    "prnu": _prnu,
-    "column_gain": _column_gain,
-    "row_fpn": _row_fpn,
-    "column_fpn": _column_fpn,
-    "pixel_read_noise_map": _read_noise_map,
-    "hot_pixels": _hot_pixels,
-    "amp_glow": _glow,
-    "rts": _telegraph,
-}

@@ -7,17 +7,20 @@ structures leave in it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.transfer.estimate import (
+    Estimate,
     Estimates,
     heavy_dof,
     root,
     variance_difference,
 )
+from cannoise_jax.physics.transfer.estimator import Placed
 from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_DARKS,
     column_offsets,
@@ -90,6 +93,22 @@ def offset_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     share = rows * _long_run(row_offsets(dark)) / dark.recording.size[0]
     drift = variance_difference(frames.var(ddof=1), len(frames) - 1, share, dof)
     return {"sigma_dn": root(drift)}
+
+
+def placed_rows(estimates: Mapping[str, Estimate], dark: FrameStatistics) -> Placed | None:
+    """Row noise at its place in the grammar, where rows are read together or even and odd columns apart."""
+    groups, apart = row_groups(dark), columns_apart(dark)
+    if groups is None and not apart:
+        return None
+    count, phase = groups or (1, 0)
+    said = [f"{count} rows at a time"] if groups else []
+    said += ["even and odd columns apart"] if apart else []
+    # The mean of a row holds half of the variance of two that have nothing in common.
+    sigma = estimates["sigma_dn"].scaled(2**0.5 if apart else 1.0)
+    point = Point(
+        "readout", "signal", "row", "redrawn", group=count, phase=phase, interleave=2 if apart else 1
+    )
+    return Placed({"sigma_dn": sigma}, f"({', '.join(said)})", point)
 
 
 def columns_apart(dark: FrameStatistics) -> bool:

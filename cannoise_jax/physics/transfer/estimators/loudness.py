@@ -16,11 +16,12 @@ from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.transfer.estimate import Estimate
+from cannoise_jax.physics.transfer.estimator import Law
 from cannoise_jax.physics.transfer.estimators.charge import hessian
 from cannoise_jax.physics.transfer.estimators.noise import standardised, telegraph_odds
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 
-LOUD = ("heavy_tails", "pixel_read_noise_map", "rts")
+LAWS: tuple[Law, ...] = ("tails", "spread", "telegraph")
 _MOST_VALUES = 300_000
 _OFFSET_STEP = 0.4
 _FROZEN = 4.0
@@ -33,16 +34,16 @@ _Z_95 = 1.6449
 
 
 class Explanation(NamedTuple):
-    """The combination of mechanisms that explains the loud values best, its parameters by mechanism and name,
-    and by how much its criterion is better than that of the other combinations that were tried, nats."""
+    """The combination of laws that explains the loud values best, its parameters by law and name, and by how
+    much its criterion is better than that of the other combinations that were tried, nats."""
 
-    mechanisms: tuple[str, ...]
-    estimates: Mapping[str, Mapping[str, Estimate]]
-    margins: Mapping[tuple[str, ...], float]
+    laws: tuple[Law, ...]
+    estimates: Mapping[Law, Mapping[str, Estimate]]
+    margins: Mapping[tuple[Law, ...], float]
 
 
 class _Part(NamedTuple):
-    """Parameters of one mechanism on the whole real line and back; the amplitude of rts in units of noise."""
+    """Parameters of one law on the whole real line and back; the amplitude of a jump in units of noise."""
 
     names: tuple[str, ...]
     forward: tuple
@@ -51,9 +52,9 @@ class _Part(NamedTuple):
 
 
 _PARTS = {
-    "heavy_tails": _Part(("tukey_lambda",), (float,), (lambda v: float(np.clip(v, -0.45, 0.3)),), (0.01,)),
-    "pixel_read_noise_map": _Part(("spread",), (np.log,), (lambda v: float(np.exp(min(v, 1.0))),), (0.03,)),
-    "rts": _Part(
+    "tails": _Part(("tukey_lambda",), (float,), (lambda v: float(np.clip(v, -0.45, 0.3)),), (0.01,)),
+    "spread": _Part(("spread",), (np.log,), (lambda v: float(np.exp(min(v, 1.0))),), (0.03,)),
+    "telegraph": _Part(
         ("jump_dn", "fraction", "rate"),
         (lambda v: np.log(max(v - _VISIBLE, 0.1)), special.logit, lambda v: special.logit(min(2 * v, 0.95))),
         (lambda v: _VISIBLE + np.exp(min(v, 10.0)), special.expit, lambda v: special.expit(v) / 2),
@@ -63,44 +64,44 @@ _PARTS = {
 
 
 def explanation(
-    dark: FrameStatistics, found: Mapping[str, Mapping[str, Estimate]], seed: int = 0
+    dark: FrameStatistics, found: Mapping[Law, Mapping[str, Estimate]], seed: int = 0
 ) -> Explanation:
-    """Which of the mechanisms found one by one explain the dark together, every one as a single cause or
-    beside others. found: by id, of `LOUD`, with the estimates to start from. seed: of the pixels that are
+    """Which of the laws found one by one explain the dark together, every one as a single cause or
+    beside others. found: by law, with the estimates to start from. seed: of the pixels that are
     looked at, where there are too many."""
     series, sigma = standardised(dark)
     series = _without_hot(series)
     offsets = _offsets(series)
     series = _sample(series, _MOST_VALUES // len(offsets[0]), seed)
-    starts = {id: _start(id, found[id], sigma) for id in found}
-    fits: dict[tuple[str, ...], tuple[float, np.ndarray]] = {
-        (id,): _fit(series, offsets, (id,), np.concatenate([[0.0], starts[id]])) for id in found
+    starts = {law: _start(law, found[law], sigma) for law in found}
+    fits: dict[tuple[Law, ...], tuple[float, np.ndarray]] = {
+        (law,): _fit(series, offsets, (law,), np.concatenate([[0.0], starts[law]])) for law in found
     }
-    best = min(fits, key=lambda ids: fits[ids][0])
+    best = min(fits, key=lambda laws: fits[laws][0])
     while len(best) < len(found):
         # One more cause beside the best so far, as long as that pays.
-        for id in set(found) - set(best):
-            wider = tuple(k for k in LOUD if k in (*best, id))
+        for law in set(found) - set(best):
+            wider = tuple(k for k in LAWS if k in (*best, law))
             known = dict(zip(best, np.split(fits[best][1][1:], _ends(best)), strict=True))
             # Tails start near a Gaussian beside others, where they change nothing.
-            known.setdefault("heavy_tails", np.array([_NEARLY_GAUSSIAN]))
+            known.setdefault("tails", np.array([_NEARLY_GAUSSIAN]))
             start = np.concatenate([fits[best][1][:1], *(known.get(k, starts[k]) for k in wider)])
             fits[wider] = _fit(series, offsets, wider, start)
-        better = min(fits, key=lambda ids: fits[ids][0])
+        better = min(fits, key=lambda laws: fits[laws][0])
         if better == best:
             break
         best = better
-    margins = {ids: fits[ids][0] - fits[best][0] for ids in fits}
+    margins = {laws: fits[laws][0] - fits[best][0] for laws in fits}
     return Explanation(best, _estimates(series, offsets, best, fits[best][1], sigma), margins)
 
 
-def _ends(ids: Sequence[str]) -> np.ndarray:
-    """Where the parameters of each mechanism but the last end."""
-    return np.cumsum([len(_PARTS[id].names) for id in ids])[:-1]
+def _ends(laws: Sequence[str]) -> np.ndarray:
+    """Where the parameters of each law but the last end."""
+    return np.cumsum([len(_PARTS[law].names) for law in laws])[:-1]
 
 
-def _start(id: str, estimates: Mapping[str, Estimate], sigma: float) -> np.ndarray:
-    part = _PARTS[id]
+def _start(law: str, estimates: Mapping[str, Estimate], sigma: float) -> np.ndarray:
+    part = _PARTS[law]
     values = [estimates[name].value / (sigma if name == "jump_dn" else 1.0) for name in part.names]
     return np.array([f(v) for f, v in zip(part.forward, values, strict=True)])
 
@@ -134,11 +135,11 @@ def _sample(series: Float[np.ndarray, "T n"], values: int, seed: int) -> Float[n
     return series[:, np.random.default_rng(seed).choice(series.shape[1], most, replace=False)]
 
 
-def _values(ids: Sequence[str], x: np.ndarray) -> dict[str, float]:
+def _values(laws: Sequence[str], x: np.ndarray) -> dict[str, float]:
     """Parameters by name, the scale of the noise with them."""
     out, at = {"scale": float(np.exp(x[0]))}, 1
-    for id in ids:
-        for name, back in zip(_PARTS[id].names, _PARTS[id].back, strict=True):
+    for law in laws:
+        for name, back in zip(_PARTS[law].names, _PARTS[law].back, strict=True):
             out[name] = float(back(x[at]))
             at += 1
     return out
@@ -147,11 +148,11 @@ def _values(ids: Sequence[str], x: np.ndarray) -> dict[str, float]:
 def _negative(
     series: Float[np.ndarray, "T n"],
     offsets: tuple[np.ndarray, np.ndarray],
-    ids: Sequence[str],
+    laws: Sequence[str],
     x: np.ndarray,
 ) -> float:
     """Minus the log-likelihood, without the constant that a Gaussian has."""
-    v = _values(ids, x)
+    v = _values(laws, x)
     each = [logs + _loglik((series - place) / v["scale"], v) for place, logs in zip(*offsets, strict=True)]
     return float(-special.logsumexp(each, axis=0).sum() + series.size * np.log(v["scale"]))
 
@@ -186,29 +187,29 @@ def _tukey_table(shape: float):
 
 
 def _fit(
-    series: Float[np.ndarray, "T n"], offsets: tuple, ids: tuple[str, ...], start: np.ndarray
+    series: Float[np.ndarray, "T n"], offsets: tuple, laws: tuple[Law, ...], start: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """The criterion in nats, and the parameters on the line."""
     found = optimize.minimize(
-        lambda x: _negative(series, offsets, ids, x), start, method="L-BFGS-B",
+        lambda x: _negative(series, offsets, laws, x), start, method="L-BFGS-B",
         options={"eps": 1e-4, "ftol": 0.01 / series.size, "gtol": 1e-2, "maxiter": 60},
     )  # fmt: skip
     return float(found.fun + 0.5 * len(start) * np.log(series.size)), found.x
 
 
 def _estimates(
-    series: Float[np.ndarray, "T n"], offsets: tuple, ids: tuple[str, ...], x: np.ndarray, sigma: float
-) -> dict[str, dict[str, Estimate]]:
+    series: Float[np.ndarray, "T n"], offsets: tuple, laws: tuple[Law, ...], x: np.ndarray, sigma: float
+) -> dict[Law, dict[str, Estimate]]:
     """Values with the errors of the observed information."""
-    steps = np.concatenate([[0.01], *(_PARTS[id].step for id in ids)])
-    curvature = hessian(lambda y: _negative(series, offsets, ids, y), x, steps)
+    steps = np.concatenate([[0.01], *(_PARTS[law].step for law in laws)])
+    curvature = hessian(lambda y: _negative(series, offsets, laws, y), x, steps)
     errors = np.sqrt(np.abs(np.diag(np.linalg.pinv(curvature))))
-    out: dict[str, dict[str, Estimate]] = {id: {} for id in ids}
+    out: dict[Law, dict[str, Estimate]] = {law: {} for law in laws}
     at = 1
-    for id in ids:
-        for name, back in zip(_PARTS[id].names, _PARTS[id].back, strict=True):
+    for law in laws:
+        for name, back in zip(_PARTS[law].names, _PARTS[law].back, strict=True):
             unit = sigma if name == "jump_dn" else 1.0
             low, value, high = (unit * float(back(x[at] + errors[at] * z)) for z in (-_Z_95, 0.0, _Z_95))
-            out[id][name] = Estimate(value, (high - low) / (2 * _Z_95), (low, high))
+            out[law][name] = Estimate(value, (high - low) / (2 * _Z_95), (low, high))
             at += 1
     return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -108,6 +108,12 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
             for name, v, e in zip(("fraction", "rate"), shares, errors[1:], strict=True)
         },
     }
+
+
+def no_heavier(tails: Mapping[str, Estimate], statistics: Sequence[FrameStatistics]) -> str:
+    """What speaks against heavy tails: a shape on the light side of a Gaussian."""
+    light = next(iter(tails.values())).value > tukey_lambda.GAUSSIAN
+    return "(no heavier than a Gaussian)" if light else ""
 
 
 def telegraph_sites(

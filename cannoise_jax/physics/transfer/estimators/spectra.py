@@ -8,13 +8,14 @@ chi-square), which hold near zero strength, where the standard error means littl
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 from scipy.interpolate import PchipInterpolator
 
+from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, normal_estimate
 from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
 from cannoise_jax.physics.transfer.estimators.pick import (
@@ -22,11 +23,13 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     darkest,
     mean_variance,
     pooled_variance,
+    row_offsets,
 )
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.metadata import chunks
 
+_CHANCE = 3e-4
 _MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
 _EXPONENTS = np.linspace(0.0, 2.0, 41)
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
@@ -123,6 +126,33 @@ def _frequency(value: float, stderr: float, chance: float, slowest: float) -> Es
     if chance <= _BY_CHANCE:
         return normal_estimate(value, stderr)
     return Estimate(value, (0.5 - slowest) / np.sqrt(12), (slowest, 0.5))
+
+
+def beside_rows(wave: Mapping[str, Estimate], place: Point, dark: FrameStatistics) -> bool:
+    """Whether rows whose even and odd columns differ make the line themselves."""
+    if place.over != "row" or place.interleave != 2:
+        return False
+    return chance_beside_half(dark, wave["frequency"].value, place.group) > _CHANCE
+
+
+def reaches_no_further(rows: Mapping[str, Estimate], statistics: Sequence[FrameStatistics]) -> str:
+    """What speaks against 1/f noise from row to row: rows two to six apart that are not half as alike as it
+    would make them. (A correlation with the next row only, as some readouts have, also draws the exponent
+    away from zero.)"""
+    dark, exponent = darkest(statistics), rows["exponent"]
+    against = "(rows are not alike over distance, as 1/f would be)"
+    if dark is None or exponent.ci90[0] <= 0:
+        return against
+    rest = row_offsets(dark)
+    rest = rest - rest.mean(0)
+    height, power = rest.shape[1], np.mean(rest**2)
+    lags = range(2, min(7, height // 2))
+    seen = np.mean([np.mean(rest[:, k:] * rest[:, :-k]) / power for k in lags])
+    model = power_law_correlation(2 * height, exponent.value)
+    # Taking out frame means lowers all correlations alike.
+    level = (2 * np.sum((height - np.arange(height)) * model[:height]) / height - 1) / height
+    expected = np.mean([(model[k] - level) / (1 - level) for k in lags])
+    return "" if seen > 0.5 * expected else against
 
 
 def chance_beside_half(dark: FrameStatistics, frequency: float, group: int = 1) -> float:

@@ -11,6 +11,7 @@ import base64
 import functools
 import io
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,81 +23,16 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from cannoise_jax.physics import curves
+from cannoise_jax.mechanisms import ENTRIES, curves
+from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core import chain
-from cannoise_jax.physics.core.mechanism import Mechanism
-from cannoise_jax.physics.core.registry import MECHANISMS
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.vocabulary import VOCABULARY
 
 SIDE, FRAMES = 128, 24
 SETTINGS = Settings(iso=100.0, exposure_s=1.0, frames=FRAMES)
 INK, ACCENT, QUIET = "#1f2933", "#c2410c", "#7b8794"
-
-SHOWN: dict[str, dict[str, float]] = {
-    "gain_error": {"error": 0.5},
-    "read_noise_error": {"error": 1.0},
-    "poisson_skew": {"strength": 0.0},
-    "heavy_tails": {"tukey_lambda": -0.15},
-    "pixel_read_noise_map": {"spread": 0.8},
-    "prnu": {"sigma": 0.03},
-    "column_gain": {"sigma": 0.02},
-    "dark_current": {"e_per_s": 30.0},
-    "hot_pixels": {"e_per_s": 300.0, "fraction": 0.004},
-    "clock_induced_charge": {"charge_e": 2.0},
-    "nonlinearity": {"loss": 0.1},
-    "saturation": {"full_well_e": 900.0},
-    "crosstalk": {"fraction": 0.15},
-    "brighter_fatter": {"a00": 1e-4},
-    "image_lag": {"fraction": 0.15},
-    "smear": {"fraction": 0.02},
-    "defect_correction": {"fraction": 0.05},
-    "dead_pixels": {"fraction": 0.003},
-    "dual_gain": {"iso_switch": 50.0},
-    "lossy_compression": {"step_dn": 40.0},
-    "misregistration": {"shift_px": 1.0},
-    "scene_motion": {"shift_px": 0.3},
-    "in_camera_denoising": {"weight": 0.4},
-    "cosmic_rays": {"rate": 600.0, "charge_e": 300.0},
-    "rts": {"jump_dn": 12.0, "fraction": 0.05},
-    "banding": {"amplitude_dn": 1.0, "frequency": 0.0823},
-    "reference_error": {"sigma_dn": 3.0, "blur": 0.1},
-    "illumination_drift": {"sigma": 0.02},
-    "offset_drift": {"sigma_dn": 0.5},
-    "quantization": {"step_dn": 8.0},
-    "temperature_drift": {"e_per_s": 50.0, "sigma_k": 3.0},
-}
-"""Strengths at which an effect is plain in a small picture; the others are shown at their typical values."""
-
-
-IN_THE_DARK = frozenset(
-    [
-        "heavy_tails",
-        "pixel_read_noise_map",
-        "rts",
-        "dsnu",
-        "row_noise",
-        "column_noise",
-        "row_fpn",
-        "column_fpn",
-        "pink_noise",
-        "row_pink_noise",
-        "banding",
-        "offset_drift",
-        "channel_offset",
-        "amplifier_mismatch",
-        "read_noise_error",
-        "dual_gain",
-        "clock_induced_charge",
-        "poisson_skew",
-        "hot_pixels",
-        "cosmic_rays",
-        "black_clipping",
-    ]
-)
-"""Effects that the shot noise of a bright scene would hide: shown on a dim one."""
 
 
 class Shot(NamedTuple):
@@ -116,14 +52,14 @@ def scene() -> np.ndarray:
     return np.where((x - 0.35) ** 2 + (y - 0.32) ** 2 < 0.03, 0.6, clean).astype(np.float32)
 
 
-def shoot(id: str, clean: np.ndarray | None = None) -> Shot:
+def shoot(entry: Entry, clean: np.ndarray | None = None) -> Shot:
     """The catalogue's camera with and without a mechanism, from one key."""
     if clean is None:
-        clean = scene() * np.float32(0.03 if id in IN_THE_DARK else 1.0)
+        clean = scene() * np.float32(0.03 if entry.examples.dim else 1.0)
     base = SensorModel.poisson_gaussian(0.5, 3.0, 64.0, 1087.0, "RGGB", unit_key=jax.random.key(2))
     without, context = _frames(base, clean)
-    shown: dict[str, Any] = SHOWN.get(id, {})
-    with_it, _ = _frames(base.with_mechanism(id, **shown), clean)
+    shown: dict[str, Any] = dict(entry.examples.shown)
+    with_it, _ = _frames(base.with_mechanism(entry, **shown), clean)
     return Shot(without, with_it, np.asarray(context.mean_dn)[0], 64.0)
 
 
@@ -178,9 +114,9 @@ def picture(shot: Shot) -> str:
     return _png(figure)
 
 
-def signature(id: str, shot: Shot) -> str:
+def signature(entry: Entry, shot: Shot) -> str:
     """The curve that tells the mechanism apart, with it and without it, as a PNG."""
-    curve = curves.curve_of(id, shot.without, shot.with_it, shot.signal, shot.black)
+    curve = curves.curve_of(entry.examples.curve, shot.without, shot.with_it, shot.signal, shot.black)
     figure = Figure(figsize=(3.4, 2.3), layout="constrained")
     axes = figure.subplots()
     style = {"marker": ".", "linestyle": ""} if curve.points else {"linewidth": 1.1}
@@ -215,10 +151,10 @@ _NEEDS = {
 }
 
 
-def entry(record: Mechanism) -> dict[str, Any]:
+def said_of(entry: Entry) -> dict[str, Any]:
     """What the page says about one mechanism."""
-    term, point, shot = VOCABULARY[record.id], record.point, shoot(record.id)
-    law = record.scaling
+    record, shot = entry.record, shoot(entry)
+    point, law = record.point, record.scaling
     scales = [
         text
         for text, on in (
@@ -230,14 +166,15 @@ def entry(record: Mechanism) -> dict[str, Any]:
     ]
     return {
         "id": record.id,
-        "term": term,
+        "term": entry.term,
+        "measured": entry.estimator is not None,
         "record": record,
         "place": f"{point.stage}; varies over {point.over}; {point.time}; {_ACTS[record.acts_on]}",
         "scales": ", ".join(scales) or "its parameters hold at every setting",
         "needs": "; or ".join(_NEEDS[n] for n in record.needs),
-        "shown": SHOWN.get(record.id, record.defaults()),
+        "shown": entry.examples.shown or record.defaults(),
         "picture": picture(shot),
-        "signature": signature(record.id, shot),
+        "signature": signature(entry, shot),
         "equation": equation(record.equation),
     }
 
@@ -250,8 +187,8 @@ _ACTS = {
 }
 
 
-def write_catalogue(path: str | Path) -> None:
-    """Writes the page, atomically. Raises BadInput where it cannot be written."""
+def write_catalogue(path: str | Path, entries: Sequence[Entry] = ENTRIES) -> None:
+    """Writes the page of some mechanisms, atomically. Raises BadInput where it cannot be written."""
     path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
         raise BadInput(f"{path}: cannot be written: name a file in a folder that exists, as catalogue.html")
@@ -259,7 +196,7 @@ def write_catalogue(path: str | Path) -> None:
     page = (
         jinja2.Environment(autoescape=True)
         .from_string(_PAGE)
-        .render(entries=[entry(m) for m in MECHANISMS.values()], count=len(MECHANISMS))
+        .render(entries=[said_of(entry) for entry in entries], count=len(entries))
     )
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -182,7 +182,7 @@ def site_means(frames, signal, black):
     return np.arange(4), np.array([mean[i::2, j::2].mean() for i in (0, 1) for j in (0, 1)])
 
 
-_KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
+KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
     "variance": (variance_over_signal, "signal, DN", "variance, DN²", False, False),
     "spatial": (
         spatial_variance_over_signal,
@@ -210,33 +210,10 @@ _KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
     "sites": (site_means, "mosaic site", "mean residual, DN", False, True),
 }
 
-_CURVE = {
-    "variance": "gain_error read_noise_error excess_noise brighter_fatter dual_gain clock_induced_charge",
-    "spatial": "prnu dsnu reference_error",
-    "mean": "nonlinearity dark_current bookkeeping dead_pixels",
-    "row spectrum": "row_noise row_pink_noise flicker",
-    "raster spectrum": "pink_noise banding",
-    "rows": "row_fpn",
-    "columns": "column_fpn column_gain smear amplifier_mismatch amp_glow",
-    "column jitter": "column_noise",
-    "frames": "offset_drift illumination_drift temperature_drift",
-    "edges": "misregistration scene_motion",
-    "lags": "crosstalk in_camera_denoising demosaicing",
-    "temporal": "image_lag",
-    "tail": "poisson_skew heavy_tails hot_pixels cosmic_rays hot_pixel_suppression",
-    "spread": "pixel_read_noise_map rts",
-    "gaps": "defect_correction",
-    "codes": "quantization missing_codes black_clipping",
-    "high codes": "saturation lossy_compression",
-    "radius": "lens_shading",
-    "sites": "channel_offset green_imbalance",
-}
-_KIND_OF = {id: kind for kind, ids in _CURVE.items() for id in ids.split()}
 
-
-def curve_of(id: str, without: np.ndarray, with_it: np.ndarray, signal: np.ndarray, black: float) -> Curve:
-    """The signature of a mechanism; frames [T, H, W] in DN, signal [H, W] above black."""
-    statistic, x_label, y_label, log, points = _KINDS[_KIND_OF[id]]
+def curve_of(kind: str, without: np.ndarray, with_it: np.ndarray, signal: np.ndarray, black: float) -> Curve:
+    """The curve of a kind; frames [T, H, W] in DN, signal [H, W] above black."""
+    statistic, x_label, y_label, log, points = KINDS[kind]
     x, quiet = statistic(without, signal, black)
     _, loud = statistic(with_it, signal, black)
     return Curve(x, quiet, loud, x_label, y_label, log, points)

@@ -1,0 +1,90 @@
+"""What the package knows of one mechanism, in one record; whoever holds it never asks its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.recordings.recording import Kind
+from cannoise_jax.vocabulary import Term
+
+
+class Shot(NamedTuple):
+    """One recording of a case. level: of an even light, normalised. scene: a smooth texture instead, given to
+    the estimator as reference."""
+
+    kind: Kind
+    level: float = 0.0
+    frames: int = 8
+    exposure_s: float = 1.0
+    scene: bool = False
+
+
+@dataclass(frozen=True)
+class Case:
+    """Truth and recordings for one estimator. exact: a value of the code lattice, without an error."""
+
+    truth: Mapping[str, float]
+    shots: tuple[Shot, ...]
+    exact: bool = False
+    note: str = ""
+
+
+DARK = (Shot("dark"),)
+FLAT = (Shot("dark"), Shot("flat", 0.3))
+SERIES = tuple(Shot("dark", exposure_s=t) for t in (0.01, 3.0, 6.0, 10.0))
+LONG = (Shot("dark", exposure_s=0.01), Shot("dark", exposure_s=10.0))
+LADDER = (
+    *(Shot("dark", exposure_s=seconds) for seconds in (0.2, 0.8)),
+    *(Shot("flat", level, exposure_s=level) for level in (0.2, 0.4, 0.6, 0.8)),
+)
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Values of the parameters at which a mechanism is shown and tested; what is not given is typical.
+
+    curve: the statistic that tells it apart, of `curves.KINDS`. shown: plain in a small picture. dim: the
+    shot noise of a bright scene would hide it. strong: seen in a small simulation, and no special case of
+    anything weaker. cases: where the intervals of its estimator are checked.
+    """
+
+    curve: str = "variance"
+    shown: Mapping[str, float] = field(default_factory=dict)
+    dim: bool = False
+    strong: Mapping[str, float] = field(default_factory=dict)
+    cases: tuple[Case, ...] = ()
+
+
+def nothing_looks(recorded: Any) -> tuple[Any, ...]:
+    """No signature, whatever was recorded."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One mechanism: its name and what its amplitude means, its physics, what to record to see it, how it is
+    measured, examples, and the signatures that look for it in recordings.
+
+    signatures(recorded) -> those that the recordings can be searched for. Raises ValueError where the term
+    and the record have different names.
+    """
+
+    term: Term
+    record: Mechanism
+    needs: str
+    estimator: Estimator | None = None
+    examples: Examples = field(default_factory=Examples)
+    signatures: Callable[[Any], tuple[Any, ...]] = nothing_looks
+
+    def __post_init__(self):
+        if self.term.id != self.record.id:
+            raise ValueError(f"{self.term.id}: its record is that of {self.record.id}: give both one name")
+
+    @property
+    def id(self) -> str:
+        """Its name."""
+        return self.term.id

@@ -1,0 +1,78 @@
+"""How photon transfer measures one mechanism, and when what it measures enters a camera model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimate import Estimate, Estimates
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.vocabulary import Term
+
+Statistics = Sequence[FrameStatistics]
+Measured = Mapping[str, Estimate]
+Law = Literal["tails", "spread", "telegraph"]
+
+
+class Placed(NamedTuple):
+    """What was measured, at another place in the grammar than the usual one, and why there."""
+
+    estimates: dict[str, Estimate]
+    because: str
+    point: Point
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """The parameters of a mechanism from recordings, and what its verdict depends on.
+
+    measure(statistics, baseline) -> estimates by parameter, the strength first, or `NotMeasurable`. It picks
+      the recordings that it needs; strengths hold at the setting of those (exposure-driven ones per second).
+    least: least strength that matters, in its unit; None: 2 % of a pixel's noise in the dark. neutral: the
+      strength at which nothing differs from the baseline. exact: a value of the code lattice, without error.
+    searched: the strongest of many frequencies. smooths: it has lowered the noise that the baseline is
+      measured on. in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
+    gives_way_to: ids beside which it does not enter. against(estimates, statistics) -> why not to believe it,
+      or nothing.
+    law: what it makes of the values of one pixel, for `estimators.loudness`. placed(estimates, dark) -> its
+      place, where that is not the usual one. beside(estimates, point, dark) -> whether a mechanism at that
+      place makes what it sees. maps(parameters, seen) -> frozen maps of the unit that was recorded.
+    """
+
+    measure: Callable[..., Estimates]
+    least: float | None = None
+    neutral: float = 0.0
+    exact: bool = False
+    searched: bool = False
+    smooths: bool = False
+    in_baseline: bool = False
+    reported: str = ""
+    gives_way_to: tuple[str, ...] = ()
+    against: Callable[[Measured, Statistics], str] | None = None
+    law: Law | None = None
+    placed: Callable[[Measured, FrameStatistics], Placed | None] | None = None
+    beside: Callable[[Measured, Point, FrameStatistics], bool] | None = None
+    maps: Callable[..., dict[str, np.ndarray]] | None = None
+
+    def __call__(self, statistics: Statistics, baseline: Baseline) -> Estimates:
+        """The estimates of `measure`."""
+        return self.measure(statistics, baseline)
+
+
+class Measurable(Protocol):
+    """What `model` asks of a mechanism: an entry of `mechanisms`."""
+
+    @property
+    def term(self) -> Term: ...
+
+    @property
+    def record(self) -> Mechanism: ...
+
+    @property
+    def estimator(self) -> Estimator | None: ...

@@ -1,0 +1,119 @@
+"""A mechanism from outside the package, as docs/adding_a_mechanism.md shows it."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax import SensorModel, Settings
+from cannoise_jax.commands import simulate
+from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.mechanisms.outside import entries_at
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.recordings.native import read_recording
+from cannoise_jax.recordings.recording import BadInput
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "adding_a_mechanism.md"
+CODE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def droop(tmp_path, monkeypatch):
+    """The page's first block as the module that it is said to be."""
+    (tmp_path / "droop.py").write_text(CODE[0])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield entries_at("droop:DROOP")[0]
+    sys.modules.pop("droop", None)
+
+
+def test_the_page_works_as_it_stands_in_forty_lines(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sum(len(block.splitlines()) for block in CODE) <= 45
+    assert len([line for block in CODE for line in block.splitlines() if line.strip()]) <= 40
+    names: dict = {}
+    for block in CODE:
+        exec(compile(block, str(PAGE), "exec"), names)
+    frames, again = np.asarray(names["frames"], float), names["again"]
+    assert frames.shape == (8, 64, 96)
+    drawn = again.sample(jax.random.key(0), np.full((64, 96), 0.1), Settings(frames=8))
+    np.testing.assert_array_equal(drawn, frames)
+
+
+def test_it_adds_what_its_sampler_says_and_stands_in_the_chain(droop):
+    base = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095)
+    clean, many = np.full((32, 48), 0.1, np.float32), Settings(frames=400)
+    camera = base.with_mechanism("quantization").with_mechanism(droop, sigma_dn=5.0)
+    assert [f.mechanism for f in camera.mechanisms] == ["droop", "quantization"]
+    with_it, without = (
+        np.asarray(m.sample(jax.random.key(1), clean, many), float)
+        for m in (base.with_mechanism(droop, sigma_dn=5.0), base)
+    )
+    rows = (with_it - without).mean(2)
+    slopes = rows @ np.linspace(-1, 1, 32) / (np.linspace(-1, 1, 32) ** 2).sum()
+    assert slopes.std() / np.sqrt(3) == pytest.approx(5.0, rel=0.15)
+    line = slopes[:, None] * np.linspace(-1, 1, 32)
+    assert np.abs(rows - line).mean() < 0.1 * np.abs(line).mean()
+
+
+def test_a_stored_model_is_refused_without_the_entry_in_one_line(droop, tmp_path):
+    path = tmp_path / "sensor.json"
+    camera = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop, sigma_dn=5.0)
+    write_sensor(path, camera)
+    with pytest.raises(BadInput, match="needs the mechanism droop of droop:DROOP") as error:
+        read_sensor(path)
+    assert str(error.value).startswith(str(path)) and "\n" not in str(error.value)
+    document = json.loads(path.read_text())
+    for wrong, said in (
+        ({"sigma_dn": -1.0}, "outside"),
+        ({}, "lacks the parameter"),
+        ({"sigma_dn": 1.0, "depth": 2.0}, "no parameter depth"),
+    ):
+        document["mechanisms"][0]["parameters"] = wrong
+        path.write_text(json.dumps(document))
+        with pytest.raises(BadInput, match=said):
+            read_sensor(path, [droop])
+
+
+def test_simulate_draws_it(droop, tmp_path, capsys):
+    camera = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop, sigma_dn=30.0)
+    write_sensor("sensor.json", camera)
+    drawn = ["--sensor", "sensor.json", "--clean", "dark", "--size", "32x48", "--frames", "3", "--out", "out"]
+    assert simulate.main(drawn) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert simulate.main([*drawn, "--mechanisms", "droop:DROOP"]) == 0
+    (path,) = (tmp_path / "out").glob("*.h5")
+    rows = np.asarray(read_recording(path).frames, float).mean(2)
+    assert np.ptp(rows, axis=1).max() > 20
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("droop", "write MODULE:NAME"),
+        ("no_such_module:ENTRIES", "cannot be imported"),
+        ("math:ENTRIES", "math has no ENTRIES"),
+        ("math:pi", "no entry"),
+    ],
+)
+def test_a_place_without_entries_is_refused_in_one_line(place, said):
+    with pytest.raises(BadInput, match=said) as error:
+        entries_at(place)
+    assert "\n" not in str(error.value)
+
+
+def test_a_name_of_the_package_cannot_be_taken(droop):
+    import dataclasses
+
+    record = dataclasses.replace(droop.record, id="row_noise")
+    base = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095)
+    with pytest.raises(ValueError, match="choose another"):
+        base.with_mechanism(record)
+    with pytest.raises(ValueError, match="place in the grammar"):
+        base.with_mechanism(droop, point=Point("readout", "signal", "row", "redrawn"))
+    assert base.with_mechanism(MECHANISMS["row_noise"]).mechanisms[0].mechanism == "row_noise"
