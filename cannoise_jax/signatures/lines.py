@@ -274,7 +274,6 @@ def redrawn(
     scaling: Scales,
     *,
     name: str,
-    mechanism: str | None = None,
     parameter: str | None = None,
     covers: tuple[str, ...] = (),
 ) -> Signature:
@@ -287,7 +286,6 @@ def redrawn(
     )
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin=axis,
         axes=Axes("readout" if additive else "photons", axis, "redrawn", scaling, "white"),
         reads=CONTRASTS | _light(scaling),
@@ -312,7 +310,6 @@ def frozen(
     scaling: Scales,
     *,
     name: str,
-    mechanism: str | None = None,
     parameter: str | None = None,
     covers: tuple[str, ...] = (),
 ) -> Signature:
@@ -341,7 +338,6 @@ def frozen(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin=axis,
         axes=Axes("readout", axis, "frozen", scaling, "white"),
         reads=STATIC | _light(scaling),
