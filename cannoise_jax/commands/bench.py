@@ -23,28 +23,13 @@ from cannoise_jax.commands.bench_docs import add_docs
 from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.mechanisms.coverage import coverage, format_rows
+from cannoise_jax.mechanisms.peers import GETFRAMES, TOGETHER
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
 """The camera of the speed comparison: DN/e-, e-, DN, DN (12 bit)."""
-EXPOSURE_S, DARK_E_S, HOT_E_S = 1.0, 2.0, 300.0
-_DARK: dict[str, Any] = {"dark_current_e_per_s": DARK_E_S}
-EFFECTS: dict[str, tuple[dict[str, dict[str, float]], dict[str, Any]]] = {
-    "PRNU": ({"prnu": {"sigma": 0.01}}, {"prnu": 0.01}),
-    "dark current": ({"dark_current": {"e_per_s": DARK_E_S}}, _DARK),
-    "hot pixels": (
-        {"dark_current": {"e_per_s": DARK_E_S}, "hot_pixels": {"e_per_s": HOT_E_S, "fraction": 0.002}},
-        {**_DARK, "hot_pixel_fraction": 0.002, "hot_pixel_factor": HOT_E_S / DARK_E_S},
-    ),
-    "fixed offsets": ({"dsnu": {"sigma_dn": 1.0}}, {"bias_pixel_spread_adu": 1.0}),
-    "pixel read noise": ({"pixel_read_noise_map": {"spread": 0.2}}, {"read_noise_nonuniformity": 0.2}),
-    "crosstalk": ({"crosstalk": {"fraction": 0.04}}, {"ipc_coupling": 0.01}),
-    "dead pixels": ({"dead_pixels": {"fraction": 0.001}}, {"dead_pixel_fraction": 0.001}),
-}
-"""What both simulators have beyond shot and read noise, rounding, clipping: mechanisms here, fields of a
-CameraConfig there."""
-TOGETHER = ("PRNU", "dark current", "hot pixels")
+EXPOSURE_S = 1.0
 
 
 class Speed(NamedTuple):
@@ -108,7 +93,7 @@ def _run_simulate(arguments: argparse.Namespace) -> None:
     print(f"{'effects':<34}{'side':>6}{'e-':>7}{'ours':>9}{'getframes':>11}{'its float32':>13}{'ratio':>8}")
     # One size tells what a single effect costs; the sums are timed at all.
     single = [side for side in arguments.sizes if side <= 1024][-1:] or arguments.sizes[:1]
-    plan = [((), arguments.sizes), *(((e,), single) for e in EFFECTS), (TOGETHER, arguments.sizes)]
+    plan = [((), arguments.sizes), *(((e,), single) for e in GETFRAMES), (TOGETHER, arguments.sizes)]
     for effects, sizes in plan:
         for side in sizes:
             for electrons in arguments.electrons:
@@ -138,11 +123,11 @@ def speed(effects: tuple[str, ...], side: int, electrons: float, frames: int, re
 
 
 def our_model(side: int, effects: tuple[str, ...] = ()) -> SensorModel:
-    """The camera of the comparison with some of `EFFECTS`, its maps drawn once."""
+    """The camera of the comparison with some of `GETFRAMES`, its maps drawn once."""
     model = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "MONO")
     mechanisms: dict[str, dict[str, float]] = {}
     for effect in effects:
-        mechanisms |= EFFECTS[effect][0]
+        mechanisms |= GETFRAMES[effect][0]
     for id, parameters in mechanisms.items():
         model = model.with_mechanism(id, **parameters)  # type: ignore[arg-type]
     return model.with_maps((side, side)) if effects else model
@@ -163,7 +148,7 @@ def peer_config(side: int, effects: tuple[str, ...] = ()):
         return None
     options: dict[str, Any] = {}
     for effect in effects:
-        options |= EFFECTS[effect][1]
+        options |= GETFRAMES[effect][1]
     return getframes.CameraConfig(
         name="comparison",
         sensor_type=getframes.SensorType.CMOS,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import bench
+from cannoise_jax.mechanisms.peers import GETFRAMES
 from cannoise_jax.physics.core.sensor import Settings
 
 
@@ -43,7 +44,7 @@ def test_the_table_reports_both_and_their_ratio(capsys):
     out = capsys.readouterr().out
     assert "warm-up" in out and "load" in out
     rows = [line.split() for line in out.splitlines() if line.startswith(("shot", "+"))]
-    assert len(rows) == 2 + len(bench.EFFECTS)
+    assert len(rows) == 2 + len(GETFRAMES)
     if "not installed" not in out:
         for row in rows:
             ours, peer, fast, ratio = map(float, row[-4:])
