@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import runpy
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
