@@ -112,6 +112,8 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
         raise BadInput(f"{rest[0]}: not understood: see bin/train --help")
     if not values.workdir:
         raise BadInput("--workdir: missing: name a folder for checkpoints and results")
+    if values["recordings"].present and not any(name.strip() for name in values.recordings):
+        raise BadInput("--recordings: names no folder: write DIR_A,DIR_B, or leave the flag out")
     if values.recordings:
         if "recordings" not in config.data:
             raise BadInput("--recordings: this config reads other data: use it with configs/default.py")
