@@ -42,11 +42,6 @@ def main(argv: list[str] | None = None) -> int:
     except FloatingPointError as error:
         print(f"bin/denoise: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print(
-            "bin/denoise: interrupted: the same command goes on with what is not trained yet", file=sys.stderr
-        )
-        return 130
     return 0
 
 
