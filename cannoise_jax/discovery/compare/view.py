@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
-from cannoise_jax.discovery.fields import helmert
+from cannoise_jax.signatures.fields import helmert
 
 FAR = 1e-5
 """Chance by which a pixel of normal noise is set aside."""
