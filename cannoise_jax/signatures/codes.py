@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.signatures.recorded import Codes, Recorded
-from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
+from cannoise_jax.signatures.score import Score, chi2_log_sf, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
     FILES,
     NO_CLOSED_FORM,
@@ -30,6 +30,11 @@ _SURE = 4.0
 """Standard errors by which a code must differ from its neighbours to be one of a comb."""
 
 
+_FEW = 20
+"""Values at a code from which its count is told from chance."""
+_SLACK = 0.05
+"""By which the log of a count of rounded normal noise departs from a constant second difference, at most: 0.012
+for a standard deviation of one code, less above."""
 _MOVED = 0.01
 """Share of all values that a comb moves to other codes from which it changes the shape of narrow noise."""
 
@@ -140,8 +145,11 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
         if used.size < 3 or counts[used[0] : used[0] + 2].sum() < 1:
             continue
         first, second = int(counts[used[0]]), int(counts[used[0] + 1]) if used[0] + 1 < counts.size else 0
-        log_p = (
-            float(stats.binom.logsf(first - 1, first + second, 0.5)) if first > second and first > 20 else 0.0
+        log_p = min(
+            float(stats.binom.logsf(first - 1, first + second, 0.5))
+            if first > second and first > 20
+            else 0.0,
+            _above_the_law(counts[used[0] : used[0] + 5]),
         )
         level = (used[0] + lowest) * codes.step - black
         gain = max(first * np.log(max(2 * first / (first + second), 1e-9)), 0.0) if log_p < 0 else 0.0
@@ -160,6 +168,20 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
         if best is None or score.log_p < best.log_p:
             best = score
     return best
+
+
+def _above_the_law(counts: np.ndarray) -> float:
+    """log p of the count of the lowest code under the normal law that the next three codes follow: its log
+    counts have a constant second difference. 0 where a fourth one does not follow it (a comb, tails), and for
+    noise below a code, whose counts are no samples of a density."""
+    if counts.size < 5 or counts.min() < _FEW:
+        return 0.0
+    logs, errors = np.log(counts), 1 / counts
+    beyond = logs[:2] - 3 * logs[1:3] + 3 * logs[2:4] - logs[3:5]
+    spread = np.sqrt(errors[:2] + 9 * errors[1:3] + 9 * errors[2:4] + errors[3:5])
+    if -(logs[1] - 2 * logs[2] + logs[3]) > 1 or abs(beyond[1]) > _SLACK + _SURE * spread[1]:
+        return 0.0
+    return normal_log_p(max(float(beyond[0]) - _SLACK, 0.0) / float(spread[0]), 1) if beyond[0] > 0 else 0.0
 
 
 def _of_codes(law: str, **fields) -> Signature:
@@ -181,7 +203,6 @@ def combed(
     recorded: Recorded,
     *,
     name: str,
-    mechanism: str,
     parameter: str,
     covers: tuple[str, ...],
     shapes: tuple[str, ...],
@@ -212,7 +233,6 @@ def combed(
     return _of_codes(
         "comb",
         name=name,
-        mechanism=mechanism,
         score=partial(comb_score, codes=recorded.codes),
         covers=covers,
         hides=hides,
@@ -221,14 +241,11 @@ def combed(
     )
 
 
-def coarse(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
-) -> Signature:
+def coarse(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Codes that are more widely spaced than stated."""
     return _of_codes(
         "lattice",
         name=name,
-        mechanism=mechanism,
         score=partial(step_score, codes=recorded.codes),
         covers=covers,
         rare=True,
@@ -236,15 +253,12 @@ def coarse(
     )
 
 
-def piled_up(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
-) -> Signature:
+def piled_up(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Values that are cut off at a rail above or below black: the shape of what is left is the rail's, so it
     is judged first."""
     return _of_codes(
         "pile-up",
         name=name,
-        mechanism=mechanism,
         score=partial(clip_score, codes=recorded.codes, black=float(recorded.black.mean())),
         covers=covers,
         before=lambda score: covers,
