@@ -18,6 +18,8 @@ from cannoise_jax.commands.parser import OneLineParser
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
+from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
 from cannoise_jax.recordings.load import load_capture_set
@@ -41,6 +43,7 @@ def main(argv: list[str] | None = None) -> int:
             jax.random.key(arguments.key),
             alpha=arguments.alpha,
             without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
+            mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
             tell=tell,
         )
         report = document(
@@ -122,6 +125,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--key", type=int, default=0, help="seed of everything random (0)")
     parser.add_argument(
         "--without", default="", metavar="ID,...", help="run as if these mechanisms were not known"
+    )
+    parser.add_argument(
+        "--mechanisms",
+        metavar="MODULE:NAME",
+        action="append",
+        default=[],
+        help="entries of your own to look for too (docs/adding_a_mechanism.md); may be repeated",
     )
     return parser
 
