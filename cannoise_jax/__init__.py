@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cannoise_jax.lazy import on_first_use
 
 if TYPE_CHECKING:
+    from cannoise_jax.discovery.diagnose import diagnose
     from cannoise_jax.physics.core.sensor import SensorModel, Settings
     from cannoise_jax.recordings.load import load_capture_set
     from cannoise_jax.recordings.packing import pack, unpack
@@ -22,6 +23,7 @@ _HOMES = {
     "Recording": "recordings.recording",
     "SensorModel": "physics.core.sensor",
     "Settings": "physics.core.sensor",
+    "diagnose": "discovery.diagnose",
     "load_capture_set": "recordings.load",
     "load_model": "sampling",
     "pack": "recordings.packing",
@@ -34,6 +36,7 @@ __all__ = [
     "Recording",
     "SensorModel",
     "Settings",
+    "diagnose",
     "load_capture_set",
     "load_model",
     "pack",

@@ -12,8 +12,9 @@ import io
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +33,11 @@ from cannoise_jax.recordings.recording import BadInput
 SMALLEST = 16
 """Least height and width of clean images, packed pixels; smaller references are repeated up to it."""
 MODEL_FILE = "model.npz"
-_FORMAT = "cannoise/model/1"
+_FORMAT = "cannoise/model/2"
+LEVELS = ("estimated", "given", "both")
+"""Where the level of the initial noise comes from: the references, whoever asks for noise, or either."""
+_BRIGHTEST = 4.0
+"""Median of a clean image beyond which it must be in DN: scenes may pass the white level, not by that."""
 _MULTIPLE, _MARGIN = 32, 32
 """G works on multiples of 32; a reflected margin keeps the zero padding of its layers out of the image."""
 
@@ -57,8 +62,9 @@ class Camera:
 class Model:
     """What `sample_noise` needs. generator, encoder: variables, spectral norms folded; encoder: {} for none.
 
-    generator_module, encoder_module, initial_noise: static; the last a name or a function as in
-    `physics.initial_noise`.
+    generator_module, encoder_module, initial_noise, level: static; initial_noise a name or a function as in
+    `physics.initial_noise`; level: of `LEVELS`, where the initial noise's level came from in training, as it
+    must in use.
     """
 
     generator: dict[str, Any]
@@ -67,6 +73,7 @@ class Model:
     generator_module: Generator = struct.field(pytree_node=False)
     encoder_module: Encoder | None = struct.field(pytree_node=False)
     initial_noise: str | InitialNoise = struct.field(pytree_node=False, default="poisson_gaussian")
+    level: str = struct.field(pytree_node=False, default="both")
 
 
 def make_model(
@@ -76,8 +83,14 @@ def make_model(
     encoder: dict[str, Any],
     cameras: dict[str, Camera] | None = None,
     initial_noise: str | InitialNoise = "poisson_gaussian",
+    level: str = "both",
 ) -> Model:
-    """A model from modules and their variables (`params` and `spectral`), as training leaves them."""
+    """A model from modules and their variables (`params` and `spectral`), as training leaves them.
+
+    Raises ValueError for a level that is none of `LEVELS`.
+    """
+    if level not in LEVELS:
+        raise ValueError(f"level must be one of {', '.join(LEVELS)}, got {level!r}")
     return Model(
         fold_spectral_norm(generator),
         fold_spectral_norm(encoder) if encoder_module else {},
@@ -85,6 +98,7 @@ def make_model(
         generator_module,
         encoder_module,
         initial_noise,
+        level,
     )
 
 
@@ -99,13 +113,17 @@ def sample_noise(
 
     clean, noisy_ref: packed R, Gr, Gb, B, normalised; h and w even and at least 16; references of any
     size, at least one. Several are of one camera and setting: their latents are averaged. nlf: (shot, read)
-    of the setting wanted, one value or four in packed order, or `[*b, 4]`; without it, that of `noisy_ref`,
-    estimated from its pixels (its error: `physics.single_image.estimate_nlf`). A reference without noise,
-    constant or all zero, then gives next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
+    of the setting wanted, one value or four in packed order, or `[*b, 4]`; without it the noise is that of
+    the references' own setting, whose level is estimated from their pixels by the estimator that training
+    used (`physics.single_image.estimate_nlf`). A reference without noise, constant or all zero, then gives
+    next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
     Pure; use `jax.vmap` for one reference per clean image.
 
-    Raises ValueError for images of other shapes.
+    Raises ValueError for images of other shapes, for a `clean` in DN, for an nlf that is negative or infinite
+    (of what is traced under jit only shapes are known), and for a level of another source than the model was
+    trained with (`Model.level`), which would be corrected twice or not at all.
     """
+    check_level(params.level, nlf is not None)
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
     _check(clean, "clean")
     _check(noisy_ref, "noisy_ref")
@@ -117,7 +135,8 @@ def sample_noise(
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
     if height % 2 or width % 2:
         raise ValueError(f"clean must have even height and width, got {height}x{width}")
-    shot, read = estimate_nlf(noisy_ref) if nlf is None else nlf
+    shot, read = estimate_nlf(noisy_ref) if nlf is None else _checked_nlf(nlf)
+    _check_units(clean)
     images = clean.reshape(-1, height, width, 4)
     per_image = (*clean.shape[:-3], 4)
     shot, read = (
@@ -127,10 +146,64 @@ def sample_noise(
     noise_key, row_key = jax.random.split(key)
     padded = _pad(images)
     n_init, sigma = initial_noise(params.initial_noise)(noise_key, padded, shot, read)
+    known = jnp.full(images.shape[0], float(nlf is not None))
     noise: Any = params.generator_module.apply(
-        params.generator, padded, n_init, latent, sigma, train=False, rngs={"noise": row_key}
+        params.generator, padded, n_init, latent, sigma, train=False, known=known, rngs={"noise": row_key}
     )
     return noise[:, _MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width].reshape(clean.shape)
+
+
+class Samplers(NamedTuple):
+    """A model as `evaluation` takes it, `(key, clean, reference, shot, read) -> noise`, in two ways of use.
+
+    usual: the level as most users have it: off the references, unless the model was trained without.
+    given: the level that is handed over; None where the model was trained without.
+    """
+
+    usual: Callable[..., Any]
+    given: Callable[..., Any] | None
+
+
+def samplers(level: str, sample: Callable[..., Any]) -> Samplers:
+    """Both from `sample(key, clean, reference, nlf) -> noise` of a model of this `Model.level`."""
+
+    def given(key, clean, reference, shot, read):
+        return sample(key, clean, reference, (shot, read))
+
+    def estimated(key, clean, reference, shot, read):
+        return sample(key, clean, reference, None)
+
+    return Samplers(given if level == "given" else estimated, None if level == "estimated" else given)
+
+
+def check_level(level: str, given: bool) -> None:
+    """Raises ValueError where a model of this `Model.level` cannot take a level that is given, or none."""
+    if level == "estimated" and given:
+        raise ValueError("nlf: this model was trained with levels estimated from references: leave nlf out")
+    if level == "given" and not given:
+        raise ValueError(
+            "nlf: missing: this model was trained with levels handed over: give nlf=(shot, read)"
+        )
+
+
+def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
+    for name, value in zip(("shot", "read"), nlf, strict=True):
+        if isinstance(value, jax.core.Tracer):
+            continue
+        values = np.asarray(value, np.float64)
+        if not (np.isfinite(values).all() and (values >= 0).all()):
+            raise ValueError(f"nlf: {name} must be finite and 0 or more, got {values.min():g} at least")
+    return nlf
+
+
+def _check_units(clean: Array) -> None:
+    if isinstance(clean, jax.core.Tracer) or not clean.size:
+        return
+    middle = float(jnp.median(clean))
+    if not abs(middle) <= _BRIGHTEST:
+        raise ValueError(
+            f"clean has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
+        )
 
 
 def _check(image, name):
@@ -177,6 +250,7 @@ def save_model(path: str | Path, model: Model) -> None:
         "generator": _fields(model.generator_module),
         "encoder": _fields(model.encoder_module) if model.encoder_module else None,
         "initial_noise": model.initial_noise,
+        "level": model.level,
         "cameras": {name: sorted(camera.settings, key=float) for name, camera in model.cameras.items()},
     }
     arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
@@ -215,15 +289,25 @@ def load_model(workdir: str | Path) -> Model:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+        _refuse_older(path, arrays)
         return _model(arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: not a readable model: train it again or name another") from error
 
 
+def _refuse_older(path: Path, arrays) -> None:
+    found = json.loads(str(arrays["description"]))["format"]
+    if found == "cannoise/model/1":
+        raise BadInput(
+            f"{path}: a model of an older version, which corrects the level of its references twice: "
+            "train it again"
+        )
+    if found != _FORMAT:
+        raise ValueError(found)
+
+
 def _model(arrays):
     description = json.loads(str(arrays.pop("description")))
-    if description["format"] != _FORMAT:
-        raise ValueError(description["format"])
     parts: dict[str, dict[str, Any]] = {"generator": {}, "encoder": {}}
     for name, value in arrays.items():
         part, _, rest = name.partition("/")
@@ -243,6 +327,7 @@ def _model(arrays):
         Generator(**description["generator"]),
         Encoder(**description["encoder"]) if description["encoder"] else None,
         description["initial_noise"],
+        description["level"],
     )
 
 

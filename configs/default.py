@@ -27,6 +27,9 @@ def get_config() -> ConfigDict:
             },
             # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
             "initial_noise": "poisson_gaussian",
+            # Where the initial noise's level comes from, in training as in use: estimated from the
+            # references, given (paper), or both by turns, and G is told which.
+            "level": "both",
             "clip": True,  # noise as clipped recordings show it, before the critic; paper: unsaid
             "critic_updates": 1,  # per generator update; paper: 1
             "critic_condition": "camera",  # what the critic is told: none (paper), camera, latent

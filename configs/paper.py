@@ -27,6 +27,7 @@ def get_config() -> ConfigDict:
             "reference": 64,
             "width": 1.0,
             "literal": True,
+            "level": "given",
             "clip": False,
             "critic_updates": 1,
             "critic_condition": "none",

@@ -9,61 +9,74 @@ import argparse
 import logging
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.parser import OneLineParser, numbers
-from cannoise_jax.mechanisms import LISTED
-from cannoise_jax.physics.core.sensor_json import write_sensor
-from cannoise_jax.physics.transfer.baseline import Baseline
-from cannoise_jax.physics.transfer.model import Finding, find_mechanisms, format_findings, sensor_model
-from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, photon_transfer
-from cannoise_jax.physics.transfer.table import format_transfer
-from cannoise_jax.recordings.load import load_capture_set
-from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
+from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.outputs import check_file
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
+from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.physics.transfer.model import Finding
+    from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
+    from cannoise_jax.recordings.recording import CaptureSet
 
 
+@command("calibrate")
 def main(argv: list[str] | None = None) -> int:
     """Calibrates; returns 0, or 2 after one line on stderr when something cannot be used."""
     arguments = _parser().parse_args(argv)
     logging.basicConfig(format="bin/calibrate: %(message)s", level=logging.WARNING)
-    overrides = {
-        name: getattr(arguments, name)
-        for name in ("cfa", "black_level", "white_level")
-        if getattr(arguments, name) is not None
-    }
     try:
-        _check_output(arguments.out)
-        transfers, findings = calibrate(arguments.recordings, overrides)
-        for transfer in transfers:
-            print(format_transfer(transfer), end="\n\n")
-        if findings:
-            print(format_findings(findings), end="\n\n")
-        model = sensor_model(transfers, findings)
-        write_sensor(arguments.out, model)
+        return _run(arguments)
     except BadInput as error:
         print(f"bin/calibrate: {error}", file=sys.stderr)
         return 2
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    check_file(arguments.out, ".json", arguments.force)
+    from cannoise_jax.recordings.folders.store import capture_of
+    from cannoise_jax.recordings.usable import check_usable
+
+    chosen = options(arguments)
+    capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
+    if plan:
+        print(plan, file=sys.stderr, flush=True)
+    check_usable(capture)
+
+    from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
+    from cannoise_jax.physics.transfer.model import format_findings, sensor_model
+    from cannoise_jax.physics.transfer.table import format_transfer
+
+    check_place(arguments.out)
+    transfers, findings = calibrate(capture)
+    for transfer in transfers:
+        print(format_transfer(transfer), end="\n\n")
+    if findings:
+        print(format_findings(findings), end="\n\n")
+    model = sensor_model(transfers, findings)
+    write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")
     return 0
 
 
-def calibrate(folder: Path, overrides: dict) -> tuple[tuple[PhotonTransfer, ...], tuple[Finding, ...]]:
+def calibrate(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[Finding, ...]]:
     """Photon transfer at every ISO, and the mechanisms at the first ISO that has a baseline.
 
-    Raises BadInput when the folder, or a recording in it, cannot be used.
+    Raises BadInput when the recordings cannot be used together.
     """
-    transfers = photon_transfer(load_capture_set(folder, **overrides))
+    from cannoise_jax.mechanisms import LISTED
+    from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.model import find_mechanisms
+    from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+
+    transfers = photon_transfer(capture)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
             return transfers, find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
     return transfers, ()
-
-
-def _check_output(path: Path) -> None:
-    if path.suffix.lower() != ".json":
-        raise BadInput(f"{path}: --out names a .json file")
-    if not path.parent.is_dir():
-        raise BadInput(f"{path}: no such folder {path.parent}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -71,19 +84,15 @@ def _parser() -> argparse.ArgumentParser:
         prog="bin/calibrate",
         description="Measures the noise of a camera from a folder of its recordings: flats and darks, or "
         "scenes with repeated frames. Prints photon transfer (EMVA 1288 definitions) and the mechanisms "
-        "beyond it, each with a 90 % interval, and writes a camera model.",
+        "beyond it, each with a 90 %% interval, and writes a camera model.",
+        epilog="A folder of single files (FITS, camera raw, TIFF ...) is sorted as bin/convert does; its "
+        "--dry-run shows how.",
     )
-    parser.add_argument(
-        "--recordings", required=True, type=Path, metavar="DIR", help="one camera's recordings"
-    )
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the sensor.json to write")
-    parser.add_argument(
-        "--cfa", choices=CFA_PATTERNS, help="colour order, where the files are wrong or silent"
-    )
-    parser.add_argument(
-        "--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d in mosaic order"
-    )
-    parser.add_argument("--white-level", type=float, metavar="DN", help="highest code")
+    add = parser.add_argument
+    add("--recordings", required=True, type=folder, metavar="DIR", help="recordings of one camera")
+    add("--out", required=True, type=Path, metavar="FILE", help="the sensor.json to write")
+    add_recording_flags(parser)
+    add("--force", action="store_true", help="replace results that exist")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""bin/convert IN... OUT.h5: recordings of any supported format into one file of the native format."""
+"""bin/convert IN... OUT.h5, or IN_FOLDER OUT_FOLDER: recordings of any supported format in the native one."""
 
 from __future__ import annotations
 
@@ -7,49 +7,100 @@ import logging
 import re
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.parser import OneLineParser, numbers
-from cannoise_jax.recordings.join import join_recordings
-from cannoise_jax.recordings.load import load_recording, supported
-from cannoise_jax.recordings.native import write_recording
-from cannoise_jax.recordings.recording import CFA_PATTERNS, KINDS, BadInput
+from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides
+from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.recordings.recording import Recording
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(,[\d.]+)*")
+_NATIVE = (".h5", ".hdf5")
 
 
+@command("convert")
 def main(argv: list[str] | None = None) -> int:
     """Converts; returns 0, or 2 after one line on stderr when something cannot be used."""
-    arguments = _parser().parse_args(_gathered(sys.argv[1:] if argv is None else argv))
+    parser = _parser()
+    arguments = parser.parse_intermixed_args(_gathered(sys.argv[1:] if argv is None else argv))
     logging.basicConfig(format="bin/convert: %(message)s", level=logging.WARNING)
-    overrides = {
-        name: getattr(arguments, name)
-        for name in ("cfa", "black_level", "white_level", "kind", "camera", "iso", "exposure_s")
-        if getattr(arguments, name) is not None
-    }
     try:
-        recording = convert(arguments.inputs, arguments.output, overrides, arguments.overwrite)
+        if _is_folder(arguments):
+            return _convert_folder(arguments)
+        if arguments.dry_run or len(arguments.paths) < 2:
+            parser.error("give IN... OUT.h5, or IN_FOLDER OUT_FOLDER; --dry-run prints the plan of a folder")
+        *inputs, output = arguments.paths
+        recording = convert(inputs, output, overrides(arguments), arguments.force)
     except BadInput as error:
         print(f"bin/convert: {error}", file=sys.stderr)
         return 2
-    size = "{} x {}".format(*recording.size)
-    print(f"{arguments.output}: {recording.count} frames of {size}, {recording.cfa}, {recording.camera}")
+    print(_line(output, recording))
     return 0
 
 
-def convert(inputs: list[Path], output: Path, overrides: dict, overwrite: bool = False):
+def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) -> Recording:
     """Stacks the inputs, in the order given, into one native file and returns the recording written.
 
-    Raises BadInput, and then nothing is written.
+    given: see `metadata.OVERRIDES`. Raises BadInput, and then nothing is written.
     """
-    if output.suffix.lower() not in (".h5", ".hdf5"):
-        raise BadInput(f"{output}: the output comes last and ends in .h5")
-    if output.exists() and not overwrite:
-        raise BadInput(f"{output}: exists: name another file, or replace it with --overwrite")
+    from cannoise_jax.recordings.join import join_recordings
+    from cannoise_jax.recordings.load import load_recording
+    from cannoise_jax.recordings.native import write_recording
+
+    if output.suffix.lower() not in _NATIVE:
+        raise BadInput(f"{output}: the output comes last and ends in .h5 (or is a folder, for one folder)")
+    if output.exists() and not force:
+        raise BadInput(f"{output}: exists: name another file, or replace it with --force")
     if not output.parent.is_dir():
         raise BadInput(f"{output}: no such folder {output.parent}")
-    recording = join_recordings([load_recording(path, **overrides) for path in inputs])
+    recording = join_recordings([load_recording(path, **given) for path in inputs])
     write_recording(output, recording)
     return recording
+
+
+def _is_folder(arguments: argparse.Namespace) -> bool:
+    """Whether one folder, but no scene folder of SIDD for a single file, is to be sorted."""
+    first, *rest = arguments.paths
+    to_file = bool(rest) and rest[-1].suffix.lower() in _NATIVE
+    return len(rest) <= 1 and first.is_dir() and not to_file and (bool(rest) or arguments.dry_run)
+
+
+def _convert_folder(arguments: argparse.Namespace) -> int:
+    from cannoise_jax.recordings.folders.plan import check, plan_folder, text
+    from cannoise_jax.recordings.folders.store import write_plan
+
+    source, *rest = arguments.paths
+    chosen = options(arguments)
+    if rest and _inside(rest[0], source):
+        raise BadInput(f"{rest[0]}: lies inside {source}: name a folder elsewhere for what is converted")
+    plan = plan_folder(
+        source,
+        chosen.overrides,
+        assign=chosen.assign,
+        leave_out=chosen.leave_out,
+        tell=progress("reading files"),
+    )
+    print(text(plan), flush=True)
+    check(plan)
+    if arguments.dry_run:
+        return 0
+    tell = progress("writing recordings")
+    total = sum(len(one.groups) for one in plan.sets)
+    for number, (path, recording) in enumerate(write_plan(plan, rest[0], force=arguments.force), start=1):
+        print(_line(path, recording), flush=True)
+        tell(number, total)
+    return 0
+
+
+def _inside(path: Path, folder: Path) -> bool:
+    return folder.resolve() in (path.resolve(), *path.resolve().parents)
+
+
+def _line(path: Path, recording: Recording) -> str:
+    size = "{} x {}".format(*recording.size)
+    return f"{path}: {recording.count} frames of {size}, {recording.cfa}, {recording.camera}"
 
 
 def _gathered(argv: list[str]) -> list[str]:
@@ -66,22 +117,18 @@ def _gathered(argv: list[str]) -> list[str]:
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(
         prog="bin/convert",
-        description="Converts recordings into one file of the native format (HDF5). Several inputs of the "
-        "same camera, size and settings become one recording, in the order given.",
-        epilog=f"Formats: {supported()}; and the scene folders of SIDD.",
+        usage="bin/convert IN... OUT.h5 [flags]\n       bin/convert IN_FOLDER OUT_FOLDER [--dry-run] [flags]",
+        description="Converts recordings into the native format (HDF5). Files of one camera, size and "
+        "setting become one recording, in the order given. A folder is sorted by what headers and names say, "
+        "into one recording for each kind, exposure, gain, temperature, filter and size.",
+        epilog="Formats: FITS (.fits .fit .fts .fz .fits.gz), camera raw (DNG NEF CR2 CR3 ARW ...), TIFF, "
+        "NPY, NPZ, PGM, grey PNG, HDF5, and scene folders of SIDD. Names that tell the kind of a file "
+        "or its folder: bias, zero, offset; dark; flat; light.",
     )
-    parser.add_argument("inputs", nargs="+", type=Path, metavar="IN")
-    parser.add_argument("output", type=Path, metavar="OUT.h5")
-    parser.add_argument("--cfa", choices=CFA_PATTERNS, help="colour order of the 2x2 cell")
-    parser.add_argument(
-        "--black-level", type=numbers, metavar="DN", help="one value, or four in mosaic order"
-    )
-    parser.add_argument("--white-level", type=float, metavar="DN")
-    parser.add_argument("--kind", choices=KINDS)
-    parser.add_argument("--camera", metavar="NAME")
-    parser.add_argument("--iso", type=float)
-    parser.add_argument("--exposure", type=float, dest="exposure_s", metavar="SECONDS")
-    parser.add_argument("--overwrite", action="store_true", help="replace OUT.h5 where it exists")
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help="inputs, and the output last")
+    parser.add_argument("--dry-run", action="store_true", help="print the plan of a folder and write nothing")
+    add_recording_flags(parser, single=True)
+    parser.add_argument("--force", action="store_true", help="replace outputs that exist")
     return parser
 
 

@@ -3,68 +3,38 @@
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
-import json
-import os
-import resource
+import logging
 import sys
-import tempfile
 import time
-from pathlib import Path
 
-import jax
-
-from cannoise_jax.commands.parser import OneLineParser
-from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.page import page
-from cannoise_jax.discovery.report import document
-from cannoise_jax.mechanisms import ENTRIES
-from cannoise_jax.mechanisms.outside import entries_at
-from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
-from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.outputs import check_folder
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
 from cannoise_jax.recordings.recording import BadInput
 
+_FILES = ("report.json", "report.html", "sensor.json")
 
+
+@command("diagnose")
 def main(argv: list[str] | None = None) -> int:
     """Writes report.json, report.html and sensor.json; returns 0 whatever the verdict, 2 for bad input."""
     arguments = _parser().parse_args(argv)
+    logging.basicConfig(format="bin/diagnose: %(message)s", level=logging.WARNING)
     started = time.monotonic()
 
     def tell(text: str) -> None:
         print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
 
     try:
-        capture = load_capture_set(arguments.recordings)
-        _check_output(arguments.out)
-        found = diagnose(
-            capture,
-            arguments.simulator,
-            jax.random.key(arguments.key),
-            alpha=arguments.alpha,
-            without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
-            mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
-            tell=tell,
-        )
-        report = document(
-            found,
-            key=arguments.key,
-            version=importlib.metadata.version("cannoise-jax"),
-            seconds=time.monotonic() - started,
-            peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        )
-        texts = {
-            "report.json": json.dumps(report, indent=1, allow_nan=False) + "\n",
-            "report.html": page(found, report),
-        }
-        _write(arguments.out, texts, found.model)
+        check_folder(arguments.out, _FILES, arguments.force, "the report")
+        report, camera = _diagnosed(arguments, tell, started)
     except (BadInput, ValueError, OSError, OverflowError) as error:
         print(f"bin/diagnose: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("bin/diagnose: interrupted; nothing was written", file=sys.stderr)
         return 130
-    print(f"{capture.camera}: {report['verdict']}")
+    print(f"{camera}: {report['verdict']}")
     for finding in report["findings"]:
         print(f"- {finding['mechanism']}: {finding['sentence']}")
     before, after = report["before"]["two_sample_auc"], report["after"]["two_sample_auc"]
@@ -74,65 +44,84 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def _check_output(out: Path) -> None:
-    """Makes the folder. Raises BadInput, before minutes are spent, where the results could not be written."""
-    if out.exists() and not out.is_dir():
-        raise BadInput(f"{out}: is a file: name a folder for the report")
-    if not out.parent.is_dir() and not out.parent.parent.exists():
-        raise BadInput(f"{out}: no such folder {out.parent}")
-    for name in ("report.json", "report.html", "sensor.json"):
-        if (out / name).is_dir():
-            raise BadInput(f"{out / name}: is a folder: name another one for the report")
-    check_place(out / "sensor.json")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise BadInput(f"{out}: cannot be written ({error.strerror}): name another folder") from error
+def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
+    from cannoise_jax.physics.core.sensor_json import check_place
+    from cannoise_jax.recordings.crop import central
+    from cannoise_jax.recordings.folders.store import capture_of
+    from cannoise_jax.recordings.usable import check_usable
 
+    check_place(arguments.out / "sensor.json")
+    chosen = options(arguments)
+    capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
+    if plan:
+        print(plan, end="", file=sys.stderr, flush=True)
+    check_usable(capture)
+    capture, size = central(capture, arguments.most_pixels)
+    if size is not None:
+        tell("frames cut to their middle, {} x {}: --most-pixels sets how much is used".format(*size))
 
-def _write(out: Path, texts: dict[str, str], model: SensorModel) -> None:
-    """Puts all results in place once all of them are on the disk, so that a full one keeps what was there."""
-    beside = {out / name: out / f".{name}.{os.getpid()}" for name in texts}
-    try:
-        for (path, temporary), text in zip(beside.items(), texts.values(), strict=True):
-            try:
-                temporary.write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise BadInput(f"{path}: cannot be written ({error.strerror}): make room for it") from error
-        write_sensor(out / "sensor.json", model)
-        for path, temporary in beside.items():
-            os.replace(temporary, path)
-    finally:
-        for temporary in beside.values():
-            temporary.unlink(missing_ok=True)
+    import jax
+
+    from cannoise_jax.discovery.diagnose import diagnose
+    from cannoise_jax.discovery.save import save
+    from cannoise_jax.mechanisms import ENTRIES
+    from cannoise_jax.mechanisms.outside import entries_at
+
+    found = diagnose(
+        capture,
+        arguments.simulator,
+        jax.random.key(arguments.key),
+        alpha=arguments.alpha,
+        without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
+        mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
+        tell=tell,
+    )
+    report = save(
+        found,
+        arguments.out,
+        key=arguments.key,
+        seconds=time.monotonic() - started,
+        force=arguments.force,
+        used=size,
+    )
+    return report, capture.camera
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = OneLineParser(prog="bin/diagnose", description=__doc__)
-    parser.add_argument("--recordings", type=Path, required=True, help="folder of recordings of one camera")
-    parser.add_argument(
+    parser = OneLineParser(
+        prog="bin/diagnose",
+        description=__doc__,
+        epilog="A folder of single files (FITS, camera raw, TIFF ...) is sorted as bin/convert does; its "
+        "--dry-run shows how. Minutes for a few megapixels: what is being done is said as it goes.",
+    )
+    add = parser.add_argument
+    add("--recordings", type=folder, required=True, metavar="DIR", help="recordings of one camera")
+    add(
         "--simulator",
         default="poisson-gaussian",
         help="poisson-gaussian (calibrated from the recordings), nlf (shot and read of the files), a "
         "sensor.json, or a training folder",
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder for report.html, report.json, sensor.json"
+    add("--out", type=folder, required=True, metavar="DIR", help="for report.html, report.json, sensor.json")
+    add("--alpha", type=float, default=0.01, help="false-alarm rate of the whole run")
+    add(
+        "--most-pixels",
+        type=count,
+        default=400_000,
+        metavar="N",
+        help="use no more of each frame, about its middle: a megapixel takes minutes more",
     )
-    parser.add_argument("--alpha", type=float, default=0.01, help="false-alarm rate of the whole run (0.01)")
-    parser.add_argument("--key", type=int, default=0, help="seed of everything random (0)")
-    parser.add_argument(
-        "--without", default="", metavar="ID,...", help="run as if these mechanisms were not known"
-    )
-    parser.add_argument(
+    add("--key", type=int, default=0, help="seed of everything random")
+    add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
+    add(
         "--mechanisms",
         metavar="MODULE:NAME",
         action="append",
         default=[],
         help="entries of your own to look for too (docs/adding_a_mechanism.md); may be repeated",
     )
+    add_recording_flags(parser)
+    add("--force", action="store_true", help="replace results that exist")
     return parser
 
 

@@ -1,16 +1,89 @@
-"""What the commands share in reading their flags: refusal in one line, and levels per channel."""
+"""What the commands share in reading their flags: refusal in one line, levels per channel, defaults in help,
+and how a folder of recordings is read."""
 
 from __future__ import annotations
 
 import argparse
-from typing import NoReturn
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from cannoise_jax.recordings.recording import CFA_PATTERNS, KINDS
+
+if TYPE_CHECKING:
+    from cannoise_jax.recordings.folders.store import Options
+
+_COLDEST_C, _HOTTEST_C = -273.15, 1000.0
+_HIGHEST_DN = 65535.0
+
+
+class _Defaults(argparse.HelpFormatter):
+    """Ends the help of every flag that has a default with it."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text, value = action.help or "", action.default
+        said = value in (None, False, (), [], "", argparse.SUPPRESS) or "default" in text
+        if said or action.option_strings == [] or not text and action.nargs == 0:
+            return text
+        shown = ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+        return f"{text} (default {shown.replace('%', '%%')})".strip()
 
 
 class OneLineParser(argparse.ArgumentParser):
     """Refuses flags in one line on stderr, `bin/NAME: message (see --help)`, with exit status 2."""
 
+    def __init__(self, *args: Any, **more: Any) -> None:
+        more.setdefault("formatter_class", _Defaults)
+        super().__init__(*args, **more)
+
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see --help)\n")
+
+
+def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False) -> None:
+    """The flags that state what files do not, or state wrongly, and how the files of a folder are sorted.
+
+    single: also those that only make sense for files of one setting.
+    """
+    add = parser.add_argument
+    add("--cfa", choices=CFA_PATTERNS, help="colour order of the 2x2 cell, where files are wrong or silent")
+    add("--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d in mosaic order")
+    add("--white-level", type=level, metavar="DN", help="highest code")
+    add("--camera", metavar="NAME", help="name of the camera, for all files")
+    if single:
+        add("--kind", choices=KINDS, help="what the frames show")
+        add("--iso", type=above_zero, help="of all files")
+        add("--exposure", type=seconds, dest="exposure_s", metavar="SECONDS", help="of all files")
+        add("--temperature", type=celsius, dest="temperature_c", metavar="C", help="of all files")
+    add(
+        "--assign",
+        type=assignment,
+        action="append",
+        default=[],
+        metavar="NAME*=KIND",
+        help=f"kind of the files or folders of such names ({', '.join(KINDS)}); may be given several times",
+    )
+    add(
+        "--leave-out",
+        action="append",
+        default=[],
+        metavar="NAME*",
+        help="pass over the files or folders of such names; may be given several times",
+    )
+
+
+def overrides(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The fields of a recording that the flags state."""
+    names = ("cfa", "black_level", "white_level", "kind", "camera", "iso", "exposure_s", "temperature_c")
+    given = {name: getattr(arguments, name, None) for name in names}
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def options(arguments: argparse.Namespace) -> Options:
+    """How the flags have a folder read."""
+    from cannoise_jax.recordings.folders.store import Options
+
+    return Options(overrides(arguments), tuple(arguments.assign), tuple(arguments.leave_out))
 
 
 def numbers(text: str) -> tuple[float, ...]:
@@ -33,3 +106,37 @@ def count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text!r}: give a whole number, 1 or more")
     return value
+
+
+def _between(least: float, most: float, words: str, *, open_: bool = False) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not least <= value <= most or (open_ and value == least):
+            raise argparse.ArgumentTypeError(f"{text!r}: {words}")
+        return value
+
+    return parse
+
+
+level = _between(0, _HIGHEST_DN, "give a value in DN, above 0 and at most 65535", open_=True)
+celsius = _between(_COLDEST_C, _HOTTEST_C, "give degrees Celsius, -273.15 or more, as 20")
+seconds = _between(0, 1e9, "give a time in seconds, 0 or more")
+above_zero = _between(0, 1e9, "give a number above 0", open_=True)
+
+
+def assignment(text: str) -> tuple[str, str]:
+    """A pattern of names and the kind of what it fits, NAME*=KIND."""
+    pattern, _, kind = text.rpartition("=")
+    if not pattern or kind not in KINDS:
+        raise argparse.ArgumentTypeError(f"{text!r}: give NAME*=KIND with one of {', '.join(KINDS)}")
+    return pattern, kind
+
+
+def folder(text: str) -> Path:
+    """The name of a folder. Raises argparse.ArgumentTypeError for an empty one: that is the current."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("an empty name: name a folder")
+    return Path(text)

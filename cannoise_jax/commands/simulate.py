@@ -8,43 +8,29 @@ from __future__ import annotations
 
 import argparse
 import logging
-import struct
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Float
-
+from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.parser import OneLineParser
-from cannoise_jax.mechanisms.outside import entries_at
-from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
-from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import read_sensor
-from cannoise_jax.physics.core.settings import baseline_at
-from cannoise_jax.physics.synthetic.scenes import mosaic
-from cannoise_jax.recordings.native import read_recording, write_recording
-from cannoise_jax.recordings.recording import BadInput, Kind, Recording, per_channel
+from cannoise_jax.recordings.recording import BadInput
 
-_PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-_SUFFIXES = (*_PICTURES, ".npy", ".h5")
+if TYPE_CHECKING:
+    import jax
+
+    from cannoise_jax.commands.scenes import Clean
+    from cannoise_jax.physics.core.sensor import SensorModel, Settings
+    from cannoise_jax.recordings.recording import Recording
+
 _LARGEST = 1e30
 _MOST_FRAMES = 10_000
 """Of an ISO or an exposure time: products with gains and rates stay within float32."""
 
 
-class Clean(NamedTuple):
-    """A noise-free mosaic, normalised, and the name under which its recording is stored."""
-
-    name: str
-    kind: Kind
-    values: Float[np.ndarray, "h w"]
-
-
+@command("simulate")
 def main(argv: list[str] | None = None) -> int:
     """Writes native recordings or the catalogue; returns 0, or 2 after one line on stderr."""
     arguments = _parser().parse_args(argv)
@@ -85,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
         help="folder for the recordings, SCENE_isoISO_EXPOSUREs.h5, or the page's file",
     )
     add("--frames", type=int, default=1, help="frames per recording (default 1)")
-    add("--overwrite", action="store_true", help="replace recordings that exist")
+    add("--force", action="store_true", help="replace recordings that exist")
     add("--iso", type=float, help="default: the first calibrated ISO")
     add("--exposure", type=float, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
     add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
@@ -125,6 +111,13 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("--unit: must be a whole number from 0 to 4294967295")
     if not 0 <= arguments.seed < 2**32:
         raise BadInput("--seed: must be a whole number from 0 to 4294967295")
+    import jax
+    import numpy as np
+
+    from cannoise_jax.commands.scenes import scenes
+    from cannoise_jax.physics.core.sensor import Settings
+    from cannoise_jax.recordings.native import write_recording
+
     model = _sensor(arguments.sensor, arguments.mechanisms)
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
@@ -132,29 +125,30 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     if not 0 < iso <= _LARGEST:
         raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
-    scenes = _scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
-    for clean in scenes:
+    clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
+    for clean in clean_scenes:
         height, width = clean.values.shape
         if model.cfa != "MONO" and (height % 2 or width % 2):
             raise BadInput(
                 f"{clean.name}: {height} x {width} pixels: a {model.cfa} mosaic has even sizes: crop it"
             )
         path = arguments.out / _name(clean, settings, arguments.unit)
-        if path.exists() and not arguments.overwrite:
-            raise BadInput(f"{path}: exists: name another folder, or replace it with --overwrite")
-    for size in {clean.values.shape for clean in scenes}:
+        if path.exists() and not arguments.force:
+            raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
+    for size in {clean.values.shape for clean in clean_scenes}:
         # Raises BadInput where the unit's measured maps are of another size; draws nothing.
         jax.eval_shape(lambda size=size: model.with_maps(size).mechanisms)
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{arguments.out}: no folder can be made here ({error.strerror})") from error
-    key = jax.random.key(arguments.seed)
-    for number, clean in enumerate(scenes):
+    key, tell = jax.random.key(arguments.seed), progress("drawing recordings")
+    for number, clean in enumerate(clean_scenes):
         path = arguments.out / _name(clean, settings, arguments.unit)
         recording = record(model, jax.random.fold_in(key, number), clean, settings)
         write_recording(path, recording)
         yield path, recording
+        tell(number + 1, len(clean_scenes))
 
 
 def _name(clean: Clean, settings: Settings, unit: int | None) -> str:
@@ -168,11 +162,19 @@ def _name(clean: Clean, settings: Settings, unit: int | None) -> str:
 def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings) -> Recording:
     """A recording of one clean mosaic: frames, and in `clean`, `shot` and `read` what the baseline
     expects."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
+    from cannoise_jax.physics.core.settings import baseline_at
+    from cannoise_jax.recordings.recording import Recording, per_channel
+
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         frames = np.asarray(model.sample(key, clean.values, settings))
     for warning in caught:
-        logging.warning("%s", warning.message)
+        if str(warning.category.__module__).startswith("cannoise_jax"):
+            logging.warning("%s", warning.message)
     gain, read_noise = (np.asarray(v) for v in baseline_at(model, settings.iso))
     shot, read = nlf_from_electrons(gain, read_noise, jnp.asarray(model.white_level) - model.black_level)
     return Recording(
@@ -201,79 +203,13 @@ def _stored_size(model: SensorModel) -> tuple[int, int]:
 
 
 def _sensor(name: str, places: Sequence[str]) -> SensorModel:
+    from cannoise_jax.mechanisms.outside import entries_at
+    from cannoise_jax.physics.core.sensor import SensorModel
+    from cannoise_jax.physics.core.sensor_json import read_sensor
+
     if name.startswith("preset:"):
         return SensorModel.preset(name.removeprefix("preset:"))
     return read_sensor(name, [entry for place in places for entry in entries_at(place)])
-
-
-def _scenes(text: str, cfa: str, size: tuple[int, int]) -> list[Clean]:
-    """The clean mosaics that `--clean` names, all read and checked before anything is written."""
-    if text == "dark":
-        return [Clean("dark", "dark", np.zeros(size, np.float32))]
-    if text.startswith("flat:"):
-        try:
-            level = float(text.removeprefix("flat:"))
-        except ValueError:
-            level = float("nan")
-        if not 0 <= level <= 1:
-            raise BadInput(f"--clean {text}: write flat:LEVEL with a level from 0 to 1, as flat:0.2")
-        return [Clean(f"flat_{level:g}", "flat", np.full(size, level, np.float32))]
-    path = Path(text)
-    if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES)
-        if not files:
-            raise BadInput(f"{path}: holds no clean pictures: put {', '.join(_SUFFIXES)} files there")
-        named = [_scene(p, cfa) for p in files]
-        if len({c.name for c in named}) < len(named):
-            raise BadInput(f"{path}: two pictures share a name: their recordings would overwrite each other")
-        return named
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file: name a picture, a folder, flat:LEVEL or dark")
-    return [_scene(path, cfa)]
-
-
-def _scene(path: Path, cfa: str) -> Clean:
-    """One clean mosaic of a file: linear values 0 to 1 as [H, W] or RGB [H, W, 3] in .npy; the `clean` of a
-    native recording; a picture of 8 bits, taken for sRGB, or of 16 bits, taken for linear."""
-    suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise BadInput(f"{path}: not a clean picture: use {', '.join(_SUFFIXES)}")
-    if suffix == ".h5":
-        recording = read_recording(path)
-        if recording.clean is None:
-            raise BadInput(f"{path}: holds no clean image: use a recording with one")
-        if recording.cfa != cfa:
-            raise BadInput(f"{path}: is {recording.cfa} and the sensor {cfa}: use a scene of the same mosaic")
-        values = np.asarray(recording.clean[0] if recording.clean.ndim == 3 else recording.clean)
-    else:
-        values = _array(path, suffix)
-    if values.ndim == 3 and values.shape[2] in (3, 4):
-        values = mosaic(values[..., :3], cfa)
-    if values.ndim != 2 or min(values.shape) < 2:
-        raise BadInput(f"{path}: has shape {values.shape}: use [H, W], or [H, W, 3] in colour")
-    if not np.isfinite(values).all() or values.min() < -0.05 or values.max() > 1.5:
-        raise BadInput(f"{path}: values must be finite and from 0 (black) to 1 (white)")
-    return Clean(path.stem, "scene", np.ascontiguousarray(values, np.float32))
-
-
-def _array(path: Path, suffix: str) -> np.ndarray:
-    try:
-        if suffix == ".npy":
-            values = np.load(path, allow_pickle=False)
-            if np.iscomplexobj(values):
-                raise BadInput(f"{path}: holds complex numbers: use real values from 0 to 1")
-            return np.asarray(values, np.float32)
-        from skimage.io import imread
-
-        picture = imread(path)
-    except (OSError, ValueError, SyntaxError, EOFError, struct.error) as error:
-        raise BadInput(f"{path}: cannot be read as a picture: {str(error).splitlines()[0]}") from error
-    if picture.dtype == np.uint8:
-        encoded = picture.astype(np.float32) / 255
-        return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    if picture.dtype == np.uint16:
-        return picture.astype(np.float32) / 65535
-    return np.asarray(picture, np.float32)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -79,6 +80,15 @@ class Diagnosis:
         """Mechanisms found, in the order of acceptance; without what is part of another."""
         aside = part_of(self.fitted.steps)
         return [s.named.mechanism for n, s in enumerate(self.fitted.steps) if n not in aside]
+
+    def save(self, folder: str | Path, *, force: bool = False) -> dict[str, Any]:
+        """Writes report.html, report.json and sensor.json into a folder, and returns the report.
+
+        Raises BadInput where one exists (without force) or cannot be written.
+        """
+        from cannoise_jax.discovery.save import save
+
+        return save(self, folder, force=force)
 
 
 def diagnose(

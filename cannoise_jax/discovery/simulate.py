@@ -62,12 +62,18 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
 def _generator(path: Path, capture: CaptureSet) -> Draw:
     """A trained generator, conditioned on frames that look for effects, never on those that prove."""
     model = load_model(path)
+    if model.level == "given":
+        raise BadInput(f"{path}: this model must be told its level: train it with config.level=both")
     lit = capture.of_kind("scene", "flat")
     if not lit:
         raise BadInput(f"{path}: a trained generator is judged on scenes and flats: record some")
     looking = [r for r, (a, _) in zip(capture.recordings, split_recordings(capture), strict=True) if a]
     shown = [r for r in looking if r.kind in ("scene", "flat") and r.size == lit[0].size] or lit[:1]
-    references = jnp.stack([jnp.asarray(_packed_frame(r)) for r in shown[:4]])
+    isos = iso_numbers(gain_groups(capture))
+    # By setting: the model reads the level of the noise off them.
+    references: dict[tuple[float, float], list[Any]] = {}
+    for r in shown:
+        references.setdefault((isos[r.iso], r.exposure_s or 0.01), []).append(jnp.asarray(_packed_frame(r)))
     cfa = lit[0].cfa
 
     black = np.mean(lit[0].black_level)
@@ -79,11 +85,19 @@ def _generator(path: Path, capture: CaptureSet) -> Draw:
         # Mirrored on to a size that the networks take, which keeps the order of the colours.
         more = [(0, max(-n % 4, 2 * SMALLEST - n)) for n in clean.shape]
         packed = pack(jnp.asarray(np.pad(np.asarray(clean), more, mode="reflect")), cfa)
+        wanted = (float(settings.iso), float(settings.exposure_s))
+        nearest = min(references, key=lambda have: _distance(have, wanted))
         # What lies below black is kept, as a sensor keeps it.
-        noisy = jnp.clip(packed + sample(model, key, packed, references), -black / span, 1)
+        noise = sample(model, key, packed, jnp.stack(references[nearest][:4]))
+        noisy = jnp.clip(packed + noise, -black / span, 1)
         return black + span * np.asarray(unpack(noisy, cfa))[:height, :width]
 
     return draw
+
+
+def _distance(have: tuple[float, float], wanted: tuple[float, float]) -> tuple[float, float]:
+    """How far two settings are: first in gain, then in exposure, octaves."""
+    return abs(np.log2(have[0] / wanted[0])), abs(np.log2(have[1] / wanted[1]))
 
 
 def _packed_frame(recording: Recording) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""The noise models to beat: Gaussian, Poisson-Gaussian as published, Poisson-Gaussian re-calibrated.
+"""The noise models to beat: Gaussian, Poisson-Gaussian as published, as estimated from the references alone,
+and re-calibrated.
 
 All are samplers with the signature that a learned model has too,
 `sampler(key, clean, reference_noisy, shot, read) -> noise`, batches packed `[b, h, w, 4]`, k references each
@@ -16,6 +17,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import nnls
 
 from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma, sample_normal
+from cannoise_jax.physics.single_image import estimate_nlf
 
 Sampler = Callable[..., Any]
 
@@ -37,6 +39,12 @@ def poisson_gaussian(key, clean, reference_noisy, shot, read) -> Float[Array, "b
     """N(0, shot * clean + read) per pixel, the paper's eq. 1 with the noise level function it is given."""
     sigma = nlf_sigma(clean, shot[:, None, None, :], read[:, None, None, :])
     return sigma * sample_normal(key, clean.shape)
+
+
+@jax.jit
+def poisson_gaussian_estimated(key, clean, reference_noisy, shot, read) -> Float[Array, "b h w 4"]:
+    """`poisson_gaussian` at the level that the references show: what is to be had without any training."""
+    return poisson_gaussian(key, clean, reference_noisy, *jax.vmap(estimate_nlf)(reference_noisy))
 
 
 def calibrate_nlf(

@@ -1,11 +1,11 @@
 """Noise models side by side on held-out patches: one row per camera, one column per model.
 
-A model gets, for every patch, noisy references of *other* patches of the same camera (the paper's image j,
-any setting), never the target itself. The column `model_wrong_reference` gets those of another camera
-instead, at the same noise level function and with the same random numbers: what it loses there is what the
-model knows about the camera. One
-patch at an unknown setting need not tell a camera (one phone at ISO 400 has the noise of another at ISO 100),
-so that a model may be given several; `model_one_reference` then shows what one does.
+A model gets, for every patch, noisy references of *other* patches of the same camera and setting, of other
+scenes where there are any, never the target itself; how loud the noise is, it must read off them. So must
+`poisson_gaussian_estimated`, which has learned nothing. The column `model_given` is told the re-calibrated
+noise level function, and `model_wrong_reference` gets references of another camera at that same level and
+with the same random numbers: what it loses there is what the model knows about the camera beside its level.
+A model may be given several references; `model_one_reference` then shows what one does.
 """
 
 from __future__ import annotations
@@ -17,15 +17,22 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from cannoise_jax.evaluation.baselines import Sampler, gaussian, poisson_gaussian
+from cannoise_jax.evaluation.baselines import (
+    Sampler,
+    gaussian,
+    poisson_gaussian,
+    poisson_gaussian_estimated,
+)
 from cannoise_jax.evaluation.evaluators import EVALUATORS, Evaluator, Samples, evaluate, pooled
 from cannoise_jax.evaluation.kl import clipped_noise
 
 MODELS = (
     "gaussian",
     "poisson_gaussian",
+    "poisson_gaussian_estimated",
     "poisson_gaussian_recalibrated",
     "model",
+    "model_given",
     "model_wrong_reference",
     "model_one_reference",
 )
@@ -64,6 +71,7 @@ def evaluate_model(
     evaluators: tuple[Evaluator, ...] = EVALUATORS,
     columns: Sequence[str] = MODELS,
     references: int = 1,
+    given: Sampler | None = None,
 ) -> Results:
     """Every model of `columns` on every patch.
 
@@ -71,7 +79,9 @@ def evaluate_model(
     numbers are computed for every camera and ISO, a camera's are the mean over its patches, and so on up.
 
     sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise`, called on batches of
-      `batch` patches with references `[b, k, h, w, 4]` (jit it); None leaves its columns out.
+      `batch` patches with references `[b, k, h, w, 4]` (jit it); None leaves its columns out. shot and read
+      are the published ones: a model that reads its level off the references looks at neither.
+    given: the same model, where it obeys shot and read that it is given; None: it cannot.
     references: k, how many noisy images of the camera the model is shown.
     camera_names: by camera index. recalibrated: from `baselines.calibrate_by_setting` on training recordings;
       a setting that it lacks uses the published function; None leaves the column out.
@@ -81,7 +91,7 @@ def evaluate_model(
     draw_key, pair_key = jax.random.split(key)
     noise = {
         name: draw_noise(column, patches, _column_key(draw_key, name), batch)
-        for name, column in model_columns(sampler, patches, pair_key, recalibrated, references).items()
+        for name, column in model_columns(sampler, patches, pair_key, recalibrated, references, given).items()
         if name in columns
     }
     camera, iso = np.asarray(patches.camera), np.asarray(patches.iso)
@@ -111,14 +121,17 @@ def model_columns(
     key: Key[Array, ""],
     recalibrated: Mapping[tuple[int, int], tuple[float, float]] | None = None,
     references: int = 1,
+    given: Sampler | None = None,
 ) -> dict[str, Column]:
     """The columns of the comparison by name, each with its references and noise levels."""
-    right, wrong = choose_references(patches.camera, patches.scene, key, references)
+    right, wrong = choose_references(patches.camera, patches.scene, key, references, patches.iso)
     shot, read = np.asarray(patches.shot), np.asarray(patches.read)
     made = {
         "gaussian": Column(gaussian, right, shot, read),
         "poisson_gaussian": Column(poisson_gaussian, right, shot, read),
+        "poisson_gaussian_estimated": Column(poisson_gaussian_estimated, right, shot, read),
     }
+    fitted = [shot, read]
     if recalibrated is not None:
         settings = zip(np.asarray(patches.camera), np.asarray(patches.iso), shot, read, strict=True)
         levels = [recalibrated.get((int(c), int(i)), (s, r)) for c, i, s, r in settings]
@@ -126,27 +139,36 @@ def model_columns(
         made["poisson_gaussian_recalibrated"] = Column(poisson_gaussian, right, *fitted)
     if sampler is not None:
         made["model"] = Column(sampler, right, shot, read)
+        if given is not None:
+            made["model_given"] = Column(given, right, *fitted)
         if (wrong >= 0).all():
-            made["model_wrong_reference"] = Column(sampler, wrong, shot, read)
+            made["model_wrong_reference"] = Column(given or sampler, wrong, *fitted)
         if references > 1:
             made["model_one_reference"] = Column(sampler, right[:, :1], shot, read)
     return made
 
 
 def choose_references(
-    camera: Int[np.ndarray, "n"], scene: Int[np.ndarray, "n"], key: Key[Array, ""], count: int = 1
+    camera: Int[np.ndarray, "n"],
+    scene: Int[np.ndarray, "n"],
+    key: Key[Array, ""],
+    count: int = 1,
+    setting: Int[np.ndarray, "n"] | None = None,
 ) -> tuple[Int[np.ndarray, "n k"], Int[np.ndarray, "n k"]]:
     """For every patch the indices of `count` references of its camera and of as many of one other camera.
 
-    The first are from other scenes where the camera has more than one, else other patches where there are
-    any; the second are -1 where there is no other camera. None is repeated where there are enough.
+    The first are of its setting, where settings are told and it has another patch, and from other scenes
+    where there is more than one, else other patches where there are any; the second are of any setting, -1
+    where there is no other camera. None is repeated where there are enough.
     """
     camera, scene = np.asarray(camera), np.asarray(scene)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).tolist())
     right, wrong = np.tile(np.arange(camera.size)[:, None], count), np.full((camera.size, count), -1)
     for i in range(camera.size):
         same = camera == camera[i]
-        for allowed in (same & (scene != scene[i]), same & (np.arange(camera.size) != i)):
+        other = np.arange(camera.size) != i
+        here = same if setting is None else same & (np.asarray(setting) == np.asarray(setting)[i])
+        for allowed in (here & (scene != scene[i]), here & other, same & (scene != scene[i]), same & other):
             if allowed.any():
                 right[i] = rng.choice(np.flatnonzero(allowed), count, replace=allowed.sum() < count)
                 break

@@ -12,8 +12,10 @@ SCHEMA = "cannoise/results/1"
 HEADINGS = {
     "gaussian": "Gaussian",
     "poisson_gaussian": "PG published",
+    "poisson_gaussian_estimated": "PG estimated",
     "poisson_gaussian_recalibrated": "PG re-calib.",
     "model": "model",
+    "model_given": "model, level",
     "model_one_reference": "model, 1 ref.",
     "model_wrong_reference": "wrong refs.",
 }

@@ -118,7 +118,8 @@ class Generator(nn.Module):
     spectral norm on every layer as released); all further fields are then unused.
     spectral, norm ("channel", "instance", "none"): of the U-Net. hidden: channels of the full-resolution
     branch. level_input: show log sigma to G. Without it G can know the camera from the latent only.
-    setting_input: show the full-resolution branch the image's noise level function, beside the camera.
+    setting_input: show the full-resolution branch the image's noise level function, beside the camera, and
+    whether that function was handed over (`known`: 1) or estimated from the references (0, or None).
     direct: also let both set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
 
@@ -144,6 +145,7 @@ class Generator(nn.Module):
         sigma: Float[Array, "b h w 4"],
         *,
         train: bool,
+        known: Float[Array, "b"] | None = None,
     ) -> Float[Array, "b h w 4"]:
         if self.literal:
             x = jnp.concatenate([clean, n_init], -1)
@@ -155,7 +157,8 @@ class Generator(nn.Module):
         x = jnp.concatenate([x, features], -1)
         told = latent * latent.shape[-1] ** 0.5
         if self.setting_input:
-            told = jnp.concatenate([told, setting_summary(clean, sigma)], -1)
+            source = jnp.zeros(clean.shape[0]) if known is None else known
+            told = jnp.concatenate([told, setting_summary(clean, sigma), source[:, None]], -1)
         # One hidden layer: how far a camera is from its published noise differs from setting to setting.
         told = leaky_relu(nn.Dense(2 * self.hidden, kernel_init=he_init, name="told")(told))
         maps = PixelBranch(self.hidden, 12, self.direct, name="pixels")(x, told, train=train)

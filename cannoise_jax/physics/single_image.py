@@ -4,11 +4,18 @@ Second differences along both axes cancel scene content that is smooth over thre
 left has the noise's variance where the scene is smooth, and more where it is not. The variance is therefore
 fitted against the signal over small blocks, blocks far above the fit counting less and less. The idea of a
 fit to the smooth part of an image follows Foi et al., IEEE Trans. Image Process. 17(10), 2008.
+
+The colour planes are looked at together. Noise is independent between them and texture is not, so that a
+block shows its texture by what its planes share, and by four times as many values as one plane has. One line
+is fitted to all planes, each of which then differs from it by a factor.
 """
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -16,9 +23,17 @@ BLOCK, STEP = 8, 4
 _SPREAD = 0.34
 """Relative standard deviation of a block's mean square for white Gaussian noise: 64 squared second
 differences, correlated so that they count as 17 independent ones."""
-_BIAS = 1.05
-"""Down-weighting the high side loses 5 % of the variance of plain noise (simulated, smooth scenes)."""
-_ITERATIONS = 24
+_SHARED = 0.24 / 6**0.5
+"""Standard deviation of a block's correlation of two planes, mean over six pairs: 1/17^(1/2) each."""
+_CHANNEL = 0.03
+"""Relative standard deviation of the planes' variances about a common line, as measured on cameras whose
+planes have the same gain."""
+_LEAST_READ, _LEAST_SHOT = 0.002, 0.02
+"""Shares of the variance at the mean signal that count as read and as shot at least: an image without dark
+parts fits a line through zero as well as any."""
+_BIAS = 1.01
+"""Down-weighting the high side loses 1 % of the variance of plain noise (simulated, smooth scenes)."""
+_ITERATIONS = 20
 _TINY = 1e-10
 
 
@@ -45,32 +60,61 @@ def estimate_nlf(
     noisy: one image or several of the same camera and setting, h and w at least 16. Both are at least zero.
     An image of one level cannot tell shot from read: there only the variance at that level means anything;
     where all pixels are alike both are zero. Correlated noise (in-camera denoising) and clipped shadows read
-    low, dense texture reads high.
-
-    Median error of shot, read and sigma at 18 % grey, against fits that know the clean image, virtual cameras
-    at all their ISOs: one patch of 64x64 packed pixels 15 %, 100 %, 6 % (one patch in ten: sigma off by more
-    than 26 %); eight patches of a setting 8 %, 75 %, 3 %: what a scene without deep shadows says of read is
-    next to nothing. Real bias frames and flats, sigma at their own level: 1 to 3 %, 7 to 8 %. Scenes on real
-    darks of low noise (0.35 % at 18 % grey): sigma 15 to 22 % too high, for texture outweighs it.
+    low, dense texture reads high; noise common to a row or a column is not seen.
     """
     images = noisy.reshape(-1, *noisy.shape[-3:])
-    level = jnp.maximum(_block_means(local_mean(images)), 0)
-    power = _block_means(jnp.square(high_pass(images)))
-    level, power = (a.reshape(-1, a.shape[-1]) for a in (level, power))
-    shot, read = jnp.zeros(level.shape[-1]), jnp.mean(power, 0) + _TINY
+    channels = images.shape[-1]
+    residual = high_pass(images)
+    pairs = np.array(list(combinations(range(channels), 2)), int).reshape(-1, 2)
+    first, second = pairs[:, 0], pairs[:, 1]
+    products = jnp.concatenate([jnp.square(residual), residual[..., first] * residual[..., second]], -1)
+    level = jnp.maximum(_block_means(local_mean(images)), 0).reshape(-1, channels)
+    means = _block_means(products)
+    means = means.reshape(-1, means.shape[-1])
+    power, shared = means[:, :channels], means[:, channels:]
+    shot, read = jnp.zeros(()), jnp.mean(power) + _TINY
+    spread = _SPREAD / channels**0.5
     for i in range(_ITERATIONS):
         predicted = shot * level + read + _TINY
-        ratio = power / predicted
+        ratio = jnp.mean(power / predicted, -1, keepdims=True)
         if i < _ITERATIONS // 2:
             # A low expectile: finds the smooth blocks from wherever it starts.
             weight = jnp.where(ratio > 1, 0.1, 0.9)
         else:
             # Blocks within the spread of plain noise count in full, textured ones hardly.
-            weight = 1 / (1 + jnp.square(jnp.maximum(ratio - 1, 0) / (2 * _SPREAD)) ** 2)
+            correlation = shared / jnp.sqrt(predicted[:, first] * predicted[:, second])
+            texture = jnp.sum(correlation, -1, keepdims=True) / max(len(pairs), 1)
+            weight = _gentle((ratio - 1) / (2 * spread)) * _gentle(texture / (2 * _SHARED))
         # Only ratios of weights count; against the least variance the squares stay inside float32.
-        least = lax.stop_gradient(jnp.min(predicted, 0))
-        shot, read = _weighted_line(level, power, weight * jnp.square(least / predicted))
-    return _BIAS * shot, _BIAS * read
+        least = lax.stop_gradient(jnp.min(predicted))
+        whole = weight * jnp.square(least / predicted)
+        shot, read = (v[0] for v in _weighted_line(*(_column(v) for v in (level, power, whole))))
+    total = jnp.sum(weight, 0)
+    factor = jnp.sum(weight * power / (shot * level + read + _TINY), 0) / total
+    # Blocks overlap fourfold; a plane's own factor counts as far as it is better known than the prior.
+    known = total / 4 / _SPREAD**2
+    factor = (known * factor + 1 / _CHANNEL**2) / (known + 1 / _CHANNEL**2)
+    shot, read = _both_present(shot, read, jnp.sum(weight * level) / jnp.sum(weight * jnp.ones_like(level)))
+    seen = jnp.mean(power) > _TINY
+    return tuple(jnp.where(seen, _BIAS * factor * v, 0) for v in (shot, read))  # type: ignore[return-value]
+
+
+def _gentle(excess):
+    """A weight that falls from one as the excess grows past one; one below zero."""
+    return 1 / (1 + jnp.square(jnp.square(jnp.maximum(excess, 0))))
+
+
+def _column(values):
+    return values.reshape(-1, 1)
+
+
+def _both_present(shot, read, level):
+    """The line with the least shares of shot and read, and the same variance at `level`."""
+    variance = shot * level + read
+    shot = shot + _LEAST_SHOT * variance / jnp.maximum(level, 1e-3)
+    read = read + _LEAST_READ * variance
+    kept = variance / (shot * level + read + _TINY)
+    return kept * shot, kept * read
 
 
 def _block_means(x):

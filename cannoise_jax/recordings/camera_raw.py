@@ -23,6 +23,7 @@ from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
+from cannoise_jax.recordings.opened import Opened
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 
 SUFFIXES = (
@@ -32,6 +33,7 @@ SUFFIXES = (
 
 _NOISE_PROFILE, _CFA_PLANE_COLOUR, _ACTIVE_AREA, _MASKED_AREAS = 51041, 50710, 50829, 50830
 _BLACK_REPEAT, _BLACK, _BLACK_DELTAS = 50713, 50714, (50715, 50716)
+_UNIQUE_CAMERA, _EXPOSURE, _ISO = 50708, 33434, (34855, 34867)
 _CFA_IMAGE = 32803  # PhotometricInterpretation of a mosaic
 _log = logging.getLogger(__name__)
 
@@ -73,23 +75,39 @@ def read_camera_raw(path: str | Path, **overrides: Any) -> Recording:
     overrides: see `metadata.OVERRIDES`. Raises BadInput, also for mosaics that are not Bayer.
     """
     check_overrides(overrides)
+    opened = open_camera_raw(path)
+    recording = make_recording(path, opened.frames, opened.known, overrides)
+    read_again = partial(read_stack, partial(_read_frame, path=str(path)), recording.frames.shape)
+    return replace(recording, frames=LazyArray(read_again, recording.frames.shape, np.dtype(np.uint16)))
+
+
+def open_camera_raw(path: str | Path) -> Opened:
+    """The frame of a camera raw file, in memory, and what it states. Raises BadInput.
+
+    Where the file states no black level, or 0, that of the masked pixels is taken if there are any.
+    """
+    if not Path(path).is_file():
+        raise BadInput(f"{path}: no such file")
     tags = _directories(path)
     raw = _decode(path, tags)
-    frame = _visible(raw)
     shot, read = _noise_profile(path, tags, raw.cfa)
+    black, about = _exact_black(tags, raw) or raw.black, {}
+    if not any(black):
+        masked = _median_of(_masked(tags, raw))
+        if masked is not None:
+            black, about = masked, {"black_from": "masked pixels"}
     known = {
         "cfa": raw.cfa,
-        "black_level": _exact_black(tags, raw) or raw.black,
+        "black_level": black,
         "white_level": raw.white,
-        "iso": raw.iso,
-        "exposure_s": raw.exposure_s,
+        "iso": raw.iso or _first_number(tags, *_ISO),
+        "exposure_s": raw.exposure_s or _first_number(tags, _EXPOSURE),
         "shot": shot,
         "read": read,
         **_exif(path),
     }
-    recording = make_recording(path, np.ascontiguousarray(frame)[None], known, overrides)
-    read_again = partial(read_stack, partial(_read_frame, path=str(path)), recording.frames.shape)
-    return replace(recording, frames=LazyArray(read_again, recording.frames.shape, frame.dtype))
+    known["camera"] = known.get("camera") or _camera_name(tags)
+    return Opened(np.ascontiguousarray(_visible(raw))[None], known, about)
 
 
 def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
@@ -99,7 +117,10 @@ def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
     Raises BadInput.
     """
     tags = _directories(path)
-    raw = _decode(path, tags)
+    return _masked(tags, _decode(path, tags))
+
+
+def _masked(tags: list[_Directory], raw: _Decoded) -> tuple[BorderRegion, ...]:
     rows, columns = raw.sensor.shape
     bottom, right = raw.top + raw.size[0], raw.left + raw.size[1]
     masked = _tag(tags, _MASKED_AREAS)
@@ -121,14 +142,21 @@ def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
 
 def optical_black_level(path: str | Path) -> PerChannel:
     """Median of the masked pixels of each mosaic site, DN, mosaic order. Raises BadInput without any."""
+    black = _median_of(optical_black(path))
+    if black is None:
+        raise BadInput(f"{path}: holds no masked pixels of every channel: set the black level by hand")
+    return black
+
+
+def _median_of(regions: tuple[BorderRegion, ...]) -> PerChannel | None:
     sites: list[list[np.ndarray]] = [[], [], [], []]
-    for region in optical_black(path):
+    for region in regions:
         for site in range(4):
             first = (site // 2 - region.top) % 2, (site % 2 - region.left) % 2
             sites[site].append(region.pixels[first[0] :: 2, first[1] :: 2].ravel())
     pixels = [np.concatenate([np.empty(0, np.uint16), *parts]) for parts in sites]
     if not all(p.size for p in pixels):
-        raise BadInput(f"{path}: holds no masked pixels of every channel: set the black level by hand")
+        return None
     return per_channel(np.array([np.median(p) for p in pixels]))
 
 
@@ -215,6 +243,24 @@ def _directories(path: str | Path) -> list[_Directory]:
 
 def _tag(tags: list[_Directory], code: int) -> Any:
     return next((d.tags[code] for d in tags if code in d.tags), None)
+
+
+def _first_number(tags: list[_Directory], *codes: int) -> float | None:
+    """A number that a tag states in any directory: writers put Exif's tags into the first one, too."""
+    for code in codes:
+        value = _tag(tags, code)
+        if value is None:
+            continue
+        values = np.ravel(value).astype(np.float64)
+        number = values[0] / values[1] if len(values) == 2 and isinstance(value, tuple) else values[0]
+        if np.isfinite(number) and number > 0:
+            return float(number)
+    return None
+
+
+def _camera_name(tags: list[_Directory]) -> str | None:
+    unique = _tag(tags, _UNIQUE_CAMERA)
+    return str(unique).strip(" \0") or None if unique else None
 
 
 def _exact_black(tags: list[_Directory], raw: _Decoded) -> PerChannel | None:

@@ -1,116 +1,166 @@
-"""FITS files of raw camera frames: one image, or a cube of frames, of unsigned 8 or 16 bit values.
+"""FITS files of raw camera frames: one image, a cube of frames, or the amplifiers of one sensor.
 
-16-bit unsigned values are stored as signed ones with BZERO = 32768 (FITS standard 4.0, Sec. 4.4.2.5). Values
-that are floating point, signed, rescaled or marked as calibrated are no raw frames and are refused. Rows are
-kept as stored, except where ROWORDER says that the file runs bottom up: BAYERPAT counts from the top row.
+16-bit unsigned values are stored as signed ones with BZERO = 32768 (FITS standard 4.0, Sec. 4.4.2.5). Other
+types are taken where every value is a whole number that 16 bits hold; values that are fractional, negative,
+rescaled or marked as calibrated are no raw frames and are refused. Rows are kept as stored, except where
+ROWORDER says that the file runs bottom up: BAYERPAT counts from the top row. Of a frame with overscan
+(BIASSEC) the data section is kept, and the black level is the median of the overscan.
 """
 
 from __future__ import annotations
 
-import math
+import contextlib
 import warnings
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from astropy.io import fits
-from astropy.utils.exceptions import AstropyUserWarning
+from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
+from cannoise_jax.recordings.fits_header import about_of, known_of, section
+from cannoise_jax.recordings.fits_mosaic import assembled
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
+from cannoise_jax.recordings.opened import Opened, check_claim, stated, whole_numbers
 from cannoise_jax.recordings.packing import to_shifted_cfa
-from cannoise_jax.recordings.recording import BadInput, Recording
+from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 
-SUFFIXES = (".fits", ".fit", ".fts", ".fz")
-_ABSOLUTE_ZERO_C = -273.15
-_COUNTS = ("", "adu", "dn", "count", "counts", "ct")
-_KINDS = (("bias", "bias"), ("zero", "bias"), ("dark", "dark"), ("flat", "flat"))
+SUFFIXES = (".fits", ".fit", ".fts", ".fz", ".fits.gz", ".fit.gz", ".fts.gz")
+_COUNTS = ("", "adu", "adus", "dn", "count", "counts", "ct")
+_PLANES = 0.1
+"""Three planes whose medians differ by more than this share are colours, not frames."""
 
 
 def read_fits(path: str | Path, **overrides: Any) -> Recording:
-    """A recording from the first image of a FITS file; frames stay on disk until they are indexed.
+    """A recording from the image of a FITS file; frames stay on disk until they are indexed.
 
-    Keywords used: BAYERPAT (XBAYROFF, YBAYROFF, ROWORDER), EXPTIME or EXPOSURE, ISO or else GAIN as the
-    camera counts it, CCD-TEMP, INSTRUME, IMAGETYP, SATURATE. FITS knows no black level: it must be given.
+    Keywords: see `fits_header`. FITS knows no black level: it is that of the overscan, or must be given.
     Text or an impossible number for ISO, exposure or temperature counts as not stated.
     overrides: see `metadata.OVERRIDES`. Raises BadInput.
     """
     check_overrides(overrides)
+    opened = open_fits(path)
+    return make_recording(path, opened.frames, {"kind": "scene", **stated(opened.known)}, overrides)
+
+
+def open_fits(path: str | Path) -> Opened:
+    """The frames and keywords of a FITS file. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
     with reading(path, "not a readable FITS file"), _opened(path) as file:
-        number = next((n for n, hdu in enumerate(file) if hdu.is_image and hdu.shape), None)
-        if number is None:
+        numbers = [n for n, hdu in enumerate(file) if hdu.is_image and hdu.shape]
+        if not numbers:
             raise BadInput(f"{path}: holds no image")
+        for n in numbers:
+            check_claim(path, file[n].shape, abs(int(file[n].header["BITPIX"])) // 8)
+            _check_raw(path, file[n].header)
+        if len(numbers) > 1:
+            return assembled(path, file, numbers)
+        number = numbers[0]
         hdu = file[number]
         header = hdu.header.copy()
-        _check_raw(path, header)
+        if number:  # the camera is often named in the primary header alone
+            header = fits.Header({**_plain(file[0].header), **_plain(header)})
         shape = hdu.shape if len(hdu.shape) == 3 else (1, *hdu.shape)
-        if len(shape) != 3 or str(header.get("CTYPE3", "")).strip().upper() == "RGB":
+        if len(shape) != 3:
             raise BadInput(f"{path}: image has shape {hdu.shape}: expected one mosaic or a cube of them")
-        upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
-        known = _known(header)
-    read = partial(_read, str(path), number, len(hdu.shape), upside_down)
-    return make_recording(path, LazyArray(read, shape, np.dtype(np.uint16)), known, overrides)
+        _check_colours(path, hdu, header)
+        native = (header["BITPIX"], header.get("BZERO", 0)) in ((8, 0), (16, 32768))
+        if not native:
+            whole_numbers(path, np.asarray(hdu.data))
+    upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+    known, about = known_of(header), about_of(header)
+    kept, black = _sections(path, number, header, shape)
+    if known["cfa"] is not None:
+        rows = shape[1] - kept[0].stop if upside_down else kept[0].start
+        known["cfa"] = to_shifted_cfa(known["cfa"], rows, kept[1].start)
+    shape = (shape[0], kept[0].stop - kept[0].start, kept[1].stop - kept[1].start)
+    if black is not None:
+        known["black_level"], about["black_from"] = black, "overscan"
+    read = partial(_read, str(path), number, len(hdu.shape), upside_down, kept)
+    return Opened(LazyArray(read, shape, np.dtype(np.uint16)), known, about)
 
 
-def _opened(path: str | Path) -> fits.HDUList:
+def _plain(header: fits.Header) -> dict[str, Any]:
+    return {k: v for k, v in header.items() if k and k not in ("COMMENT", "HISTORY", "END")}
+
+
+@contextlib.contextmanager
+def _opened(path: str | Path) -> Iterator[fits.HDUList]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", AstropyUserWarning)
-        return fits.open(path, memmap=False)
+        warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        with fits.open(path, memmap=False) as file:
+            yield file
 
 
 def _check_raw(path: str | Path, header: fits.Header) -> None:
-    bits, zero, scale = header["BITPIX"], header.get("BZERO", 0), header.get("BSCALE", 1)
+    scale = header.get("BSCALE", 1)
+    zero = header.get("BZERO", 0)
     steps = str(header.get("CALSTAT", "")).strip()
     unit = str(header.get("BUNIT", "")).strip()
-    if bits < 0:
-        raise BadInput(f"{path}: floating-point values (BITPIX {bits}): give the raw frames of the camera")
     if steps or unit.lower() not in _COUNTS:
         marked = f"CALSTAT {steps}" if steps else f"BUNIT {unit}"
         raise BadInput(f"{path}: calibrated values ({marked}): give the raw frames of the camera")
-    if scale != 1 or (bits, zero) not in ((8, 0), (16, 32768)):
+    if scale != 1:
+        raise BadInput(f"{path}: rescaled values (BSCALE {scale:g}, BZERO {zero:g}): give the raw frames")
+
+
+def _check_colours(path: str | Path, hdu: Any, header: fits.Header) -> None:
+    """Raises BadInput for three planes that are the colours of one picture."""
+    if len(hdu.shape) != 3 or hdu.shape[0] != 3:
+        return
+    words = [str(header.get(name, "")).upper() for name in ("CTYPE3", "COLORSPC", "COLORTYP", "CSPACE")]
+    levels = [float(np.median(hdu.section[n])) for n in range(3)]
+    apart = max(levels) - min(levels) > _PLANES * max(max(levels), 1.0)
+    if any("RGB" in w or "COLOR" in w for w in words) or (apart and "BAYERPAT" not in header):
         raise BadInput(
-            f"{path}: signed or rescaled values (BITPIX {bits}, BZERO {zero:g}, BSCALE {scale:g}): "
-            "raw frames have unsigned 8 or 16 bits"
+            f"{path}: image has shape {hdu.shape}: three planes of medians "
+            f"{', '.join(f'{v:g}' for v in levels)} are the colours of a developed picture: "
+            "give the raw mosaics, or three frames as three files"
         )
 
 
-def _read(path: str, number: int, axes: int, upside_down: bool, index: Any) -> np.ndarray:
+def _sections(
+    path: str | Path, number: int, header: fits.Header, shape: tuple[int, ...]
+) -> tuple[tuple[slice, slice], PerChannel | None]:
+    """Rows and columns to keep, and the black level of the overscan where BIASSEC names one."""
+    whole = slice(0, shape[1]), slice(0, shape[2])
+    bias, data = section(header.get("BIASSEC")), section(header.get("TRIMSEC") or header.get("DATASEC"))
+    if bias is None or not _within(bias, shape):
+        return whole, None
+    if data is None or not _within(data, shape):
+        raise BadInput(
+            f"{path}: has overscan (BIASSEC {header['BIASSEC']}) and no TRIMSEC or DATASEC that names the "
+            "picture: crop the overscan, or add TRIMSEC to the header"
+        )
+    with reading(path, "cannot read the overscan"), _opened(path) as file:
+        image = np.asarray(file[number].section[0] if len(file[number].shape) == 3 else file[number].data)
+        pixels = image[bias[0], bias[1]]
+    if not pixels.size or (data[0].stop - data[0].start) < 1:
+        return whole, None
+    return (data[0], data[1]), per_channel(float(np.median(pixels)))
+
+
+def _within(part: tuple[slice, slice, bool, bool], shape: tuple[int, ...]) -> bool:
+    return part[0].stop <= shape[-2] and part[1].stop <= shape[-1]
+
+
+def _read(
+    path: str, number: int, axes: int, upside_down: bool, kept: tuple[slice, slice], index: Any
+) -> np.ndarray:
     first, *rest = index if isinstance(index, tuple) else (index,)
-    with reading(path, "cannot read the image"), _opened(path) as file:
+    with reading(path, "cannot read the image"), _opened(path) as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore", AstropyWarning)
         frames = file[number].section[first] if axes == 3 else file[number].section[:, :][None][first]
-    frames = np.asarray(frames, np.uint16)
+    frames = np.asarray(frames)
+    frames = frames if frames.dtype == np.uint16 else frames.astype(np.uint16)
+    frames = frames[..., kept[0], kept[1]]
     return (frames[..., ::-1, :] if upside_down else frames)[(..., *_after_first(frames, rest))]
 
 
 def _after_first(frames: np.ndarray, rest: list[Any]) -> tuple[Any, ...]:
     return (*rest, *[slice(None)] * (2 - len(rest)))
-
-
-def _known(header: fits.Header) -> dict[str, Any]:
-    pattern = str(header.get("BAYERPAT", header.get("COLORTYP", ""))).strip().upper()
-    shift = int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0))
-    image_type = str(header.get("IMAGETYP", "")).lower()
-    return {
-        "cfa": to_shifted_cfa(pattern, *shift) if len(pattern) == 4 else None,
-        "white_level": header.get("SATURATE"),
-        "camera": str(header.get("INSTRUME", "")).strip() or None,
-        "kind": next((kind for word, kind in _KINDS if word in image_type), "scene"),
-        "iso": _number(header, ("ISO", "ISOSPEED", "GAIN"), 0),
-        "exposure_s": _number(header, ("EXPTIME", "EXPOSURE"), 0),
-        "temperature_c": _number(header, ("CCD-TEMP",), _ABSOLUTE_ZERO_C),
-    }
-
-
-def _number(header: fits.Header, names: tuple[str, ...], least: float) -> float | None:
-    """The first of these keywords that holds a number from `least` up; programs also write 'n/a' or -1."""
-    for name in names:
-        try:
-            value = float(header.get(name, math.nan))
-        except (TypeError, ValueError):
-            continue
-        if least <= value < math.inf:
-            return value
-    return None

@@ -6,17 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings import camera_raw, fits, native, sidd, stacks
+from cannoise_jax.recordings import camera_raw, fits, native, pictures, sidd, stacks
 from cannoise_jax.recordings.metadata import check_overrides
+from cannoise_jax.recordings.opened import Opened
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
-_READERS: dict[str, Callable[..., Recording]] = {
-    **dict.fromkeys((".h5", ".hdf5", ".hdf"), native.read_recording),
-    **dict.fromkeys(fits.SUFFIXES, fits.read_fits),
-    **dict.fromkeys(stacks.TIFF_SUFFIXES, stacks.read_tiff),
-    **dict.fromkeys(stacks.NUMPY_SUFFIXES, stacks.read_numpy),
-    **dict.fromkeys(camera_raw.SUFFIXES, camera_raw.read_camera_raw),
-}
+_FORMATS: tuple[tuple[tuple[str, ...], Callable[..., Recording], Callable[..., Opened]], ...] = (
+    (native.SUFFIXES, native.read_recording, native.open_native),
+    (fits.SUFFIXES, fits.read_fits, fits.open_fits),
+    (stacks.TIFF_SUFFIXES, stacks.read_tiff, stacks.open_tiff),
+    (stacks.NUMPY_SUFFIXES, stacks.read_numpy, stacks.open_numpy),
+    (pictures.SUFFIXES, pictures.read_picture, pictures.open_picture),
+    (camera_raw.SUFFIXES, camera_raw.read_camera_raw, camera_raw.open_camera_raw),
+)
+_READERS = {suffix: read for suffixes, read, _ in _FORMATS for suffix in suffixes}
+_OPENERS = {suffix: open_ for suffixes, _, open_ in _FORMATS for suffix in suffixes}
 
 
 def supported() -> str:
@@ -31,14 +35,42 @@ def load_recording(path: str | Path, **overrides: Any) -> Recording:
     """
     check_overrides(overrides)
     path = Path(path)
-    if not path.exists():
-        raise BadInput(f"{path}: no such file")
+    _check_file(path)
     if path.is_dir():
         return sidd.read_sidd(path, **overrides)
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise BadInput(f"{path}: unknown format {path.suffix!r}: supported are {supported()}")
-    return reader(path, **overrides)
+    return _READERS[_known_suffix(path)](path, **overrides)
+
+
+def open_file(path: Path) -> Opened:
+    """The frames of a file of any supported format and what it states, not yet judged. Raises BadInput."""
+    _check_file(path)
+    return _OPENERS[_known_suffix(path)](path)
+
+
+def suffix_of(path: Path) -> str:
+    """The suffix that names the format, lower case: .fits.gz counts as one."""
+    last = path.suffix.lower()
+    return path.with_suffix("").suffix.lower() + last if last == ".gz" else last
+
+
+def is_supported(path: Path) -> bool:
+    """Whether the suffix is that of a format that can be read."""
+    return suffix_of(path) in _READERS
+
+
+def _check_file(path: Path) -> None:
+    if not path.exists():
+        broken = path.is_symlink()
+        raise BadInput(f"{path}: {'a link to nothing' if broken else 'no such file'}")
+    if not path.is_file() and not path.is_dir():
+        raise BadInput(f"{path}: no plain file (a pipe or device): give a file")
+
+
+def _known_suffix(path: Path) -> str:
+    suffix = suffix_of(path)
+    if suffix not in _READERS:
+        raise BadInput(f"{path}: unknown format {suffix!r}: supported are {supported()}")
+    return suffix
 
 
 def recording_paths(folder: str | Path) -> list[Path]:
@@ -46,6 +78,9 @@ def recording_paths(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
+    broken = sorted(p for p in folder.iterdir() if is_supported(p) and not p.exists())
+    if broken:
+        raise BadInput(f"{broken[0]}: a link to nothing: mend or remove it")
     paths = sorted(p for p in folder.iterdir() if _is_recording(p))
     if not paths:
         raise BadInput(f"{folder}: holds no recordings: supported are {supported()}")
@@ -66,5 +101,5 @@ def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
 
 
 def _is_recording(path: Path) -> bool:
-    named = path.suffix.lower() in _READERS and not path.name.startswith(".")
+    named = is_supported(path) and not path.name.startswith(".")
     return (named and path.is_file()) or sidd.is_instance(path)

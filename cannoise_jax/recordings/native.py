@@ -17,9 +17,13 @@ from typing import Any
 import h5py
 import numpy as np
 
+from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording, reading
+from cannoise_jax.recordings.opened import Opened, check_claim
 from cannoise_jax.recordings.recording import BadInput, Recording
+
+SUFFIXES = (".h5", ".hdf5", ".hdf")
 
 
 def read_recording(path: str | Path, **overrides: Any) -> Recording:
@@ -28,18 +32,27 @@ def read_recording(path: str | Path, **overrides: Any) -> Recording:
     overrides: see `metadata.OVERRIDES`. Raises BadInput for a file that cannot be used.
     """
     check_overrides(overrides)
+    opened = open_native(path)
+    return make_recording(path, opened.frames, opened.known, overrides)
+
+
+def open_native(path: str | Path) -> Opened:
+    """The frames and attributes of a native file. Raises BadInput."""
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
     with reading(path, "not a readable HDF5 file"), h5py.File(path, "r") as file:
         if not isinstance(file.get("frames"), h5py.Dataset):
             raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
+        for name in ("frames", "clean"):
+            if isinstance(file.get(name), h5py.Dataset):
+                check_claim(path, file[name].shape, file[name].dtype.itemsize)
         known = {k: _plain(file.attrs[k]) for k in FIELDS if k in file.attrs}
         if isinstance(file.get("clean"), h5py.Dataset):
             clean = _view(path, file["clean"])
             known["clean"] = clean if clean.ndim == 3 else np.asarray(file["clean"])
         frames = _view(path, file["frames"])
-    return make_recording(path, frames, known, overrides)
+    return Opened(frames, known)
 
 
 def write_recording(path: str | Path, recording: Recording) -> None:
@@ -48,6 +61,7 @@ def write_recording(path: str | Path, recording: Recording) -> None:
     Reads the frames in chunks. Raises BadInput when it cannot be written, and leaves nothing behind.
     """
     path = Path(path)
+    remove_leftovers(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         try:

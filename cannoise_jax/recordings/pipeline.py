@@ -4,7 +4,8 @@ Every element answers the four draws of the paper's Sec. 3.4 from one target pat
   clean, noisy      i itself, `float32[h, w, 4]`, packed, normalised
   shot, read        the noise level function of i, `float32[4]`, packed order
   camera            index into `source.cameras`, `int32`
-  anchor            noisy j: the same camera, any setting, never i
+  anchor            noisy j: the same camera and setting where it has another patch of it, never i; any
+                    setting where the source does not tell settings
   positive          noisy k: the same camera, any setting, neither i nor (from three patches on) j
   negative          noisy l: another camera, all others equally likely
 `batches` yields dicts of these with a leading batch axis. Everything drawn for element n depends on
@@ -43,6 +44,7 @@ class ArrayPatches:
     """A patch source in memory.
 
     clean, noisy: packed, normalised. shot, read: packed order. camera: index into `cameras` and `cfas`.
+    setting: number of the camera's setting (its ISO, say), where it is known.
     """
 
     clean: Float[np.ndarray, "n h w 4"]
@@ -52,6 +54,7 @@ class ArrayPatches:
     camera: Int[np.ndarray, "n"]
     cameras: tuple[str, ...]
     cfas: tuple[str, ...]
+    setting: Int[np.ndarray, "n"] | None = None
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -86,6 +89,12 @@ class Subset:
 
     def __getitem__(self, index: int) -> dict[str, np.ndarray]:
         return self.source[int(self.indices[index])]
+
+    @property
+    def setting(self) -> np.ndarray | None:
+        """Setting of each patch, where the source tells."""
+        setting = getattr(self.source, "setting", None)
+        return None if setting is None else setting[self.indices]
 
     def cfa(self, index: int) -> str:
         """Colour order of the mosaic a patch was packed from."""
@@ -125,7 +134,9 @@ def batches(
     if min(source[0]["noisy"].shape[:2]) < largest:
         stored = "{} x {}".format(*source[0]["noisy"].shape[:2])
         raise BadInput(f"stored patches of {stored} (packed) are smaller than {largest}: store larger ones")
-    element = _Element(source, members, size, reference_size, triplet)
+    setting = getattr(source, "setting", None)
+    settings = None if setting is None else tuple(np.asarray(setting)[own] for own in members)
+    element = _Element(source, members, size, reference_size, triplet, settings)
     per_epoch = len(element.members) * max(map(len, element.members))
     data = grain.MapDataset.range(per_epoch).seed(seed).shuffle().repeat().random_map(element)
     options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=4 * batch_size if threads else 0)
@@ -141,12 +152,17 @@ class _Element(grain.transforms.RandomMap):
     size: int | None
     reference_size: int | None
     triplet: bool
+    settings: tuple[np.ndarray, ...] | None = None
 
     def random_map(self, element: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         turn, camera = divmod(int(element), len(self.members))
         own = self.members[camera]
         i = turn % len(own)
         j, k = _others(rng, len(own), i)
+        if self.settings is not None:
+            same = np.flatnonzero(self.settings[camera] == self.settings[camera][i])
+            j = int(rng.choice(same[same != i])) if len(same) > 1 else j
+            k = k if k != j or len(own) < 3 else next(n for n in range(len(own)) if n not in (i, j))
         target = self.source[int(own[i])]
         clean, noisy = self._window(
             rng, self.size, self.source.cfa(int(own[i])), target["clean"], target["noisy"]

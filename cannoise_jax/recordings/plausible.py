@@ -14,16 +14,16 @@ _log = logging.getLogger(__name__)
 def check_units_of_clean(recording: Recording) -> None:
     """Compares the median of `clean` with that of the first frame, both normalised.
 
-    Raises BadInput where it is above 1.5 and twice the frame's: no sensor shows such a scene, so it is in DN
-    or another unit. Otherwise logs one warning where they differ by half and by more than 0.05, which levels,
-    an exposure or a scene that do not belong to the frames would do.
+    Raises BadInput where it is above 1.5 and twice the frame's, or below -0.5: no sensor shows such a scene,
+    so it is in DN or another unit. Otherwise logs one warning where they differ by half and by more than
+    0.05, which levels, an exposure or a scene that do not belong to the frames would do.
     """
     if recording.clean is None:
         return
     clean = recording.clean if recording.clean.ndim == 2 else np.asarray(recording.clean[0])
     said = float(np.median(clean))
     seen = float(np.median(normalise(recording.frames[0], recording)))
-    if said > max(1.5, 2 * seen):
+    if said > max(1.5, 2 * seen) or said < -0.5:
         raise BadInput(
             f"{recording.path}: clean has median {said:g}, the frames {seen:.3g} (0 black, 1 white), "
             "so it is not normalised: write (DN - black) / (white - black)"

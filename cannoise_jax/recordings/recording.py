@@ -48,6 +48,7 @@ class Recording:
       normalised units, var = shot * clean + read, so the system gain is K = shot * (white - black) DN/e-.
     clean: expected noise-free signal, normalised; `float32[H, W]`, or `[T, H, W]`, maybe lazy like frames.
     code_step: spacing of the stored codes in DN; None: to be detected; 0: not on a lattice.
+    gain_db: the camera's gain setting where it counts in dB; its iso is then 100 x 10^(gain_db / 20).
     reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
     path: the file it was read from, for messages.
     """
@@ -68,6 +69,7 @@ class Recording:
     reference: str | None = None
     reference_frames: int | None = None
     path: str | None = None
+    gain_db: float | None = None
 
     @property
     def count(self) -> int:

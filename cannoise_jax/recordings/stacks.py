@@ -20,6 +20,7 @@ import tifffile
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
+from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
@@ -32,15 +33,21 @@ def read_numpy(path: str | Path, **overrides: Any) -> Recording:
     overrides: see `metadata.OVERRIDES`. Raises BadInput.
     """
     check_overrides(overrides)
+    opened = open_numpy(path)
+    return make_recording(path, opened.frames, opened.known, overrides)
+
+
+def open_numpy(path: str | Path) -> Opened:
+    """The frames of an NPY or NPZ file, and what its side-car states. Raises BadInput."""
     if Path(path).suffix.lower() == ".npy":
-        return _recording(path, _loaded(path), {}, overrides)
+        return _opened(path, _loaded(path), {})
     with _loaded(path) as archive:
         names = archive.files
         frames_name = "frames" if "frames" in names else names[0] if len(names) == 1 else None
         if frames_name is None:
             raise BadInput(f"{path}: holds {', '.join(names) or 'nothing'}: expected an array 'frames'")
     known = {"clean": _read_npz(str(path), "clean")} if "clean" in names else {}
-    return _recording(path, _read_npz(str(path), frames_name), known, overrides)
+    return _opened(path, _read_npz(str(path), frames_name), known)
 
 
 def read_tiff(path: str | Path, **overrides: Any) -> Recording:
@@ -49,6 +56,12 @@ def read_tiff(path: str | Path, **overrides: Any) -> Recording:
     overrides: see `metadata.OVERRIDES`. Raises BadInput.
     """
     check_overrides(overrides)
+    opened = open_tiff(path)
+    return make_recording(path, opened.frames, opened.known, overrides)
+
+
+def open_tiff(path: str | Path) -> Opened:
+    """The pages of a TIFF file, and what its side-car states. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
     with reading(path, "not a readable TIFF file"), quiet("tifffile"), tifffile.TiffFile(path) as file:
@@ -63,18 +76,21 @@ def read_tiff(path: str | Path, **overrides: Any) -> Recording:
         raise BadInput(f"{path}: pages of shape {', '.join(map(str, sorted(shapes)))}: expected mosaics")
     shape = (count, *size)
     read = partial(read_stack, partial(_read_page, path=str(path)), shape)
-    return _recording(path, LazyArray(read, shape, np.dtype(next(iter(types)))), {}, overrides)
+    kind = next(iter(types))
+    check_claim(path, shape, np.dtype(kind).itemsize)
+    return _opened(path, LazyArray(read, shape, np.dtype(kind)), {})
 
 
-def _recording(path: str | Path, frames: Any, known: dict[str, Any], overrides: dict[str, Any]) -> Recording:
+def _opened(path: str | Path, frames: Any, known: dict[str, Any]) -> Opened:
     if len(frames.shape) == 2:
         frames = frames[None]
-    if frames.dtype.kind == "u" and frames.dtype.itemsize <= 2 and frames.dtype != np.uint16:
-        frames = np.asarray(frames).astype(np.uint16)  # 8 bits, or the other byte order
-    return make_recording(path, frames, _side_car(path) | known, overrides)
+    if frames.dtype != np.uint16:  # 8 bits, the other byte order, or whole numbers of another type
+        frames = whole_numbers(path, np.asarray(frames))
+    return Opened(frames, side_car(path) | known)
 
 
-def _side_car(path: str | Path) -> dict[str, Any]:
+def side_car(path: str | Path) -> dict[str, Any]:
+    """The fields of a recording that the .json beside a file states. Raises BadInput."""
     beside = Path(path).with_suffix(".json")
     if not beside.is_file():
         return {}

@@ -153,7 +153,7 @@ def stratum(field: Fields) -> int:
 
 def map_contrasts(field: Fields, function) -> Fields:
     """The field with `function` applied to its contrasts and, as one more, to its static part."""
-    contrasts = function(field.contrasts)
+    contrasts = function(field.contrasts) if len(field.contrasts) else field.contrasts  # a single frame
     static = None if field.static is None else function(field.static[None])[0]
     return field._replace(contrasts=contrasts, static=static)
 

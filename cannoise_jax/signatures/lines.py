@@ -251,7 +251,8 @@ def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Scor
 def static_absorb(fields: tuple[Fields, ...], score: Score, *, axis: str, scaling: str) -> tuple[Fields, ...]:
     """Takes the whitening part of the estimated shared pattern out of every recording's static field."""
     sums = static_sums(fields, axis, scaling)
-    assert sums is not None
+    if sums is None:  # no recording of the kind that shows it
+        return fields
     tau = score.payload * sums.information
     pattern = sums.score * (1 - 1 / np.sqrt(1 + tau)) / np.maximum(sums.information, 1e-30)
     spread = pattern[:, None] if axis == "row" else pattern[None, :]

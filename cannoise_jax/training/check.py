@@ -8,6 +8,7 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.physics.initial_noise import INITIAL_NOISE
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.sampling import LEVELS
 
 _COUNTS = (
     "steps", "batch_size", "critic_updates", "log_every", "evaluate_every", "checkpoint_every",
@@ -24,6 +25,7 @@ _NOT_NEGATIVE = (
 )  # fmt: skip
 _BELOW_ONE = ("ema", "optimiser.beta1", "optimiser.beta2")
 _CHOICES = {
+    "level": LEVELS,
     "critic_condition": ("none", "camera", "latent"),
     "optimiser.schedule": ("constant", "cosine"),
     "loss.feature_target": ("clean", "real"),

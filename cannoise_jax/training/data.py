@@ -117,7 +117,9 @@ def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
 def _in_memory(
     train: HeldOut, validation: HeldOut, test: HeldOut, cameras: tuple[str, ...], cfas: tuple[str, ...]
 ) -> TrainingData:
-    source = ArrayPatches(train.clean, train.noisy, train.shot, train.read, train.camera, cameras, cfas)
+    source = ArrayPatches(
+        train.clean, train.noisy, train.shot, train.read, train.camera, cameras, cfas, train.iso
+    )
     noise = clipped_noise(train.noisy - train.clean, train.clean)
     levels = calibrate_by_setting(train.clean, noise, train.camera, train.iso)
     return TrainingData(source, validation, test, cameras, levels, _examples(train, cameras))

@@ -20,8 +20,10 @@ from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_co
 from cannoise_jax.evaluation.evaluators import EVALUATORS
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.physics.initial_noise import initial_noise
+from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.sampling import Samplers, samplers
 from cannoise_jax.training.check import check_config
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.compiler import compiler_options
@@ -94,14 +96,14 @@ def _difference(old: Any, new: Any, name: str = "") -> str:
     return "" if old == new else f"{name}: {old!r} there, {new!r} here"
 
 
-def make_sampler(config: ConfigDict) -> Callable[[State], Callable[..., Any]]:
-    """A function from a state to its averaged model as `evaluation` takes it,
-    (key, clean, reference, shot, read) -> noise; compiled once for all states."""
+def make_sampler(config: ConfigDict) -> Callable[[State], Samplers]:
+    """A function from a state to its averaged model as `evaluation` takes it; compiled once for all
+    states."""
     sample = _averaged(FrozenConfigDict(config))
 
-    def of_state(state: State) -> Callable[..., Any]:
+    def of_state(state: State) -> Samplers:
         spectral = (state.generator["spectral"], state.encoder["spectral"])
-        return lambda *arguments: sample(state.average, spectral, *arguments)
+        return samplers(config.level, lambda *arguments: sample(state.average, spectral, *arguments))
 
     return of_state
 
@@ -111,9 +113,10 @@ def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
     networks, draw = make_networks(config), initial_noise(config.initial_noise)
 
     @partial(jax.jit, compiler_options=compiler_options(config))
-    def sample(average, spectral, key, clean, reference, shot, read):
+    def sample(average, spectral, key, clean, reference, nlf):
         noise_key, row_key = jax.random.split(key)
-        n_init, sigma = draw(noise_key, clean, shot, read)
+        known = jnp.full(clean.shape[0], float(nlf is not None))
+        n_init, sigma = draw(noise_key, clean, *(nlf or jax.vmap(estimate_nlf)(reference)))
         encoder = {"params": average["encoder"], "spectral": spectral[1]}
         latent = latent_of(networks, encoder, reference.reshape(-1, *reference.shape[-3:]))
         if networks.encoder is not None:
@@ -122,7 +125,7 @@ def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
             latent = latent[:: reference.shape[1]]
         generator = {"params": average["generator"], "spectral": spectral[0]}
         return networks.generator.apply(
-            generator, clean, n_init, latent, sigma, train=False, rngs={"noise": row_key}
+            generator, clean, n_init, latent, sigma, train=False, known=known, rngs={"noise": row_key}
         )
 
     return sample
@@ -244,14 +247,20 @@ def _check_finite(numbers: dict[str, float], step: int, checkpoints: Checkpoints
 
 
 def _validate(
-    writer: MetricWriter, step: int, sample, patches: HeldOut, cameras: tuple[str, ...], references: int
+    writer: MetricWriter,
+    step: int,
+    sampler: Samplers,
+    patches: HeldOut,
+    cameras: tuple[str, ...],
+    references: int,
 ) -> float:
     """KL on validation scenes to the writer, with pictures; returns the pooled KL."""
     key = jax.random.key(0)  # the same draws every time, so that steps can be compared
     columns = ("model", "model_wrong_reference")
     results = evaluate_model(
-        sample, patches, cameras, key, columns=columns, evaluators=EVALUATORS[:1], references=references
-    )
+        sampler.usual, patches, cameras, key, columns=columns, evaluators=EVALUATORS[:1],
+        references=references, given=sampler.given,
+    )  # fmt: skip
     scalars = {
         f"validation/{name}/{camera}": row[name]["kl"]
         for camera, row in {**results["cameras"], "pooled": results["pooled"]}.items()
@@ -259,7 +268,7 @@ def _validate(
     }
     writer.write_scalars(step, scalars)
     shown = patches.some(5)
-    made = model_columns(sample, shown, key, None, references)
+    made = model_columns(sampler.usual, shown, key, None, references)
     noises = [draw_noise(made[name], shown, key) for name in ("poisson_gaussian", "model")]
     real = np.clip(shown.noisy, 0, 1) - shown.clean
     writer.write_images(step, {"clean, n_init, generated, real": noise_panel(shown.clean, (*noises, real))})

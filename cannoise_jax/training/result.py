@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import jax
 from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.compare import evaluate_model
-from cannoise_jax.sampling import MODEL_FILE, Model, make_model, sample_noise, save_model
+from cannoise_jax.sampling import MODEL_FILE, Model, Samplers, make_model, sample_noise, samplers, save_model
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import TrainingData
 from cannoise_jax.training.state import State, make_networks
@@ -27,6 +26,7 @@ def export_model(config: ConfigDict, state: State, data: TrainingData) -> Model:
         {"params": state.average["encoder"], "spectral": state.encoder["spectral"]},
         data.examples,
         config.initial_noise,
+        config.level,
     )
 
 
@@ -41,28 +41,29 @@ def write_model(config: ConfigDict, state: State, data: TrainingData, workdir: P
     return model
 
 
-def sampler_of(model: Model, config: ConfigDict) -> Callable[..., Any]:
+def samplers_of(model: Model, config: ConfigDict) -> Samplers:
     """`sample_noise` itself on batches with references of their own, as `evaluation` takes it:
     (key, clean, reference, shot, read) -> noise; compiled as `config.compiler` says."""
 
     @partial(jax.jit, compiler_options=compiler_options(config))
-    def sample(model, key, clean, reference, shot, read):
-        def one(key, clean, reference, shot, read):
-            return sample_noise(model, key, clean, reference, nlf=(shot, read))
+    def sample(model, key, clean, reference, nlf):
+        def one(key, clean, reference, nlf):
+            return sample_noise(model, key, clean, reference, nlf)
 
-        return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, shot, read)
+        return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, nlf)
 
-    return partial(sample, model)
+    return samplers(model.level, partial(sample, model))
 
 
-def compare(sampler: Callable[..., Any], config: ConfigDict, data: TrainingData) -> dict[str, Any]:
-    """Every noise model on the test scenes, unseen until now. sampler: `sampler_of` gives it."""
+def compare(sampler: Samplers, config: ConfigDict, data: TrainingData) -> dict[str, Any]:
+    """Every noise model on the test scenes, unseen until now. sampler: `samplers_of` gives it."""
     return evaluate_model(
-        sampler,
+        sampler.usual,
         data.test,
         data.cameras,
         jax.random.key(config.seed),
         recalibrated=data.recalibrated,
         batch=16,
         references=config.references,
+        given=sampler.given,
     )

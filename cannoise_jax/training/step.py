@@ -2,21 +2,26 @@
 
 The encoder sees the anchor j, the positive k and the negative l, never the target i (paper Sec. 3.4). The
 initial noise is drawn inside, from keys that depend on the run's key and the step number alone.
+
+Its level is the one that will be known when the model is used. Either it is handed over with the target; then
+the camera may be shown at any setting, and the latent is that of k. Or it is estimated, by the function that
+sampling uses, from the anchor, which is of the target's own setting; then the latent is the anchor's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
+from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.training import losses
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.state import (
@@ -34,6 +39,30 @@ Batch = dict[str, Any]
 def visible(noise: Float[Array, "..."], clean: Float[Array, "..."]) -> Float[Array, "..."]:
     """The noise that a recording clipped to [0, 1] shows."""
     return jnp.clip(clean + noise, 0, 1) - clean
+
+
+class Level(NamedTuple):
+    """The level of the initial noise of a batch, and whether it was handed over (1) or estimated (0)."""
+
+    shot: Float[Array, "b 4"]
+    read: Float[Array, "b 4"]
+    known: Float[Array, "b"]
+
+
+def choose_level(level: str, key: Key[Array, ""], batch: Batch) -> Level:
+    """The level of each element as `config.level` says; for "both", by the toss of a coin."""
+    count = batch["clean"].shape[0]
+    if level == "given":
+        return Level(batch["shot"], batch["read"], jnp.ones(count))
+    estimated = jax.vmap(estimate_nlf)(batch["anchor"])
+    if level == "estimated":
+        return Level(*estimated, jnp.zeros(count))
+    known = jax.random.bernoulli(key, shape=(count,))
+    shot, read = (
+        jnp.where(known[:, None], given, found)
+        for given, found in zip((batch["shot"], batch["read"]), estimated, strict=True)
+    )
+    return Level(shot, read, known.astype(jnp.float32))
 
 
 def make_train_step(
@@ -56,13 +85,15 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         return visible(noise, clean) if config.clip else noise
 
     def critic_update(state: State, batch: Batch, key) -> tuple[State, dict[str, Array]]:
-        draw_key, row_key, mix_key = jax.random.split(key, 3)
+        draw_key, row_key, mix_key, level_key = jax.random.split(key, 4)
         clean = batch["clean"]
-        n_init, sigma = draw(draw_key, clean, batch["shot"], batch["read"])
-        latent = latent_of(networks, state.encoder, batch["anchor"])
+        level = choose_level(config.level, level_key, batch)
+        n_init, sigma = draw(draw_key, clean, level.shot, level.read)
+        latent = latent_of(networks, state.encoder, _shown_reference(batch, level.known))
         fake = networks.generator.apply(
-            state.generator, clean, n_init, latent, sigma, train=False, rngs={"noise": row_key}
-        )
+            state.generator, clean, n_init, latent, sigma, train=False, known=level.known,
+            rngs={"noise": row_key},
+        )  # fmt: skip
         told = condition(config, latent, batch["camera"], cameras)
         # The penalty asks for slope one per unit of noise: sigma, unless literal.
         unit = jnp.ones_like(sigma) if config.literal else sigma
@@ -94,18 +125,23 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         return state._replace(critic=critic, critic_optimiser=optimiser), aux
 
     def generator_update(state: State, batch: Batch, key) -> tuple[State, dict[str, Array]]:
-        draw_key, row_key = jax.random.split(key)
+        draw_key, row_key, level_key = jax.random.split(key, 3)
         clean = batch["clean"]
-        n_init, sigma = draw(draw_key, clean, batch["shot"], batch["read"])
+        level = choose_level(config.level, level_key, batch)
+        n_init, sigma = draw(draw_key, clean, level.shot, level.read)
         real = shown(batch["noisy"] - clean, clean)
 
         def loss(params):
             latents, encoder_changed = _latents(networks, params["encoder"], state, batch, weights)
+            latent = latents[0]
+            if len(latents) > 1:
+                latent = jnp.where(level.known[:, None] > 0, latents[1], latent)
             generated, generator_changed = networks.generator.apply(
                 {"params": params["generator"], "spectral": state.generator["spectral"]},
-                clean, n_init, latents[0], sigma, train=True, mutable=["spectral"], rngs={"noise": row_key},
+                clean, n_init, latent, sigma, train=True, known=level.known, mutable=["spectral"],
+                rngs={"noise": row_key},
             )  # fmt: skip
-            told = condition(config, latents[0], batch["camera"], cameras)
+            told = condition(config, latent, batch["camera"], cameras)
             seen: Any = networks.critic.apply(
                 state.critic, shown(generated, clean), clean, sigma, train=False, latent=told
             )
@@ -154,6 +190,13 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         return state, metrics | more
 
     return train_step
+
+
+def _shown_reference(batch: Batch, known: Float[Array, "b"]) -> Float[Array, "b h w 4"]:
+    """What the encoder sees: any image of the camera where the level is known, else one of the setting."""
+    if "positive" not in batch:
+        return batch["anchor"]
+    return jnp.where(known[:, None, None, None] > 0, batch["positive"], batch["anchor"])
 
 
 def _twice(x):

@@ -84,7 +84,7 @@ def test_trouble_is_one_line_and_keeps_the_old_result(trouble, folder, tmp_path,
         (folder / "flat.h5").unlink()
     elif trouble == "broken file":
         (folder / "flat.h5").write_bytes(b"not a recording")
-    assert main(["--recordings", str(recordings), "--out", str(out)]) == 2
+    assert main(["--recordings", str(recordings), "--out", str(out), "--force"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("bin/calibrate: ") and error.count("\n") == 1
     assert out.read_text() == "precious"

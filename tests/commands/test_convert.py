@@ -63,8 +63,8 @@ def test_flags_state_what_a_file_lacks(tmp_path):
     levels = ("--black-level", 60, 61, 62, 63)
     for arguments in (
         (tmp_path / "a.npy", tmp_path / "b.h5", *flags, *levels),
-        (*levels, tmp_path / "a.npy", tmp_path / "b.h5", *flags, "--overwrite"),
-        (*flags, "--black-level", "60,61,62,63", tmp_path / "a.npy", tmp_path / "b.h5", "--overwrite"),
+        (*levels, tmp_path / "a.npy", tmp_path / "b.h5", *flags, "--force"),
+        (*flags, "--black-level", "60,61,62,63", tmp_path / "a.npy", tmp_path / "b.h5", "--force"),
     ):
         assert run(*arguments) == 0
         assert read_recording(tmp_path / "b.h5").black_level == (60, 61, 62, 63)
@@ -126,12 +126,14 @@ def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
     refused(capsys, "no such folder", good, tmp_path / "none" / "out.h5")
     refused(capsys, "ends in .h5", good, tmp_path / "out.tif")
     refused(capsys, "is not below white level", good, out, "--black-level", "2000")
-    refused(capsys, "not a SIDD folder", tmp_path, out)
+    (tmp_path / "empty").mkdir()
+    refused(capsys, "not a SIDD folder", tmp_path / "empty", out)
+    refused(capsys, "holds no recordings", tmp_path / "empty", tmp_path / "new")
 
 
 def test_overwriting_is_asked_for_and_may_replace_an_input(tmp_path, capsys):
     path = write_native(tmp_path / "a.h5", FRAMES)
-    assert run(path, path, "--overwrite", "--kind", "dark") == 0
+    assert run(path, path, "--force", "--kind", "dark") == 0
     recording = read_recording(path)
     assert recording.kind == "dark" and (recording.frames[:] == FRAMES).all()
 

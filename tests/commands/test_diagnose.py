@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import importlib
 import json
 import re
 import sys
@@ -12,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cannoise_jax.commands import diagnose as command
+from cannoise_jax.commands import outputs
 from cannoise_jax.commands.diagnose import main
+from cannoise_jax.discovery import save as saving
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import read_sensor
+from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import BadInput
 from tests.discovery.capture import capture_set, row_offsets
@@ -81,7 +84,7 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
     entries = entries_at("droop:DROOP")
     assert "droop" in [m.mechanism for m in read_sensor(tmp_path / "out" / "sensor.json", entries).mechanisms]
     sys.modules.pop("droop", None)
-    assert main([*arguments[:-1], "droop"]) == 2
+    assert main([*arguments[:-1], "droop", "--force"]) == 2
     assert "names no entries" in capsys.readouterr().err
 
 
@@ -93,42 +96,46 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path, cap
     folder = write(tmp_path / "in", capture_set(1, kinds="d", size=(64, 64)))
     out = tmp_path / "out"
     out.mkdir()
-    monkeypatch.setattr(command, "diagnose", never)
+    importlib.import_module("cannoise_jax.discovery.diagnose")
+    monkeypatch.setattr(sys.modules["cannoise_jax.discovery.diagnose"], "diagnose", never)
     arguments = ["--recordings", str(folder), "--out", str(out)]
     (out / "sensor.npz").write_bytes(b"of something else")
     assert main(arguments) == 2
     assert "holds no maps of sensor.json" in capsys.readouterr().err
     (out / "sensor.npz").unlink()
 
-    def read_only(**more):
-        raise OSError(errno.EROFS, "Read-only file system")
-
-    monkeypatch.setattr(command.tempfile, "TemporaryFile", read_only)
+    (out / "report.html").write_text("precious")
     assert main(arguments) == 2
     assert capsys.readouterr().err == (
-        f"bin/diagnose: {out}: cannot be written (Read-only file system): name another folder\n"
+        f"bin/diagnose: {out / 'report.html'}: exists: name another folder, or replace it with --force\n"
+    )
+    (out / "report.html").unlink()
+    monkeypatch.setattr(outputs.os, "access", lambda path, mode: False)
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == (
+        f"bin/diagnose: {out}: cannot be written (no permission): name another folder\n"
     )
 
 
-@pytest.mark.parametrize("full", [command.Path.write_text, command.write_sensor])
+@pytest.mark.parametrize("full", [Path.write_text, saving.write_sensor])
 def test_a_full_disk_keeps_all_that_was_there(full, tmp_path, monkeypatch):
     model = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 4095.0)
-    command._write(tmp_path, {"report.json": "old", "report.html": "old"}, model)
+    saving.write(tmp_path, {"report.json": "old", "report.html": "old"}, model)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     assert set(before) == {"report.json", "report.html", "sensor.json"}
 
     def fails(*given, **more):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    if full is command.write_sensor:
-        monkeypatch.setattr(command, "write_sensor", fails)
+    if full is saving.write_sensor:
+        monkeypatch.setattr(saving, "write_sensor", fails)
     else:
-        kept = command.Path.write_text
+        kept = Path.write_text
         monkeypatch.setattr(
-            command.Path, "write_text", lambda p, *a, **k: fails() if "html" in p.name else kept(p, *a, **k)
+            Path, "write_text", lambda p, *a, **k: fails() if "html" in p.name else kept(p, *a, **k)
         )
     with pytest.raises((OSError, ValueError), match="No space left"):
-        command._write(tmp_path, {"report.json": "new", "report.html": "new"}, model)
+        saving.write(tmp_path, {"report.json": "new", "report.html": "new"}, model)
     monkeypatch.undo()
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
@@ -137,4 +144,4 @@ def test_recordings_without_a_camera_are_named_after_their_folder(tmp_path):
     capture = capture_set(1, kinds="d", size=(64, 64))
     nameless = (dataclasses.replace(r, camera="unknown") for r in capture.recordings)
     folder = write(tmp_path / "workbench", dataclasses.replace(capture, recordings=tuple(nameless)))
-    assert command.load_capture_set(folder).camera == "workbench"
+    assert load_capture_set(folder).camera == "workbench"

@@ -76,6 +76,21 @@ def test_a_recording_as_reference_sets_camera_levels_and_noise(model, tmp_path):
     assert (made.camera, made.cfa, made.iso, made.white_level) == ("B", "GBRG", 200, WHITE)
     noise = np.asarray(made.frames)[0] - (BLACK + np.asarray(made.clean) * (WHITE - BLACK))
     assert abs(np.std(noise) / 8 - 1) < 0.15  # the reference's noise, estimated from its pixels
+    # Levels for the clean image leave the reference's, and so its noise and what is written, alone.
+    assert run(model, clean, reference, tmp_path / "again", "--white-level", 300, "--black-level", 5) == 0
+    again = read_recording(tmp_path / "again" / "scene_B.h5")
+    assert (again.black_level, again.white_level, again.shot) == (made.black_level, WHITE, made.shot)
+    np.testing.assert_allclose(again.clean, np.asarray(made.clean) * 390 / 295 + 5 / 295, atol=1e-6)
+
+
+def test_a_reference_that_states_no_levels_has_flags_of_its_own(model, tmp_path, capsys):
+    np.save(tmp_path / "ref.npy", np.random.default_rng(0).integers(100, 140, (64, 64)).astype(np.uint16))
+    clean = good(tmp_path)
+    assert run(model, clean, tmp_path / "ref.npy", tmp_path / "out", *LEVELS) == 2
+    assert "cfa is missing: set it with --cfa" in capsys.readouterr().err
+    flags = ("--cfa", "RGGB", *LEVELS, "--reference-black-level", 50, "--reference-white-level", 999)
+    assert run(model, clean, tmp_path / "ref.npy", tmp_path / "out", *flags) == 0
+    assert read_recording(next((tmp_path / "out").glob("*.h5"))).white_level == 999
 
 
 def test_a_reference_on_coarse_codes_gives_its_codes(model, tmp_path):
@@ -191,4 +206,4 @@ def test_nothing_is_written_over(model, tmp_path, capsys):
     kept.parent.mkdir()
     kept.write_bytes(b"kept")
     assert run(model, clean, "A", kept.parent, "--iso", 100, *LEVELS) == 2
-    assert "--overwrite" in capsys.readouterr().err and kept.read_bytes() == b"kept"
+    assert "--force" in capsys.readouterr().err and kept.read_bytes() == b"kept"

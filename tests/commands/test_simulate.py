@@ -86,7 +86,7 @@ def test_a_calibrated_unit_gives_frames_of_its_own_size_and_another_unit_any(tmp
         "dark",
         "--out",
         str(tmp_path / "out"),
-        "--overwrite",
+        "--force",
     ]
     assert main(dark) == 0 and read_recording(tmp_path / "out" / "dark_iso100_0.01s.h5").size == (24, 40)
     assert main([*dark, "--size", "32x32"]) == 2
@@ -171,7 +171,7 @@ def test_nothing_is_written_over(sensor, tmp_path, capsys):
     before = (out / "flat_0.2_iso100_0.01s.h5").read_bytes()
     assert main([*flat, "--seed", "5"]) == 2
     assert "exists" in capsys.readouterr().err and (out / "flat_0.2_iso100_0.01s.h5").read_bytes() == before
-    assert main([*flat, "--seed", "5", "--overwrite"]) == 0
+    assert main([*flat, "--seed", "5", "--force"]) == 0
     assert (out / "flat_0.2_iso100_0.01s.h5").read_bytes() != before
 
 

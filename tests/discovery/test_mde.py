@@ -12,7 +12,7 @@ from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.diagnose import detectable, diagnose
 from cannoise_jax.discovery.fit import SPENT
 from cannoise_jax.discovery.limits import mde
-from cannoise_jax.discovery.locate import RARE
+from cannoise_jax.signatures.signature import RARE
 from cannoise_jax.signatures.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
 from tests.discovery.capture import capture_set
 from tests.discovery.naive_limits import (

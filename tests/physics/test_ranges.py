@@ -68,12 +68,12 @@ def test_a_mechanism_outside_its_ranges_is_refused_in_one_line(id, change, messa
 @pytest.mark.parametrize(
     ("clean", "settings", "message"),
     [
-        (FLAT, Settings(frames=0), "frames must be a whole number from 1"),
-        (FLAT, Settings(frames=1.5), "frames must be a whole number from 1"),
-        (FLAT, Settings(iso=0.0), "iso must be above 0"),
-        (FLAT, Settings(exposure_s=-1.0), "exposure_s must be 0 or more"),
-        (FLAT, Settings(temperature_c=float("nan")), "temperature_c is nan"),
-        (FLAT, Settings(temperature_c=-300.0), "temperature_c must be"),
+        (FLAT, Settings(iso=np.zeros(())), "iso must be above 0"),
+        (FLAT, Settings(exposure_s=np.array(-1.0)), "exposure_s must be 0 or more"),
+        (FLAT, Settings(temperature_c=np.array(np.nan)), "temperature_c is nan"),
+        (FLAT, Settings(temperature_c=np.array(-300.0)), "temperature_c must be"),
+        (800 * FLAT + 300, Settings(), "so it is not normalised"),
+        (FLAT - 3, Settings(), "so it is not normalised"),
         (np.where(np.arange(32) == 3, np.nan, FLAT), Settings(), "clean holds values that are not finite"),
         (FLAT[None], Settings(), r"clean must be a mosaic \[H, W\]"),
     ],
@@ -82,4 +82,22 @@ def test_a_mechanism_outside_its_ranges_is_refused_in_one_line(id, change, messa
 def test_what_cannot_be_recorded_is_refused_in_one_line(clean, settings, message):
     with pytest.raises(ValueError, match=message) as caught:
         MODEL.sample(KEY, clean, settings)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"frames": 0}, "frames must be a whole number from 1"),
+        ({"frames": 1.5}, "frames must be a whole number from 1"),
+        ({"iso": 0.0}, "iso must be above 0"),
+        ({"iso": "800"}, "iso must be above 0, got '800'"),
+        ({"exposure_s": -1.0}, "exposure_s must be 0 or more"),
+        ({"temperature_c": float("nan")}, "temperature_c must be"),
+        ({"temperature_c": -400.0}, "temperature_c must be -273.15 or more, got -400"),
+    ],
+)
+def test_settings_that_no_recording_has_are_refused_when_they_are_made(given, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        Settings(**given)
     assert "\n" not in str(caught.value)

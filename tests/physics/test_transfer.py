@@ -281,6 +281,6 @@ def test_real_camera_matches_what_was_measured_by_hand(real_data):
         result.outcomes("spread of row means of the average"),
     )
     assert rows.ci90[1] < 0.3 and abs(profile.value - 1.53 / np.sqrt(15)) < 0.03
-    assert all(isinstance(o, NotMeasurable) for o in result.outcomes("saturation"))
+    assert all(isinstance(o, NotMeasurable) for o in result.outcomes("saturation level"))
     notes = [q.note for q in result.quantities if q.name == "dark current, by mean"]
     assert all("clamped" in n for n in notes)

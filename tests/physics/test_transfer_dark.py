@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
+from cannoise_jax.mechanisms.coverage import assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.charge import hot_map
+from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
@@ -85,3 +89,39 @@ def test_correlations_of_white_noise_are_zero_within_their_intervals():
     error = np.std(values, 0) / np.sqrt(len(values))
     assert np.all(np.abs(np.mean(values, 0)) < 3.5 * error)
     assert 0.82 < np.mean(held) < 0.97
+
+
+def darks_with(heat, wobble, seed=0):
+    """A long and a short dark, e-. wobble: of offsets that differ between the two, both ways alike; heat: of
+    the long one alone."""
+    rng, size = np.random.default_rng(seed), (96, 128)
+    found = []
+    for seconds, more in ((0.01, 0.0), (10.0, heat)):
+        offsets = wobble * rng.standard_t(2.5, size) + more
+        frames = 200 + 2.0 * (rng.normal(0, 3, (8, *size)) + offsets)
+        codes = np.clip(np.rint(frames), 0, 16383).astype(np.uint16)
+        taken = Recording(
+            codes, "MONO", (200.0,) * 4, 16383.0, kind="dark", exposure_s=seconds, code_step=1.0
+        )
+        found.append(frame_statistics(taken))
+    return found
+
+
+def test_pixels_that_move_both_ways_are_not_hot():
+    measure = MECHANISMS["hot_pixels"].estimator.measure
+    for seed in range(4):
+        outcome = measure(darks_with(0.0, 3.0, seed), assumed_baseline())
+        assert isinstance(outcome, NotMeasurable) and "below the median" in outcome.record
+
+
+def test_hot_pixels_are_measured_among_pixels_that_move_both_ways():
+    rng = np.random.default_rng(9)
+    hot = rng.random((96, 128)) < 0.03
+    heat = np.where(hot, rng.exponential(400.0, hot.shape), 0.0)
+    for wobble in (0.0, 1.0):
+        statistics = darks_with(heat, wobble)
+        found = MECHANISMS["hot_pixels"].estimator.measure(statistics, assumed_baseline())
+        assert found["e_per_s"].value == pytest.approx(heat[hot].mean() / 10, rel=0.1)
+        assert found["fraction"].value == pytest.approx(hot.mean(), rel=0.12)
+        seen = hot_map(statistics, assumed_baseline(), 40.0, 0.03) > 0
+        assert np.mean(seen[hot & (heat > 100)]) > 0.95 and np.mean(seen[~hot]) < 0.005

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -49,6 +50,17 @@ def test_an_element_is_what_the_contract_says():
         np.testing.assert_array_equal(source.camera[k], own)
         assert (source.camera[n] != own).all()
         assert (i != j).all() and (i != k).all() and (j != k).all()  # the target is never shown
+
+
+def test_the_anchor_is_of_the_setting_where_settings_are_told():
+    source = patches((12, 12))
+    setting = np.tile([0, 0, 0, 1, 1, 2], 4)
+    told = dataclasses.replace(source, setting=setting)
+    for part in (told, Subset(told, np.arange(24))):
+        for batch in take(batches(part, 6, seed=1, size=None), 10):
+            i, j, k = (numbers(batch[name]) for name in ("noisy", "anchor", "positive"))
+            np.testing.assert_array_equal(setting[j], setting[i])
+            assert (i != j).all() and (i != k).all() and (j != k).all()
 
 
 def test_cameras_are_balanced_and_every_patch_is_used():

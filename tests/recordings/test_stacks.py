@@ -86,7 +86,14 @@ def test_only_whole_numbers_of_up_to_16_bits(tmp_path, suffix):
     assert eight.frames.dtype == np.uint16
     for kind in (np.float32, np.int16, np.uint32):
         path = write(tmp_path / f"b{suffix}", FRAMES.astype(kind), SIDE_CAR)
-        with pytest.raises(BadInput, match=f"frames are {np.dtype(kind)}"):
+        np.testing.assert_array_equal(np.asarray(load_recording(path).frames), FRAMES)
+    for change, said in (
+        (lambda x: x / 1000, "no whole"),
+        (lambda x: x - 2000, "negative"),
+        (lambda x: x * 99, "up to"),
+    ):
+        path = write(tmp_path / f"c{suffix}", change(FRAMES.astype(np.float64)).astype(np.float32), SIDE_CAR)
+        with pytest.raises(BadInput, match=said):
             load_recording(path)
 
 

@@ -23,6 +23,8 @@ HIGHEST_CODE = 65535
 _MAY_BE_NONE = ("doubling_c", "reference_iso", "reference_temperature_c")
 _ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
 _COLDEST_C = -273.15
+_BRIGHTEST, _DARKEST = 4.0, -0.5
+"""Median and least value of a clean mosaic: scenes beyond the white level are fine, codes in DN are not."""
 
 
 def known(value: Any, what: str) -> np.ndarray | None:
@@ -176,3 +178,14 @@ def check_taken(clean: Any, settings: Settings) -> None:
         raise ValueError(f"clean must be a mosaic [H, W], got shape {shape}")
     if not isinstance(clean, jax.core.Tracer) and not np.isfinite(np.asarray(clean)).all():
         raise ValueError("clean holds values that are not finite")
+    if not isinstance(clean, jax.core.Tracer):
+        _check_normalised(np.asarray(clean))
+
+
+def _check_normalised(clean: np.ndarray) -> None:
+    middle, least = float(np.median(clean)), float(clean.min())
+    if middle > _BRIGHTEST or least < _DARKEST:
+        raise ValueError(
+            f"clean has median {middle:.4g} and lowest value {least:.4g}, so it is not normalised: give "
+            "(DN - black) / (white - black), 0 at the black level and 1 at the white level"
+        )

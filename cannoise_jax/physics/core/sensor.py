@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import jax
@@ -31,7 +32,7 @@ from cannoise_jax.physics.core.settings import (
     warn_outside,
 )
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
-from cannoise_jax.recordings.recording import PerChannel
+from cannoise_jax.recordings.recording import BadInput, PerChannel
 
 __all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings"]
 
@@ -203,6 +204,22 @@ class SensorModel:
         values = resolve(self, context)
         mean, _ = closed_form(self, context, values)
         return jnp.broadcast_to(mean, clean.shape)[0]
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Writes a sensor.json, and an .npz of the same stem for measured maps. Raises BadInput where the
+        file exists (without force) or cannot be written."""
+        from cannoise_jax.physics.core.sensor_json import write_sensor
+
+        if Path(path).exists() and not force:
+            raise BadInput(f"{path}: exists: name another file, or replace it with force=True")
+        write_sensor(path, self)
+
+    @staticmethod
+    def load(path: str | Path) -> SensorModel:
+        """The model of a sensor.json. Raises BadInput."""
+        from cannoise_jax.physics.core.sensor_json import read_sensor
+
+        return read_sensor(path)
 
     def n_init(self, *, discretise: bool = True) -> InitialNoise:
         """An initial noise for training: `(key, clean[B,h,w,4], shot[B,4], read[B,4]) -> (noise, sigma)`,

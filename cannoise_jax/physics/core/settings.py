@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,18 +23,37 @@ Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
 
 
+COLDEST_C = -273.15
+
+
+def _check(value: Any, words: str, holds: Callable[[float], bool]) -> None:
+    if isinstance(value, (str, bytes)):
+        raise ValueError(f"{words}, got {value!r}")
+    plain = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    if plain and not (math.isfinite(value) and holds(value)):
+        raise ValueError(f"{words}, got {value:g}")
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Settings:
     """How a recording is taken. Temperature None: that at which the model's parameters hold.
 
     An argument of jit and vmap like any other: numbers are traced, frames is part of its structure.
+    Raises ValueError for numbers that no recording has; traced ones and arrays pass.
     """
 
     iso: float = 100.0
     exposure_s: float = 0.01
     temperature_c: float | None = None
     frames: int = field(default=1, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        # Only plain numbers: JAX also puts tracers, arrays and axis numbers (0) here.
+        _check(self.iso, "iso must be above 0", lambda v: v > 0 or type(v) is int and v == 0)
+        _check(self.exposure_s, "exposure_s must be 0 or more", lambda v: v >= 0)
+        _check(self.temperature_c, f"temperature_c must be {COLDEST_C:g} or more", lambda v: v >= COLDEST_C)
+        _check(self.frames, "frames must be a whole number from 1", lambda v: v >= 1 and v == int(v))
 
 
 DEFAULT = Settings()

@@ -232,14 +232,14 @@ def saturation_quantities(
     tops = [s.high[c] for s in statistics if np.isfinite(s.high[c])]
     if not tops:
         missing = NotMeasurable("no pixel reached its end: record a flat that saturates")
-        return [Quantity("saturation", unit, name, missing) for unit in ("DN", "e-")]
+        return [Quantity("saturation level", unit, name, missing) for unit in ("DN", "e-")]
     value = max(tops) - black[c]
     step = max([s.code_step for s in statistics], default=1.0)
     outcome = Estimate(value, step / np.sqrt(12), (value - step / 2, value + step / 2))
     note = f"codes pile up at {max(tops):.0f} DN"
     return [
-        Quantity("saturation", "DN", name, outcome, note),
-        Quantity("saturation", "e-", name, _in_electrons(outcome, line)),
+        Quantity("saturation level", "DN", name, outcome, note),
+        Quantity("saturation level", "e-", name, _in_electrons(outcome, line)),
     ]
 
 

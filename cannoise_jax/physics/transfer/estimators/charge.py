@@ -18,6 +18,9 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics, site
 _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
 _GRID = 24
+_FAR = 6.0
+"""Spreads of the healthy pixels beyond which a pixel is not one of them."""
+_CHANCE = 3e-4
 
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -115,8 +118,10 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     """e_per_s (mean over the hot pixels) and fraction: maximum likelihood of a mixture of healthy pixels and
     hot ones with exponential heights, on the longest dark less the shortest.
 
-    The spread of the healthy ones, fixed pattern included, is taken from the quartiles. Of pixels that are
-    full it is known that they are hot, and at least as much as fills them.
+    The spread of the healthy ones, fixed pattern included, is taken from the quartiles. Heat only adds: what
+    lies far below the median has another cause, which is taken to reach as far above it (a Laplace tail);
+    where no more pixels lie far above than below, none is hot. Of pixels that are full it is known that they
+    are hot, and at least as much as fills them.
     """
     pair = _long_and_short(statistics)
     if pair is None or baseline is None:
@@ -124,22 +129,30 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     long, short, seconds = pair
     charge, sigma = _above_healthy(long, short, baseline)
     values = charge[~long.clipped].ravel()
-    values = values[values > -8 * sigma]
-    tail = values[values > 6 * sigma]
+    tail, below = values[values > _FAR * sigma], -values[values < -_FAR * sigma]
     full = charge[long.clipped & (long.mean > long.recording.white_level / 2)]
     ceiling = float(np.median(full)) if full.size else 0.0
     if len(tail) < 10:
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
+    above = len(tail) + full.size
+    if stats.binom.sf(above - 1, above + len(below), 0.5) > _CHANCE:
+        return NotMeasurable(
+            "as many pixels lie far below the median as above, and hot ones lie above: record a longer dark"
+        )
+    others = _Healthy.of(values, sigma)
+    if not others.share:
+        values = values[values > -8 * sigma]
+
+    healthy = others.density(values)
 
     def negative(p: np.ndarray) -> float:
         fraction, mean = special.expit(p[0]), np.exp(p[1])
-        healthy = np.exp(-0.5 * (values / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma
         hot = 0.5 / mean * _exponential_tail(values, sigma, mean)
         seen = float(np.sum(np.log((1 - fraction) * healthy + fraction * hot + 1e-300)))
         return -seen - full.size * (np.log(fraction + 1e-300) - ceiling / mean)
 
-    share = (len(tail) + full.size) / (len(values) + full.size)
-    start = np.array([special.logit(min(1.2 * share, 0.4)), np.log(np.r_[tail, full].mean())])
+    hot_share = max(above - len(below), 1) / (len(values) + full.size)
+    start = np.array([special.logit(min(1.2 * hot_share, 0.4)), np.log(np.r_[tail, full].mean())])
     fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
     errors = np.sqrt(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.05, 0.05])))))
     fraction = float(special.expit(fit.x[0]))
@@ -162,10 +175,35 @@ def hot_map(
     long, short, seconds = pair
     charge, sigma = _above_healthy(long, short, baseline)
     mean = e_per_s * seconds
-    healthy = np.exp(-0.5 * np.minimum((charge / sigma) ** 2, 700)) / np.sqrt(2 * np.pi) / sigma
+    healthy = _Healthy.of(charge[~long.clipped], sigma).density(charge)
     hot = 0.5 / mean * _exponential_tail(charge, sigma, mean)
     likely = (fraction * hot > (1 - fraction) * healthy) & (charge > 0)
     return np.where(likely, charge / mean, 0.0)
+
+
+class _Healthy(NamedTuple):
+    """Charge of the healthy pixels: a Gaussian, and a share of Laplace tails of a reach, e-, where some lie
+    far below the median."""
+
+    sigma: float
+    share: float
+    reach: float
+
+    @staticmethod
+    def of(charge: np.ndarray, sigma: float) -> _Healthy:
+        """From the pixels far below the median; fewer than ten, whose law is unknown, count as none."""
+        below = -charge[charge < -_FAR * sigma]
+        if len(below) < 10:
+            return _Healthy(sigma, 0.0, sigma)
+        reach = float(np.mean(below)) - _FAR * sigma
+        share = 2 * len(below) / charge.size * np.exp(min(_FAR * sigma / reach, 50.0))
+        return _Healthy(sigma, min(float(share), 0.5), reach)
+
+    def density(self, charge: np.ndarray) -> np.ndarray:
+        """Per electron."""
+        middle = np.exp(-0.5 * np.minimum((charge / self.sigma) ** 2, 700)) / np.sqrt(2 * np.pi) / self.sigma
+        tails = np.exp(-np.minimum(np.abs(charge) / self.reach, 700)) / (2 * self.reach)
+        return (1 - self.share) * middle + self.share * tails
 
 
 def _above_healthy(

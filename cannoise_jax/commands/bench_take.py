@@ -1,0 +1,149 @@
+"""What a command wrote (results.json, blind.json, report.json, or a table) as a published result."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.commands.published import Result, here, source_sha256
+from cannoise_jax.recordings.recording import BadInput
+
+_PACKAGE = "cannoise_jax/"
+_SIMULATION = ("recordings", "physics", "mechanisms", "evaluation")
+_SEARCH = (*_SIMULATION, "vocabulary.py", "signatures", "discovery")
+_TRAINING = (*_SIMULATION, "networks", "training", "sampling.py")
+_Parts = dict[str, Any]
+
+
+def take(root: Path, file: Path, name: str, title: str | None, command: list[str]) -> Result:
+    """The result that a file holds, measured on the code of this checkout as it is now.
+
+    The file's own kind decides what of it is shown and which code it depends on. A table is
+    {"columns": [...], "rows": [[...]], "values": {...}, "code": [paths]}. Raises BadInput.
+    """
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise BadInput(f"{file}: not readable as JSON ({error}): name what a command wrote") from error
+    if not name.isidentifier() or name != name.lower():
+        raise BadInput(f"--name {name}: small letters, digits and underscores")
+    try:
+        paths, parts = _parts(root, name, content)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise BadInput(
+            f"{file}: neither results.json, blind.json, report.json nor a table ({reason})"
+        ) from error
+    code = {"commits": _commit(root, paths), "paths": paths, "sha256": source_sha256(root, paths)}
+    machine, date = here()
+    return Result(name, title or name.replace("_", " "), tuple(command), code, machine, date, **parts)
+
+
+def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
+    schema = content.get("schema")
+    if schema == "cannoise/results/1":
+        return [*_below(_TRAINING), "configs/default.py"], _comparison(content)
+    if schema == "cannoise/diagnosis/1":
+        return _below(_SEARCH), _diagnosis(content)
+    if "false_alarms" in content:
+        return _below((*_SEARCH, "blind")), _trial(root, name, content)
+    rows = tuple(tuple(str(cell) for cell in row) for row in content.get("rows", ()))
+    values = {key: str(value) for key, value in content.get("values", {}).items()}
+    if not rows and not values:
+        raise ValueError("no rows and no values")
+    return list(content["code"]), {
+        "columns": tuple(content.get("columns", ())),
+        "rows": rows,
+        "values": values,
+    }
+
+
+def _below(parts: tuple[str, ...]) -> list[str]:
+    return [_PACKAGE + part for part in parts]
+
+
+def _comparison(content: dict[str, Any]) -> _Parts:
+    """KL of every noise model, a row a camera."""
+    from cannoise_jax.evaluation.tables import HEADINGS
+
+    rows = {**content["cameras"], "pooled": content["pooled"]}
+    one = "model_one_reference"
+    for camera, row in content.get("one_reference", {}).items():
+        rows[camera] = {**rows[camera], one: row}
+    models = [m for m in HEADINGS if m in rows["pooled"]]
+    cells = tuple(
+        (camera, *(f"{row[m]['kl']:.4f}" for m in models), f"{row['model']['kl_floor']:.4f}")
+        for camera, row in rows.items()
+    )
+    pooled = {m: f"{rows['pooled'][m]['kl']:.4f}" for m in models}
+    names = {"poisson_gaussian": "published", "poisson_gaussian_recalibrated": "recalibrated"}
+    values = {names.get(m, m): kl for m, kl in pooled.items()} | {"floor": cells[-1][-1]}
+    values["duration"] = f"{content['seconds'] / 60:.0f} min"
+    return {"columns": ("camera", *(HEADINGS[m] for m in models), "floor"), "rows": cells, "values": values}
+
+
+def _trial(root: Path, name: str, content: dict[str, Any]) -> _Parts:
+    """The table of a blind trial, and its figures, which are drawn anew."""
+    from cannoise_jax.blind import figures, table
+
+    word = {True: "met", False: "missed", None: ""}
+    rows = tuple((line.what, line.value, line.bar, word[line.met]) for line in table.lines(content))
+    drawn = {
+        "detection": (figures.detection, "Share of effects seen against their strength, beside the limit."),
+        "confusion": (figures.confusion, "What was injected, and what the leading finding called it."),
+        "gain": (figures.gain, "Held-out gain of the findings over that of the true model."),
+    }
+    pictures = []
+    for kind, (draw, caption) in drawn.items():
+        place = f"images/{kind}.png" if name == "proof" else f"images/{name}_{kind}.png"
+        data = draw(content)
+        (root / "docs" / place).write_bytes(data)
+        pictures.append({"file": place, "sha256": hashlib.sha256(data).hexdigest(), "caption": caption})
+    shares = {"false_alarms": content["false_alarms"], "named": content["naming"]["top1"]}
+    values = {key: table.percent(part) for key, part in shares.items()}
+    values["half"] = table.number(content["detection"]["all"]["half_at"])
+    values["coverage"] = table.percent(content["amplitude"]["coverage90"])
+    return {
+        "columns": ("quantity", "measured (95 % interval)", "bar", ""),
+        "rows": rows,
+        "values": values,
+        "figures": tuple(pictures),
+    }
+
+
+def _diagnosis(content: dict[str, Any]) -> _Parts:
+    """The findings of a diagnosis, a row each."""
+    rows = []
+    for finding in content["findings"]:
+        size, gain = finding["amplitude"], finding["heldout_gain_nats"]
+        low, high = size["ci90"]
+        strength = f"{size['value']:.3g} ({low:.3g} to {high:.3g}) {size['unit']}"
+        shown = "not measured" if gain is None else f"{gain:.3g}"
+        rows.append((finding["mechanism"].replace("_", " "), strength, shown))
+    values = {"findings": str(len(rows))}
+    for side in ("before", "after"):
+        if content[side]["two_sample_auc"] is not None:
+            values[f"auc_{side}"] = f"{content[side]['two_sample_auc']:.3f}"
+    columns = ("finding", "strength (90 % interval)", "gain on held-back frames, nats")
+    return {"columns": columns, "rows": tuple(rows), "values": values}
+
+
+def _commit(root: Path, paths: list[str]) -> list[str]:
+    """The commit of this checkout, nothing where the sources differ from it or there is no history."""
+    try:
+        changed = subprocess.run(
+            ["git", "status", "--porcelain", "--", *paths],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        head = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], cwd=root, capture_output=True, text=True, check=True
+        ).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return []
+    return [] if changed else [head]

@@ -1,0 +1,84 @@
+"""What every command does around its work: no traceback of a closed pipe, no warning of a library, and
+word of how far it is."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+_SILENT_S, _EVERY_S = 2.0, 10.0
+
+Main = Callable[..., int]
+
+
+def command(name: str) -> Callable[[Main], Main]:
+    """Wraps a command's main: 130 after Ctrl-C; quiet when its reader closes the pipe; warnings of libraries
+    are dropped, those of this package are a line on stderr."""
+
+    def around(main: Main) -> Main:
+        @functools.wraps(main)
+        def wrapped(*given: Any, **more: Any) -> int:
+            os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+            with warnings.catch_warnings():
+                warnings.showwarning = functools.partial(_shown, name)
+                try:
+                    status = main(*given, **more)
+                    sys.stdout.flush()
+                    return status
+                except BrokenPipeError:
+                    # What is left in the buffer must not be written at exit, either.
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                    return 141
+                except KeyboardInterrupt:
+                    print(f"bin/{name}: interrupted", file=sys.stderr)
+                    return 130
+
+        return wrapped
+
+    return around
+
+
+def _shown(command_name: str, message, category, filename, lineno, file=None, line=None) -> None:
+    if str(getattr(category, "__module__", "")).startswith("cannoise_jax"):
+        print(f"bin/{command_name}: {' '.join(str(message).split())}", file=sys.stderr)
+
+
+def cache_folder() -> Path:
+    """Where conversions of folders are kept: below XDG_CACHE_HOME, or ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or ""
+    return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "cannoise_jax" / "folders"
+
+
+def progress(doing: str) -> Callable[[int, int], None]:
+    """Says on stderr how many are done and how long the rest will take, once that is worth saying: on one
+    line of a terminal, else a line every ten seconds."""
+    started = last = time.monotonic()
+    spoken = False
+
+    def tell(number: int, total: int) -> None:
+        nonlocal last, spoken
+        now = time.monotonic()
+        terminal = sys.stderr.isatty()
+        if spoken and number >= total:
+            end = "\n" if terminal else ""
+            print(f"{end}{doing}: {total} in {now - started:.0f} s", file=sys.stderr, flush=True)
+            spoken = False
+            return
+        if now - started < _SILENT_S or not number or now - last < (0.2 if terminal else _EVERY_S):
+            return
+        last, spoken = now, True
+        left = (now - started) / number * (total - number)
+        text = f"{doing}: {number} of {total}, {_duration(left)} left"
+        print(f"\r{text}  " if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
+
+    return tell
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

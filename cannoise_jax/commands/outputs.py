@@ -1,0 +1,37 @@
+"""Where results go: refused before the work where they could not be written, or would replace others."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from cannoise_jax.recordings.recording import BadInput
+
+
+def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "the results") -> None:
+    """Raises BadInput where files of these names could not be written into a folder, or exist (without
+    force). Makes nothing."""
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out}: is a file: name a folder for {what}")
+    if not out.exists() and not out.parent.is_dir() and not out.parent.parent.is_dir():
+        raise BadInput(f"{out}: no such folder {out.parent}")
+    for name in names:
+        if (out / name).is_dir():
+            raise BadInput(f"{out / name}: is a folder: name another one for {what}")
+        if (out / name).exists() and not force:
+            raise BadInput(f"{out / name}: exists: name another folder, or replace it with --force")
+    nearest = next(p for p in (out, *out.parents) if p.exists())
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise BadInput(f"{out}: cannot be written (no permission): name another folder")
+
+
+def check_file(path: Path, suffix: str, force: bool) -> None:
+    """Raises BadInput where a file cannot be written or exists (without force), or has another suffix."""
+    if path.suffix.lower() != suffix:
+        raise BadInput(f"{path}: --out names a {suffix} file")
+    if not path.parent.is_dir():
+        raise BadInput(f"{path}: no such folder {path.parent}")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder: name a file")
+    if path.exists() and not force:
+        raise BadInput(f"{path}: exists: name another file, or replace it with --force")

@@ -1,0 +1,54 @@
+"""Texts written so that a full disk, or a kill, leaves what was there as it was."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from cannoise_jax.recordings.recording import BadInput
+
+
+def remove_leftovers(path: Path) -> None:
+    """Removes what writers of `path` that were killed left beside it, `.NAME.PID.partial`."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+        number = left.name.removesuffix(".partial").rpartition(".")[2]
+        if not number.isdigit() or int(number) == os.getpid() or _runs(int(number)):
+            continue
+        with contextlib.suppress(OSError):
+            left.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+@contextlib.contextmanager
+def texts_in_place(texts: Mapping[Path, str]) -> Iterator[None]:
+    """Writes texts beside their places, runs the block, then moves them there: all or none.
+
+    Raises BadInput where they cannot be written.
+    """
+    for path in texts:
+        remove_leftovers(path)
+    beside = {path: path.with_name(f".{path.name}.{os.getpid()}.partial") for path in texts}
+    try:
+        for path, temporary in beside.items():
+            try:
+                temporary.write_text(texts[path], encoding="utf-8")
+            except OSError as error:
+                raise BadInput(f"{path}: cannot be written ({error.strerror}): make room for it") from error
+        yield
+        for path, temporary in beside.items():
+            os.replace(temporary, path)
+    finally:
+        for temporary in beside.values():
+            temporary.unlink(missing_ok=True)

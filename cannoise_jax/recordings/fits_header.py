@@ -1,0 +1,131 @@
+"""What the keywords of FITS headers say, in the dialects of the programs that write raw camera frames.
+
+Gains: an ISO is an ISO. GAIN of astronomy cameras is a setting: of ZWO and Player One in 0.1 dB, which
+becomes `gain_db` and, on the scale that everything else uses, an ISO of 100 x 10^(dB / 20). Of other makers
+the scale is unknown: such a setting keeps recordings apart and claims no ratio. A GAIN with a fraction is
+e-/DN.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from cannoise_jax.recordings.packing import to_shifted_cfa
+
+_ABSOLUTE_ZERO_C = -273.15
+_TENTH_DB = re.compile(r"\b(zwo|asi\d|player ?one)", re.IGNORECASE)
+_MONO = re.compile(r"\b(ASI\d+MM|QHY\d+M\b|\w+M-PRO MONO)|\bmono(chrome)?\b", re.IGNORECASE)
+_NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
+_KINDS = (("bias", "bias"), ("zero", "bias"), ("offset", "bias"), ("dark", "dark"), ("flat", "flat"))
+_SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
+_ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
+_COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
+
+
+def kind_of(image_type: str) -> str | None:
+    """The kind that the words of IMAGETYP name, None where they name none that is known."""
+    words = image_type.strip().lower()
+    if words in ("ob", "sci"):
+        return "scene"
+    return next((kind for word, kind in (*_KINDS, *((s, "scene") for s in _SCENES)) if word in words), None)
+
+
+def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a recording that a header states."""
+    pattern = _text(header, "BAYERPAT", "COLORTYP").upper()
+    shift = _whole(header, "YBAYROFF"), _whole(header, "XBAYROFF")
+    camera = _text(header, "INSTRUME", "CAMERA", "DETNAM") or None
+    cfa = to_shifted_cfa(pattern, *shift) if len(pattern) == 4 and pattern != "MONO" else None
+    if cfa is None and (
+        header.get("COLORCCD") in (0, False) or pattern == "MONO" or _MONO.search(camera or "")
+    ):
+        cfa = "MONO"
+    decibels = gain_db(header, camera)
+    iso = _number(header, _ISO, 1)
+    image_type = _text(header, "IMAGETYP", "FRAME", "OBSTYPE")
+    return {
+        "cfa": cfa,
+        "white_level": _number(header, ("SATURATE", "SATLEVEL"), 1),
+        "camera": camera,
+        "kind": kind_of(image_type) if image_type else None,
+        "iso": 100 * 10 ** (decibels / 20) if iso is None and decibels is not None else iso,
+        "gain_db": decibels if iso is None else None,
+        "exposure_s": _number(header, ("EXPTIME", "EXPOSURE", "EXP_TIME"), 0),
+        "temperature_c": _number(
+            header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), _ABSOLUTE_ZERO_C
+        ),
+    }
+
+
+def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
+    """What a header states beside the fields of a recording, see `opened.Opened`."""
+    camera = _text(header, "INSTRUME", "CAMERA", "DETNAM") or None
+    scaled = gain_db(header, camera) is not None or _number(header, _ISO, 1) is not None
+    gain = _number(header, ("GAIN",), 0)
+    per_electron = _number(header, ("EGAIN", "E-GAIN"), 1e-6)
+    if per_electron is None and gain is not None and not scaled and gain != round(gain):
+        per_electron, gain = gain, None
+    frames = _number(header, _COMBINED, 2)
+    image_type = _text(header, "IMAGETYP", "FRAME", "OBSTYPE")
+    words = next((w for w in ("master", "stacked", "combined", "super") if w in image_type.lower()), None)
+    binning = tuple(_number(header, (f"{a}BINNING", f"CCD{a}BIN"), 1) or 1.0 for a in "XY")
+    origin = tuple(_number(header, (f"{a}ORGSUBF",), 0) or 0.0 for a in "XY")
+    name = _text(header, "FILTER")
+    return {
+        "image_type": image_type or None,
+        "filter": name if name.lower() not in _NOT_STATED else None,
+        "binning": None if binning == (1, 1) else binning,
+        "origin": None if origin == (0, 0) else origin,
+        "offset": _number(header, ("OFFSET", "BLKLEVEL"), 0),
+        "mode": _text(header, "READOUTM", "RDMODE") or None,
+        "gain_setting": None if scaled else gain,
+        "set_temperature_c": _number(header, ("SET-TEMP",), _ABSOLUTE_ZERO_C),
+        "egain": per_electron,
+        "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
+    }
+
+
+def gain_db(header: Mapping[str, Any], camera: str | None) -> float | None:
+    """GAIN in dB, for cameras that count it in 0.1 dB."""
+    tenths = _number(header, ("GAIN",), 0)
+    if tenths is None or not _TENTH_DB.search(f"{camera} {_text(header, 'SWCREATE')}" if camera else ""):
+        return None
+    return tenths / 10
+
+
+def section(text: Any) -> tuple[slice, slice, bool, bool] | None:
+    """Rows and columns of `[x1:x2,y1:y2]`, counted from 1 and inclusive, and whether y and x run down."""
+    found = re.fullmatch(r"\s*\[\s*(\d+):(\d+)\s*,\s*(\d+):(\d+)\s*\]\s*", str(text or ""))
+    if not found:
+        return None
+    x1, x2, y1, y2 = map(int, found.groups())
+    if min(x1, x2, y1, y2) < 1:
+        return None
+    return slice(min(y1, y2) - 1, max(y1, y2)), slice(min(x1, x2) - 1, max(x1, x2)), y2 < y1, x2 < x1
+
+
+def _text(header: Mapping[str, Any], *names: str) -> str:
+    return next((t for name in names if (t := str(header.get(name, "") or "").strip())), "")
+
+
+def _whole(header: Mapping[str, Any], name: str) -> int:
+    value = _number(header, (name,), -math.inf)
+    return 0 if value is None else int(value)
+
+
+def _number(header: Mapping[str, Any], names: tuple[str, ...], least: float) -> float | None:
+    """The first of these keywords that holds a number from `least` up; programs also write 'n/a' or -1."""
+    for name in names:
+        value = header.get(name, math.nan)
+        if isinstance(value, bool):
+            continue
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            continue
+        if least <= number < math.inf:
+            return number
+    return None

@@ -1,0 +1,165 @@
+"""Shots of one setting as groups, groups of one sensor mode as sets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.recordings.folders.shots import Shot
+from cannoise_jax.recordings.recording import KINDS
+
+_ALIKE = 0.02
+"""Exposures that differ by less than this share are one setting: shutters are that exact."""
+_KELVIN = 2.5
+"""Temperatures are one where each is this near to the next."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Shots that become one recording. settings: fields of `Recording` that hold for all of them.
+
+    mode: what all recordings of a set have in common. label: how plans and files call it.
+    """
+
+    kind: str
+    shots: tuple[Shot, ...]
+    settings: dict[str, Any]
+    mode: tuple
+    filter: str | None
+    label: str
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return sum(s.shape[0] for s in self.shots)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.shots[0].shape[1], self.shots[0].shape[2]
+
+
+MODE = ("camera", "size", "binning", "origin", "gain", "offset", "readout", "cfa", "temperature")
+"""What `Group.mode` holds, in this order; the temperature only where the camera regulates it."""
+
+
+def grouped(
+    shots: Sequence[Shot], kinds: dict[str, str], camera: str, overrides: dict[str, Any]
+) -> list[Group]:
+    """Shots as groups of equal settings, in the order of kinds and exposures. kinds: of each shot, by name.
+
+    camera: the name of shots that state none.
+    """
+    clusters = _clusters([_temperature(s, overrides) for s in shots])
+    exposures = _exposures(shots, kinds, overrides)
+    members: dict[tuple, list[Shot]] = {}
+    for shot, cluster in zip(shots, clusters, strict=True):
+        kind = kinds[shot.name]
+        name = shot.about.get("filter") if kind in ("flat", "scene") else None
+        mode = _mode(shot, camera, overrides, cluster)
+        iso = overrides.get("iso", shot.known.get("iso"))
+        key = (
+            mode,
+            KINDS.index(kind),
+            iso,
+            exposures[shot.name],
+            name,
+            cluster,
+            shot.name if shot.whole else "",
+        )
+        members.setdefault(key, []).append(shot)
+    order = sorted(
+        members, key=lambda k: (str(k[0]), k[1], k[2] or 0, k[3] or 0, k[4] or "", str(k[5]), k[6])
+    )
+    return [_group(key, members[key], overrides) for key in order]
+
+
+def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | None) -> tuple:
+    known, about = shot.known, shot.about
+    regulated = cluster if about.get("set_temperature_c") is not None else None
+    return (
+        overrides.get("camera", known.get("camera", camera)),
+        shot.shape[1:],
+        about.get("binning"),
+        about.get("origin"),
+        about.get("gain_setting"),
+        about.get("offset"),
+        about.get("mode"),
+        overrides.get("cfa", known.get("cfa")),
+        regulated,
+    )
+
+
+def _group(key: tuple, shots: list[Shot], overrides: dict[str, Any]) -> Group:
+    mode, kind, iso, exposure, name, cluster, _ = key
+    temperatures = [t for s in shots if (t := s.known.get("temperature_c")) is not None]
+    settings: dict[str, Any] = {
+        "camera": mode[0],
+        "kind": KINDS[kind],
+        "iso": iso,
+        "gain_db": None if "iso" in overrides else shots[0].known.get("gain_db"),
+        "exposure_s": exposure,
+        "temperature_c": round(float(np.mean(temperatures)), 2) if temperatures else None,
+    }
+    settings |= {n: overrides[n] for n in ("temperature_c", "exposure_s") if n in overrides}
+    return Group(KINDS[kind], tuple(shots), settings, mode, name, _label(key, mode))
+
+
+def _label(key: tuple, mode: tuple) -> str:
+    _, kind, iso, exposure, name, cluster, _ = key
+    parts = [KINDS[kind]]
+    parts += [seconds(exposure)] if exposure is not None and KINDS[kind] != "bias" else []
+    parts += [] if iso is None else [f"iso{iso:.4g}"]
+    parts += [] if mode[4] is None else [f"gain{mode[4]:g}"]
+    parts += [] if name is None else ["".join(c if c.isalnum() else "-" for c in name)]
+    parts += [] if cluster is None else [f"{cluster:.0f}C"]
+    return "_".join(parts)
+
+
+def seconds(value: float) -> str:
+    """An exposure as plans and file names write it."""
+    if 0 < value < 1e-3:
+        return f"{1e6 * value:.4g}us"
+    return f"{1e3 * value:.4g}ms" if 0 < value < 0.1 else f"{value:.4g}s"
+
+
+def _temperature(shot: Shot, overrides: dict[str, Any]) -> float | None:
+    return overrides.get(
+        "temperature_c", shot.about.get("set_temperature_c", shot.known.get("temperature_c"))
+    )
+
+
+def _exposures(
+    shots: Sequence[Shot], kinds: dict[str, str], overrides: dict[str, Any]
+) -> dict[str, float | None]:
+    """The exposure of each shot, by name: the first of those within a few per cent; biases have one."""
+    out: dict[str, float | None] = {}
+    middle = 0.0
+    stated = {s.name: overrides.get("exposure_s", s.known.get("exposure_s")) for s in shots}
+    for name in sorted(stated, key=lambda n: (stated[n] is not None, stated[n])):
+        value = stated[name]
+        if value is None:
+            out[name] = None
+            continue
+        if not (middle > 0 and value - middle <= _ALIKE * middle):
+            middle = value
+        out[name] = middle
+    biases = [out[s.name] for s in shots if kinds[s.name] == "bias" and not s.whole]
+    known = [b for b in biases if b is not None]
+    return out | {s.name: min(known, default=None) for s in shots if kinds[s.name] == "bias" and not s.whole}
+
+
+def _clusters(values: Sequence[float | None]) -> list[float | None]:
+    """Each temperature as the mean of those that hang together with it."""
+    order = sorted({v for v in values if v is not None})
+    chains: list[list[float]] = []
+    for value in order:
+        if chains and value - chains[-1][-1] <= _KELVIN:
+            chains[-1].append(value)
+        else:
+            chains.append([value])
+    middle = {v: float(np.mean(chain)) for chain in chains for v in chain}
+    return [None if v is None else middle[v] for v in values]

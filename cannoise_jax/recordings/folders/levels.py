@@ -1,0 +1,107 @@
+"""Colour order, black and white level of a set where nobody states them: proposed from its data, and said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cannoise_jax.recordings.folders.groups import Group, seconds
+from cannoise_jax.recordings.recording import PerChannel, per_channel
+
+_DEPTHS = (255, 1023, 4095, 16383, 65535)
+_COLOURED = 0.01
+"""Sites of a mosaic under a flat differ by more than this share of their mean, of one colour by less."""
+
+
+class Levels(NamedTuple):
+    """What holds for all recordings of a set. values: fields of `Recording`. said: where each comes from.
+    missing: what could not be found, each with its remedy."""
+
+    values: dict[str, Any]
+    said: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
+    """Colour order, black and white level for the groups of one set, complete recordings aside."""
+    loose = [g for g in groups if not all(s.whole for s in g.shots)]
+    if not loose:
+        return Levels({}, (), ())
+    values: dict[str, Any] = {}
+    said, missing = [], []
+    for name, propose in (("cfa", _cfa), ("black_level", _black), ("white_level", _white)):
+        if name in overrides:
+            continue
+        value, words = propose(loose)
+        if value is None:
+            missing.append(words)
+            continue
+        values[name] = value
+        said += [words] if words else []
+    return Levels(values, tuple(said), tuple(missing))
+
+
+def _stated(groups: Sequence[Group], name: str) -> list[Any]:
+    return [s.known[name] for g in groups for s in g.shots if name in s.known]
+
+
+def _cfa(groups: Sequence[Group]) -> tuple[str | None, str]:
+    stated = set(_stated(groups, "cfa"))
+    if stated:
+        return stated.pop(), ""
+    lit = [s.medians for g in groups if g.kind == "flat" for s in g.shots]
+    dark = [s.medians for g in groups if g.kind in ("bias", "dark") for s in g.shots]
+    if not lit:
+        return None, "the colour order: state it with --cfa (MONO for a monochrome sensor)"
+    light = np.median(lit, axis=0) - (np.median(dark, axis=0) if dark else 0.0)
+    if np.ptp(light) > _COLOURED * abs(float(np.mean(light))):
+        sites = ", ".join(f"{v:.0f}" for v in light)
+        return (
+            None,
+            f"the colour order: the flats show a mosaic (its four sites: {sites}): state it with --cfa",
+        )
+    return "MONO", "MONO: no header states colours, and the four sites of the flats are equally bright"
+
+
+def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:
+    shots = [s for g in groups for s in g.shots]
+    stated = [per_channel(s.known["black_level"]) for s in shots if "black_level" in s.known]
+    if stated:
+        level = per_channel(np.median(stated, axis=0))
+        origin = next((s.about["black_from"] for s in shots if s.about.get("black_from")), None)
+        if origin is None and len(set(stated)) == 1:
+            return level, ""
+        return level, f"black level {_four(level)} DN: median of {origin or 'what the files state'}"
+    dark = [g for g in groups if g.kind in ("bias", "dark")]
+    if not dark:
+        return None, "the black level: add bias or dark frames, or state it with --black-level"
+    first = min(dark, key=lambda g: (g.kind != "bias", g.settings["exposure_s"] or 0.0))
+    level = per_channel(np.median([s.medians for s in first.shots], axis=0))
+    if groups[0].mode[7] in ("MONO", None) and np.ptp(level) <= 2:
+        level = per_channel(float(np.median(level)))
+    what = "biases" if first.kind == "bias" else f"darks of {seconds(first.settings['exposure_s'] or 0.0)}"
+    return level, f"black level {_four(level)} DN: median of the {what}"
+
+
+def _white(groups: Sequence[Group]) -> tuple[float | None, str]:
+    stated = {float(v) for v in _stated(groups, "white_level")}
+    if len(stated) == 1:
+        return stated.pop(), ""
+    if stated:
+        return min(stated), f"white level {min(stated):g} DN: the lowest that the files state"
+    shots = [s for g in groups for s in g.shots]
+    top, step = max(s.top for s in shots), int(np.gcd.reduce([s.step for s in shots]))
+    depth = next(d for d in _DEPTHS if top <= d)
+    if step > 1 and (step & (step - 1)) == 0:  # codes shifted left: the highest code of a full word
+        highest = 65536 - step
+        return float(highest), f"white level {highest} DN: codes {step} apart, shifted to 16 bits"
+    return float(depth), (
+        f"white level {depth} DN: the highest value is {top}, so of {depth.bit_length()} bits; where the "
+        "sensor saturates lower, state it with --white-level"
+    )
+
+
+def _four(level: PerChannel) -> str:
+    return f"{level[0]:g}" if len(set(level)) == 1 else ", ".join(f"{v:g}" for v in level)

@@ -1,0 +1,267 @@
+"""What a folder holds and what will become of it: every contradiction and everything missing at once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
+from cannoise_jax.recordings.folders.levels import Levels, levels
+from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.recording import BadInput
+
+_MOST_NAMED = 3
+_LIT = ("flat", "scene")
+_DARK = ("bias", "dark")
+
+
+@dataclass(frozen=True)
+class CaptureGroups:
+    """One set: the recordings of one sensor mode. folder: below the output, '' for the main one.
+    reason: why it is not part of the main one."""
+
+    folder: str
+    groups: tuple[Group, ...]
+    levels: Levels
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """sets: the first is the capture set, the others are kept apart. notes: what was decided and why.
+    problems: what keeps the plan from being carried out, each with its remedy."""
+
+    folder: Path
+    sets: tuple[CaptureGroups, ...]
+    notes: tuple[str, ...]
+    problems: tuple[str, ...]
+    overrides: dict[str, Any]
+
+    @property
+    def shots(self) -> tuple[Shot, ...]:
+        """All files that are used."""
+        return tuple(s for one in self.sets for g in one.groups for s in g.shots)
+
+
+def plan_folder(
+    folder: Path,
+    overrides: dict[str, Any] | None = None,
+    *,
+    assign: Sequence[tuple[str, str]] = (),
+    leave_out: Iterable[str] = (),
+    tell: Tell = lambda n, total: None,
+) -> Plan:
+    """The plan for a folder of recordings. assign: (pattern of names, kind), the first that fits decides.
+
+    Raises BadInput where the folder holds nothing that can be read.
+    """
+    overrides = {k: v for k, v in (overrides or {}).items() if v is not None}
+    found = scan(folder, leave_out, tell)
+    notes, problems = _notes(found), _failures(found)
+    kinds, more_notes, more_problems = _kinds(found.shots, assign, overrides.get("kind"))
+    notes, problems = notes + more_notes, problems + more_problems
+    usable = [s for s in found.shots if s.name in kinds]
+    named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
+    camera = next(iter(named)) if len(named) == 1 else Path(folder).absolute().name
+    if usable and not named and "camera" not in overrides:
+        notes.append(
+            f"no file names its camera: all are called {camera}, after the folder; --camera NAME does"
+        )
+    sets = _sets(grouped(usable, kinds, camera, overrides), overrides)
+    for one in sets[:1]:
+        notes += one.levels.said
+        notes += _lacks(one)
+        problems += [f"{words}" for words in one.levels.missing]
+    cameras = dict.fromkeys(one.groups[0].mode[0] for one in sets)
+    if len(cameras) > 1:
+        notes.append(f"{len(cameras)} cameras ({', '.join(cameras)}): if they are one, name it with --camera")
+    if not usable and not problems:
+        problems.append("no file is a raw frame: " + "; ".join(notes))
+    return Plan(folder, tuple(sets), tuple(dict.fromkeys(notes)), tuple(problems), overrides)
+
+
+def check(plan: Plan) -> None:
+    """Raises BadInput, in one line that lists everything, where the plan has problems."""
+    if plan.problems:
+        raise BadInput(f"{plan.folder}: " + "; ".join(plan.problems))
+
+
+def text(plan: Plan) -> str:
+    """The plan as lines for a screen."""
+    lines = []
+    for one in plan.sets:
+        first = one.groups[0]
+        where = f"{one.folder}/ " if one.folder else ""
+        size = "{} x {}".format(*first.size)
+        lines.append(
+            f"{where}{first.mode[0]}, {size}, {_cfa(one)}{f': apart, {one.reason}' if one.reason else ''}"
+        )
+        for group in one.groups:
+            from_ = _listed([s.name for s in group.shots])
+            words = f"{group.frames} frame{'s' * (group.frames > 1)}"
+            lines.append(f"  {group.label + '.h5':<28} {words:<10} {_settings(group):<26} {from_}")
+    lines += [f"note: {note}" for note in plan.notes]
+    lines += [f"missing or contradictory: {problem}" for problem in plan.problems]
+    return "\n".join(lines)
+
+
+def _cfa(one: CaptureGroups) -> str:
+    return one.levels.values.get("cfa") or one.groups[0].mode[7] or "colour order unknown"
+
+
+def _settings(group: Group) -> str:
+    s = group.settings
+    parts = [seconds(s["exposure_s"])] if s["exposure_s"] is not None else []
+    if s["gain_db"] is not None:
+        parts.append(f"gain {s['gain_db']:g} dB")
+    elif s["iso"] is not None:
+        parts.append(f"ISO {s['iso']:g}")
+    parts += [f"{s['temperature_c']:.1f} C"] if s["temperature_c"] is not None else []
+    return ", ".join([*parts, *([group.filter] if group.filter else [])])
+
+
+def _notes(found: Scan) -> list[str]:
+    notes = [f"{name}: an average, no frame ({why}): left out" for name, why in found.averages]
+    notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
+    if found.unread:
+        counts = ", ".join(f"{n} {suffix}" for suffix, n in sorted(found.unread.items()))
+        notes.append(f"not read: {counts} (developed pictures and films hold no raw values)")
+    return notes
+
+
+def _failures(found: Scan) -> list[str]:
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in found.failures:
+        by_reason.setdefault(reason, []).append(name)
+    return [
+        f"{_listed(names)}: {reason}; or leave {'them' if len(names) > 1 else 'it'} out with --leave-out"
+        for reason, names in by_reason.items()
+    ]
+
+
+def _kinds(
+    shots: Sequence[Shot], assign: Sequence[tuple[str, str]], override: str | None
+) -> tuple[dict[str, str], list[str], list[str]]:
+    """The kind of every shot, with notes on what was decided and problems where nothing decides."""
+    kinds: dict[str, str] = {}
+    unknown: dict[str, list[str]] = {}
+    taken: dict[str, list[str]] = {}
+    clashes: dict[str, list[str]] = {}
+    for shot in shots:
+        given = next((kind for pattern, kind in assign if matches(shot.name, pattern)), override)
+        if given or shot.whole:
+            kinds[shot.name] = given or shot.said or "scene"
+            continue
+        header, words = shot.said, shot.about.get("image_type")
+        if header is None and shot.named is None:
+            what = f"IMAGETYP {words!r} is unknown" if words else "neither header nor name says the kind"
+            unknown.setdefault(what, []).append(shot.name)
+            continue
+        if header is None and words:
+            taken.setdefault(f"IMAGETYP {words!r} is unknown: {shot.named} by name", []).append(shot.name)
+        elif header == "scene" and shot.named not in (None, "scene"):
+            taken.setdefault(f"headed {words!r}, {shot.named} by name", []).append(shot.name)
+            header = None
+        elif {header, shot.named} == {"bias", "dark"} and not shot.known.get("exposure_s"):
+            taken.setdefault("bias or dark of no exposure: bias", []).append(shot.name)
+            header = "bias"
+        elif header and shot.named not in (None, header) and shot.named != "scene":
+            clashes.setdefault(f"headed {words!r} but named {shot.named}", []).append(shot.name)
+            continue
+        kinds[shot.name] = header or shot.named or "scene"
+    remedy = "put them in folders named bias, darks, flats or lights, or state --assign 'NAME*=KIND'"
+    notes = [f"{_listed(names)}: {what}" for what, names in taken.items()]
+    problems = [f"{_listed(names)}: {what}: {remedy}" for what, names in unknown.items()]
+    problems += [
+        f"{_listed(n)}: {what}: rename, or state --assign 'NAME*=KIND'" for what, n in clashes.items()
+    ]
+    return kinds, notes, problems
+
+
+def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]:
+    by_mode: dict[tuple, list[Group]] = {}
+    for group in groups:
+        by_mode.setdefault(group.mode, []).append(group)
+    if not by_mode:
+        return []
+
+    def rank(mode: tuple) -> tuple:
+        own = by_mode[mode]
+        lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (_LIT, _DARK))
+        return lit and dark, lit, sum(g.frames for g in own)
+
+    order = sorted(by_mode, key=rank, reverse=True)
+    main = by_mode[order[0]]
+    scenes = [g for g in main if g.kind == "scene" and not all(s.whole for s in g.shots)]
+    out = []
+    if scenes and any(g.kind == "flat" for g in main):
+        main = [g for g in main if g not in scenes]
+        reason = "flats serve, and the sky of lights moves from frame to frame"
+        out.append(("lights", scenes, reason))
+    for mode in order[1:]:
+        differs = [(n, a, b) for n, a, b in zip(MODE, mode, order[0], strict=True) if a != b]
+        reason = ", ".join(f"{n} is {_word(a)}, not {_word(b)}" for n, a, b in differs)
+        out.append(
+            ("_".join(f"{n}_{_word(a)}".replace(" ", "_") for n, a, _ in differs[:2]), by_mode[mode], reason)
+        )
+    first = CaptureGroups("", _labelled(main), levels(main, overrides))
+    rest = []
+    for name, own, reason in out:
+        known = levels(own, overrides)
+        if own[0].mode == order[0] or known.missing:
+            known = known._replace(values={**first.levels.values, **known.values})
+        rest.append(CaptureGroups(_as_folder(name), _labelled(own), known, reason))
+    return [first, *rest]
+
+
+def _labelled(groups: Sequence[Group]) -> tuple[Group, ...]:
+    """Groups whose labels tell them apart, numbered where their settings do not."""
+    counts = Counter(g.label for g in groups)
+    seen: Counter = Counter()
+    out = []
+    for group in groups:
+        seen[group.label] += 1
+        more = f"_{seen[group.label]}" if counts[group.label] > 1 else ""
+        out.append(
+            Group(group.kind, group.shots, group.settings, group.mode, group.filter, group.label + more)
+        )
+    return tuple(out)
+
+
+def _lacks(one: CaptureGroups) -> list[str]:
+    notes = []
+    groups = one.groups
+    single = [g.label for g in groups if g.frames == 1]
+    if single:
+        notes.append(f"{_listed(single)}: one frame, so no temporal noise: two or more show it")
+    warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
+    if warm and max(warm) - min(warm) > 5:
+        notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
+    flats = [s for g in groups if g.kind == "flat" for s in g.shots if not s.whole]
+    darks = [s for g in groups if g.kind in _DARK for s in g.shots if not s.whole]
+    if flats and darks:
+        floor = max(max(s.medians) for s in darks)
+        dim = [s.name for s in flats if max(s.medians) <= floor]
+        if dim:
+            notes.append(f"{_listed(dim)}: flats no brighter than the darks: check that the light was on")
+    return notes
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, tuple):
+        return "x".join(f"{v:g}" for v in value)
+    return "not stated" if value is None else str(value)
+
+
+def _as_folder(name: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_." else "-" for c in name)[:60]
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,166 @@
+"""Every file of a folder opened once: what it is, what its values look like, and what is wrong with it."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable, Iterable
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cannoise_jax.recordings import sidd
+from cannoise_jax.recordings.folders.names import named_average, named_kind, named_settings
+from cannoise_jax.recordings.load import is_supported, load_recording, open_file, suffix_of
+from cannoise_jax.recordings.native import SUFFIXES as NATIVE
+from cannoise_jax.recordings.opened import stated
+from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
+from cannoise_jax.recordings.usable import check_frame
+
+_SAMPLE = 1 << 20
+_DEVELOPED = (".jpg", ".jpeg", ".bmp", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf")
+
+Tell = Callable[[int, int], None]
+
+
+class Shot(NamedTuple):
+    """One file, its pixels left where they are.
+
+    name: below the folder. whole: a recording that is complete by itself (native or SIDD) and joins no other.
+    said: the kind as the header has it, named: as names have it. medians: of the first frame, mosaic order.
+    top: highest value. step: common spacing of the first frame's values (1: none). print: of all pixels.
+    """
+
+    path: Path
+    name: str
+    whole: bool
+    shape: tuple[int, ...]
+    known: dict[str, Any]
+    about: dict[str, Any]
+    said: str | None
+    named: str | None
+    medians: PerChannel
+    top: int
+    step: int
+    print: int
+
+
+class Scan(NamedTuple):
+    """The files of a folder. averages: masters and stacks, with the words that say so. failures: why a file
+    cannot be used. unread: of other formats, by suffix."""
+
+    shots: tuple[Shot, ...]
+    averages: tuple[tuple[str, str], ...]
+    copies: tuple[tuple[str, str], ...]
+    failures: tuple[tuple[str, str], ...]
+    unread: dict[str, int]
+
+
+def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, total: None) -> Scan:
+    """Opens every file below a folder. leave_out: patterns of names, with * and ?, to pass over.
+
+    Raises BadInput for a folder that does not exist or holds nothing that can be read.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder")
+    shots, averages, failures, copies = [], [], [], []
+    unread: dict[str, int] = {}
+    found = list(_files(folder, tuple(leave_out), unread))
+    if not found:
+        kinds = f", only {_counted(unread)}" if unread else ""
+        raise BadInput(f"{folder}: holds no recordings{kinds}: see bin/convert --help for the formats")
+    seen: dict[tuple, str] = {}
+    for number, path in enumerate(found):
+        name = str(path.relative_to(folder))
+        tell(number, len(found))
+        try:
+            shot = _shot(path, name)
+        except BadInput as error:
+            named = named_average(Path(name))
+            if named:  # averages hold fractions, which no reader takes
+                averages.append((name, f"named {named}"))
+                continue
+            failures.append((name, str(error).removeprefix(f"{path}: ")))
+            continue
+        named = named_average(Path(name)) if shot.shape[0] == 1 and not shot.whole else None
+        if named or shot.about.get("combined"):
+            averages.append((name, shot.about.get("combined") or f"named {named}"))
+            continue
+        key = (shot.shape, shot.print)
+        if key in seen and not shot.whole:
+            copies.append((name, seen[key]))
+            continue
+        seen[key] = name
+        shots.append(shot)
+    tell(len(found), len(found))
+    return Scan(tuple(shots), tuple(averages), tuple(copies), tuple(failures), unread)
+
+
+def matches(name: str, pattern: str) -> bool:
+    """Whether a pattern with * and ? fits a name below the folder, its last part, or one of its folders."""
+    parts = Path(name).parts
+    return fnmatch(name, pattern) or any(fnmatch(part, pattern) for part in parts)
+
+
+def _files(folder: Path, leave_out: tuple[str, ...], unread: dict[str, int]):
+    if sidd.is_instance(folder):
+        yield folder
+        return
+    for root, folders, names in os.walk(folder):
+        base = Path(root)
+        instances = [f for f in sorted(folders) if sidd.is_instance(base / f)]
+        folders[:] = sorted(f for f in folders if not f.startswith(".") and f not in instances)
+        for path in sorted([base / n for n in names] + [base / f for f in instances]):
+            name = str(path.relative_to(folder))
+            if path.name.startswith(".") or any(matches(name, pattern) for pattern in leave_out):
+                continue
+            if path.is_dir() or is_supported(path):
+                yield path
+            elif suffix_of(path) in _DEVELOPED:
+                unread[suffix_of(path)] = unread.get(suffix_of(path), 0) + 1
+
+
+def _shot(path: Path, name: str) -> Shot:
+    whole = path.is_dir() or suffix_of(path) in NATIVE
+    if whole:
+        recording = load_recording(path)
+        fields = ("camera", "kind", "iso", "exposure_s", "temperature_c", "gain_db", "cfa")
+        known = stated({f: getattr(recording, f) for f in fields})
+        levels = {"black_level": recording.black_level, "white_level": recording.white_level}
+        return Shot(
+            *(path, name, True, tuple(recording.frames.shape), known | levels, {}, recording.kind, None),
+            *(recording.black_level, 0, 1, hash(name)),
+        )
+    opened = open_file(path)
+    known, about = stated(opened.known), stated(opened.about)
+    shape = tuple(opened.frames.shape)
+    if len(shape) != 3 or 0 in shape:
+        raise BadInput(f"{path}: has shape {shape}: expected one mosaic or a stack of them")
+    for field, value in named_settings(Path(name)).items():
+        if field == "gain_setting" and ("iso" in known or "gain_setting" in about):
+            continue
+        (about if field in ("gain_setting", "binning") else known).setdefault(field, value)
+    check, top = 0, 0
+    first = np.asarray(opened.frames[0])
+    for number in range(shape[0]):
+        frame = first if number == 0 else np.asarray(opened.frames[number])
+        check_frame(path, number, frame)
+        check, top = zlib.crc32(np.ascontiguousarray(frame).tobytes(), check), max(top, int(frame.max()))
+    sites = [
+        np.median(first[s // 2 :: 2, s % 2 :: 2]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)
+    ]
+    return Shot(
+        *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
+        *(per_channel(np.array(sites)), top, _step(first), check),
+    )
+
+
+def _step(frame: np.ndarray) -> int:
+    values = np.unique(frame.ravel()[:_SAMPLE])
+    return max(int(np.gcd.reduce(values)), 1)
+
+
+def _counted(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {suffix}" for suffix, count in sorted(counts.items()))

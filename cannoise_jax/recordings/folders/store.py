@@ -1,0 +1,218 @@
+"""Plans carried out: the recordings of a folder written in the native format, for good or into a cache."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cannoise_jax.recordings.folders.groups import Group
+from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder, text
+from cannoise_jax.recordings.folders.shots import Tell
+from cannoise_jax.recordings.join import join_recordings
+from cannoise_jax.recordings.lazy import LazyArray
+from cannoise_jax.recordings.load import is_supported, load_capture_set, load_recording, open_file, suffix_of
+from cannoise_jax.recordings.metadata import count_above, make_recording, warn_saturation
+from cannoise_jax.recordings.native import SUFFIXES as NATIVE
+from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.opened import stated
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.sidd import is_instance
+
+_KEPT = 6
+"""Conversions that a cache keeps."""
+_LAYOUT = "1"
+"""Of what is cached: entries of another layout are not used."""
+
+
+class Options(NamedTuple):
+    """How a user has a folder read: what holds for all recordings, kinds by name, and what to pass over."""
+
+    overrides: dict[str, Any]
+    assign: Sequence[tuple[str, str]] = ()
+    leave_out: Sequence[str] = ()
+
+
+def capture_of(
+    folder: Path, options: Options, cache: Path, tell: Tell = lambda n, total: None
+) -> tuple[CaptureSet, str]:
+    """The capture set of any folder, and how it was made up (empty where its files are recordings already).
+
+    A folder whose own files are all in the native format, scene folders of SIDD, or stacks with side-cars is
+    taken as it is. Every other one is planned, and its main set converted into `cache`, unless it is there.
+    Raises BadInput.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: {'is a file: name its folder' if folder.is_file() else 'no such folder'}")
+    if _is_prepared(folder) and not options.assign and not options.leave_out:
+        return load_capture_set(folder, **options.overrides), ""
+    entry = cache / _key(folder, options)
+    if (entry / "plan.txt").is_file():
+        os.utime(entry)
+    else:
+        plan = plan_folder(
+            folder, options.overrides, assign=options.assign, leave_out=options.leave_out, tell=tell
+        )
+        check(plan)
+        cameras = dict.fromkeys(one.groups[0].mode[0] for one in plan.sets)
+        if len(cameras) > 1:
+            raise BadInput(
+                f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): give one of its folders, or "
+                "name them --camera NAME if they are one"
+            )
+        _into_cache(plan, entry)
+    capture = load_capture_set(entry)
+    return dataclasses.replace(capture, path=str(folder)), (entry / "plan.txt").read_text(encoding="utf-8")
+
+
+def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[Path, Recording]]:
+    """Writes every recording of a plan below `out` and yields them. Where it fails, nothing new is left.
+
+    Raises BadInput, before anything is written where the plan has problems or files exist (without force).
+    """
+    check(plan)
+    named = [(out / one.folder / f"{g.label}.h5", one, g) for one in plan.sets for g in one.groups]
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out}: is a file: name a folder")
+    there = [path for path, _, _ in named if path.exists()]
+    if there and not force:
+        raise BadInput(f"{there[0]}: exists: name another folder, or replace it with --force")
+    lacking = [one for one in plan.sets if one.levels.missing and not _complete(one)]
+    if lacking:
+        words = "; ".join(f"{one.folder}: {'; '.join(one.levels.missing)}" for one in lacking)
+        raise BadInput(f"{plan.folder}: {words}")
+    before = _missing_parents(out)
+    written: list[Path] = []
+    try:
+        for path, one, group in named:
+            recording = recording_of(group, one, plan.overrides)
+            fresh = not path.exists()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_recording(path, recording)
+            written += [path] if fresh else []
+            yield path, recording
+    except OSError as error:
+        _undo(written, before, out)
+        raise BadInput(f"{out}: cannot be written ({error.strerror}): name another folder") from error
+    except BaseException:
+        _undo(written, before, out)
+        raise
+
+
+def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) -> Recording:
+    """The frames of a group as one recording, still to be read. Raises BadInput."""
+    first = group.shots[0]
+    if first.whole:
+        return load_recording(first.path, **overrides)
+    settings = stated(group.settings) | one.levels.values | overrides
+    parts = []
+    for shot in group.shots:
+        opened = open_file(shot.path)
+        known = {k: v for k, v in stated(opened.known).items() if k not in ("temperature_c", "exposure_s")}
+        parts.append(_lean(make_recording(shot.path, opened.frames, {**known, **settings}, {}, scan=False)))
+    recording = join_recordings(parts)
+    white = recording.white_level
+    warn_saturation(group.label, count_above(recording.frames, white), recording.frames.shape, white)
+    return recording
+
+
+def _lean(recording: Recording) -> Recording:
+    """The recording without the pixels that opening decoded: they are decoded again when they are needed."""
+    if isinstance(recording.frames, LazyArray):
+        return recording
+    path, shape = Path(str(recording.path)), tuple(recording.frames.shape)
+    frames = LazyArray(partial(_read_again, path), shape, recording.frames.dtype)
+    return dataclasses.replace(recording, frames=frames)
+
+
+def _read_again(path: Path, index: Any) -> np.ndarray:
+    return np.asarray(open_file(path).frames[index])
+
+
+def _complete(one: CaptureGroups) -> bool:
+    return all(name in one.levels.values for name in ("cfa", "black_level", "white_level"))
+
+
+def _is_prepared(folder: Path) -> bool:
+    """Whether every readable file right in the folder is a recording by itself: none is to be joined."""
+    if is_instance(folder):
+        return False
+    files = [
+        p for p in folder.iterdir() if not p.name.startswith(".") and (is_instance(p) or is_supported(p))
+    ]
+    return bool(files) and all(
+        is_instance(p) or suffix_of(p) in NATIVE or p.with_suffix(".json").is_file() for p in files
+    )
+
+
+def _key(folder: Path, options: Options) -> str:
+    facts: list[Any] = [_LAYOUT, str(folder.resolve()), options]
+    for root, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(names):
+            path = Path(root) / name
+            try:
+                about = path.stat()
+            except OSError:
+                facts.append((str(path), None))
+                continue
+            facts.append((str(path), about.st_size, about.st_mtime_ns))
+    text_ = json.dumps(facts, sort_keys=True, default=str)
+    return hashlib.sha256(text_.encode("utf-8", "surrogateescape")).hexdigest()[:24]
+
+
+def _into_cache(plan: Plan, entry: Path) -> None:
+    try:
+        entry.parent.mkdir(parents=True, exist_ok=True)
+        _prune(entry.parent)
+        temporary = Path(tempfile.mkdtemp(prefix=".making-", dir=entry.parent))
+    except OSError as error:
+        raise BadInput(f"{entry.parent}: cannot be written ({error.strerror}): set XDG_CACHE_HOME") from error
+    try:
+        main = dataclasses.replace(plan, sets=plan.sets[:1])
+        for _ in write_plan(main, temporary, force=True):
+            pass
+        (temporary / "plan.txt").write_text(text(plan) + "\n", encoding="utf-8")
+        try:
+            os.replace(temporary, entry)
+        except OSError:  # another process was faster
+            shutil.rmtree(temporary, ignore_errors=True)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def _prune(cache: Path) -> None:
+    entries = sorted((p for p in cache.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
+    for old in entries[: max(len(entries) - _KEPT + 1, 0)]:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _missing_parents(out: Path) -> list[Path]:
+    """`out` and its parents that do not exist yet, the deepest first."""
+    missing = []
+    at = out
+    while not at.exists() and at != at.parent:
+        missing.append(at)
+        at = at.parent
+    return missing
+
+
+def _undo(written: Iterable[Path], folders: Iterable[Path], out: Path) -> None:
+    for path in written:
+        path.unlink(missing_ok=True)
+    below = sorted((p for p in out.rglob("*") if p.is_dir()), reverse=True) if out.is_dir() else []
+    for folder in [*below, *folders]:
+        try:
+            folder.rmdir()
+        except OSError:
+            continue

@@ -1,0 +1,80 @@
+"""What a reader hands on: the frames of a file, what the file states of them, and what only plans ask for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cannoise_jax.recordings.recording import BadInput, Frames
+
+_MOST_PIXELS = 1 << 30
+_DENSEST = 2000
+"""No compression that the formats use packs more bytes than this into one (deflate: 1032)."""
+_SPARE_FRAME, _SPARE_STACK = 64 << 20, 4 << 30
+"""Bytes that a file may claim beyond what it can hold: HDF5 leaves out what is all zero."""
+
+
+class Opened(NamedTuple):
+    """A file that was opened and not yet judged.
+
+    frames: `uint16[T, H, W]`, mostly lazy. known: fields of `Recording` that the file states.
+    about: what a file may state beside them, None or absent where it does not:
+      image_type (the header's own words), filter, binning, origin (of a sub-frame), offset (of the camera's
+      black, in its own steps), mode (of the readout), gain_setting (in the camera's own unit, where its scale
+      is unknown), set_temperature_c, egain (e-/DN as the header has it), combined (how many frames were
+      averaged or stacked, or the words that say so), black_from (what `black_level` was measured on).
+    """
+
+    frames: Frames
+    known: dict[str, Any]
+    about: Mapping[str, Any] = {}
+
+
+def stated(known: Mapping[str, Any]) -> dict[str, Any]:
+    """What is not None."""
+    return {name: value for name, value in known.items() if value is not None}
+
+
+def check_claim(path: str | Path, shape: tuple[int, ...], itemsize: int) -> None:
+    """Raises BadInput for frames larger than any sensor's, or than the file can hold, unread."""
+    pixels = math.prod(shape[-2:]) if len(shape) > 1 else math.prod(shape)
+    size = Path(path).stat().st_size
+    if pixels > _MOST_PIXELS:
+        raise BadInput(f"{path}: claims frames of {_by(shape[-2:])} pixels: no sensor has that many")
+    claimed = math.prod(shape) * itemsize
+    holds = _DENSEST * size
+    if pixels * itemsize > holds + _SPARE_FRAME or claimed > holds + _SPARE_STACK:
+        raise BadInput(
+            f"{path}: claims {_by(shape)} values ({claimed / 1e9:.3g} GB) in {size} bytes: damaged"
+        )
+
+
+def whole_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
+    """Values of any type as uint16. Raises BadInput for fractions and for what 16 bits do not hold."""
+    if values.dtype == np.uint16:
+        return values
+    if values.dtype.kind == "b" or values.dtype.kind not in "iuf":
+        raise BadInput(f"{path}: values are {values.dtype}: expected the sensor's own whole numbers")
+    if values.dtype.kind == "f" and not (np.isfinite(values).all() and (values == np.rint(values)).all()):
+        raise BadInput(
+            f"{path}: floating-point values that are no whole numbers ({values.dtype}): calibrated, averaged "
+            "or rescaled: give the raw frames of the camera"
+        )
+    if values.size and values.min() < 0:
+        raise BadInput(
+            f"{path}: negative values (down to {values.min():g}): black was subtracted, or unsigned numbers "
+            "were stored as signed: give the raw frames of the camera"
+        )
+    if values.size and values.max() > 65535:
+        raise BadInput(
+            f"{path}: values up to {values.max():g}: sums of frames? single raw frames have 16 bits at most"
+        )
+    return values.astype(np.uint16)
+
+
+def _by(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))

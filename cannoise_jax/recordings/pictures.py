@@ -1,0 +1,80 @@
+"""Single mosaics in picture formats: PGM (one or more, 8 or 16 bits, binary or text) and grey PNG."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
+from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
+from cannoise_jax.recordings.recording import BadInput, Recording
+from cannoise_jax.recordings.stacks import side_car
+
+SUFFIXES = (".pgm", ".png")
+_HEADER = re.compile(rb"(P[25])(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s")
+
+
+def read_picture(path: str | Path, **overrides: Any) -> Recording:
+    """A recording from a PGM or PNG file with a side-car like that of other stacks. Raises BadInput."""
+    check_overrides(overrides)
+    opened = open_picture(path)
+    return make_recording(path, opened.frames, opened.known, overrides)
+
+
+def open_picture(path: str | Path) -> Opened:
+    """The mosaics of a PGM or PNG file; a PGM states its white level. Raises BadInput."""
+    if not Path(path).is_file():
+        raise BadInput(f"{path}: no such file")
+    if Path(path).suffix.lower() == ".png":
+        return Opened(_png(path)[None], side_car(path))
+    with reading(path, "not a readable PGM file"):
+        frames, white = _pgm(path, Path(path).read_bytes())
+    # 255 and 65535 are what the container holds, not what the sensor reaches.
+    known = {} if white in (255, 65535) else {"white_level": float(white)}
+    return Opened(frames, known | side_car(path))
+
+
+def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
+    """All images of a file, netpbm's own manual: 16 bits are big-endian."""
+    images, white, at = [], 0, 0
+    while at < len(data) and data[at:].strip():
+        found = _HEADER.match(data, at)
+        if not found:
+            what = "colours (PPM)" if data[at : at + 2] in (b"P3", b"P6") else "not a readable PGM file"
+            raise BadInput(f"{path}: {what}: expected grey mosaics, P5 or P2")
+        width, height, white = (int(found[n]) for n in (2, 3, 4))
+        check_claim(path, (height, width), 1 if white < 256 else 2)
+        if not 0 < white < 65536 or width * height == 0:
+            raise BadInput(f"{path}: not a readable PGM file: {width} x {height}, highest value {white}")
+        if found[1] == b"P2":
+            values = np.array(data[found.end() :].split()[: width * height], np.int64)
+            at = len(data)
+        else:
+            kind = np.dtype(np.uint8 if white < 256 else ">u2")
+            values = np.frombuffer(data[found.end() : found.end() + width * height * kind.itemsize], kind)
+            at = found.end() + width * height * kind.itemsize
+        if values.size != width * height or values.max() > white or values.min() < 0:
+            raise BadInput(
+                f"{path}: not a readable PGM file: truncated, or values above its highest, {white}"
+            )
+        images.append(values.reshape(height, width).astype(np.uint16))
+    if len({image.shape for image in images}) != 1:
+        raise BadInput(f"{path}: not a readable PGM file: {len(images)} images of several sizes")
+    return np.stack(images), white
+
+
+def _png(path: str | Path) -> np.ndarray:
+    with reading(path, "not a readable PNG file"), warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(path, formats=("PNG",)) as image:
+            check_claim(path, (image.height, image.width), 1)
+            if image.mode not in ("L", "I", "I;16", "I;16B"):
+                raise BadInput(
+                    f"{path}: colours or a palette ({image.mode}): expected a grey mosaic of 8 or 16 bits"
+                )
+            return whole_numbers(path, np.array(image))

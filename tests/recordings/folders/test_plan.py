@@ -1,0 +1,276 @@
+"""What becomes of folders: groups, what is set apart, what is said, and what is refused, all at once."""
+
+import gzip
+import shutil
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from cannoise_jax.recordings.folders.plan import check, plan_folder, text
+from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
+from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.native import read_recording
+from cannoise_jax.recordings.recording import BadInput
+from tests.recordings.folders.night import night, shot
+
+
+def labels(plan, which=0):
+    return {g.label: g.frames for g in plan.sets[which].groups}
+
+
+def notes(plan):
+    return "\n".join(plan.notes)
+
+
+def test_files_of_one_setting_become_one_recording(tmp_path):
+    plan = plan_folder(night(tmp_path))
+    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2}
+    assert not plan.problems and len(plan.sets) == 1
+    levels = plan.sets[0].levels
+    assert abs(levels.values["black_level"][0] - 1000) <= 2 and levels.values["white_level"] == 16383
+    assert levels.values["cfa"] == "MONO"
+    assert "median of the biases" in notes(plan) and "equally bright" in notes(plan)
+    out = tmp_path / "out"
+    written = [path.name for path, _ in write_plan(plan, out)]
+    capture = load_capture_set(out)
+    assert sorted(written) == ["bias.h5", "dark_60s.h5", "flat_2s.h5"] and capture.camera == "Acme 100"
+    (flat,) = capture.of_kind("flat")
+    raw = [np.asarray(fits.getdata(tmp_path / f"flat_{n}.fits")) for n in (1, 2)]
+    np.testing.assert_array_equal(flat.frames[:], raw)
+    assert (flat.exposure_s, flat.count) == (2.0, 2)
+
+
+def test_biases_of_two_temperatures_are_kept_apart(tmp_path):
+    night(tmp_path, CCD_TEMP=-5.1, SET_TEMP=-5.0)
+    for n, actual in enumerate((-4.8, -5.3)):  # what a regulated camera drifts by
+        shot(tmp_path / f"bias_more{n}.fits", "bias", IMAGETYP="Bias", INSTRUME="Acme 100", EXPTIME=0.0,
+             CCD_TEMP=actual, SET_TEMP=-5.0)  # fmt: skip
+    shot(tmp_path / "bias_cold.fits", "bias", IMAGETYP="Bias Frame", INSTRUME="Acme 100", EXPTIME=0.0,
+         CCD_TEMP=-10.2, SET_TEMP=-10.0)  # fmt: skip
+    plan = plan_folder(tmp_path)
+    assert labels(plan)["bias_-5C"] == 4 and labels(plan, 1) == {"bias_-10C": 1}
+    assert plan.sets[1].reason == "temperature is -10, not -5"
+    paths = [p.relative_to(tmp_path / "out") for p, _ in write_plan(plan, tmp_path / "out")]
+    assert str(paths[-1]) == "temperature_-10/bias_-10C.h5"
+    assert read_recording(tmp_path / "out" / "bias_-5C.h5").temperature_c == pytest.approx(-5.08, abs=0.01)
+    assert {r.temperature_c for r in load_capture_set(tmp_path / "out").recordings} == {-5.08, -5.1}
+
+
+def test_cameras_without_cooling_may_drift(tmp_path):
+    night(tmp_path, CCD_TEMP=24.0)
+    shot(tmp_path / "dark_x.fits", "dark", IMAGETYP="Dark", EXPTIME=60.0, INSTRUME="Acme 100", CCD_TEMP=12.0)
+    plan = plan_folder(tmp_path)
+    assert len(plan.sets) == 1 and labels(plan)["dark_60s_12C"] == 1
+    assert "temperatures from 12 to 24 C" in notes(plan)
+
+
+@pytest.mark.parametrize(
+    "change, label",
+    [
+        ({"EXPTIME": 61.5}, "dark_61.5s"),
+        ({"GAIN": 200}, "dark_60s_gain200"),
+        ({"XBINNING": 2}, "dark_60s"),
+        ({"OFFSET": 30}, "dark_60s"),
+        ({"size": (24, 48)}, "dark_60s"),
+        ({"INSTRUME": "Other"}, "dark_60s"),
+    ],
+)
+def test_another_setting_is_another_recording(tmp_path, change, label):
+    night(tmp_path)
+    shot(tmp_path / "dark_odd.fits", "dark",
+         **({"IMAGETYP": "Dark Frame", "EXPTIME": 60.0, "INSTRUME": "Acme 100"} | change))  # fmt: skip
+    plan = plan_folder(tmp_path)
+    where = 0 if "EXPTIME" in change else 1
+    assert labels(plan, where)[label] == 1 and labels(plan)["dark_60s"] == 2
+    if "INSTRUME" in change:
+        assert "2 cameras (Acme 100, Other): if they are one, name it with --camera" in notes(plan)
+        assert labels(plan_folder(tmp_path, {"camera": "Acme"}))["dark_60s"] == 3
+
+
+def test_filters_are_recordings_of_their_own(tmp_path):
+    night(tmp_path, FILTER="Ha 7nm")
+    for n in (1, 2):
+        shot(tmp_path / f"flat_r{n}.fits", "flat", IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100",
+             FILTER="R")  # fmt: skip
+    assert labels(plan_folder(tmp_path)) == {"flat_2s_Ha-7nm": 2, "flat_2s_R": 2, "dark_60s": 2, "bias": 2}
+
+
+def test_flats_that_are_headed_light_and_lights_themselves(tmp_path):
+    night(tmp_path)
+    for n in (1, 2):
+        shot(
+            tmp_path / "flats" / f"x{n}.fits",
+            "flat",
+            IMAGETYP="Light Frame",
+            EXPTIME=2.0,
+            INSTRUME="Acme 100",
+        )
+        shot(
+            tmp_path / "m31" / f"x{n}.fits",
+            "light",
+            IMAGETYP="Light Frame",
+            EXPTIME=30.0,
+            INSTRUME="Acme 100",
+        )
+    plan = plan_folder(tmp_path)
+    assert labels(plan)["flat_2s"] == 4 and labels(plan, 1) == {"scene_30s": 2}
+    assert plan.sets[1].folder == "lights" and "headed 'Light Frame', flat by name" in notes(plan)
+    assert plan.sets[1].levels.values["black_level"] == plan.sets[0].levels.values["black_level"]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "{kind}/{kind}_{n}.fits",
+        "night1/{kind}frames/IMG_{n}.fits",
+        "{kind}_60.0s_Bin1_gain100_-10.0C_000{n}.fit",
+        "2024-01-01_{kind}-{n}.fts",
+        "x{kind}z{n}.fits",
+    ],
+)
+def test_kinds_from_names_alone(tmp_path, names):
+    plan = plan_folder(night(tmp_path, names, IMAGETYP="", EXPTIME="n/a"))
+    if "z" in names:
+        assert "neither header nor name says the kind" in plan.problems[0]
+        assigned = plan_folder(tmp_path, assign=[(f"*{k}*", k) for k in ("bias", "dark", "flat")])
+        assert not assigned.problems
+        return
+    assert not plan.problems and {g.kind for g in plan.sets[0].groups} == {"bias", "dark", "flat"}
+    if "gain100" in names:
+        dark = next(g for g in plan.sets[0].groups if g.kind == "dark")
+        assert (dark.settings["exposure_s"], dark.settings["temperature_c"]) == (60.0, -10.0)
+        assert dark.mode[4] == 100
+
+
+def test_everything_missing_is_said_at_once(tmp_path):
+    for n in (1, 2):
+        shot(tmp_path / f"flat{n}.fits", "flat", colours=1.6, EXPTIME=1.0)
+        shot(tmp_path / f"other{n}.fits", "flat", EXPTIME=1.0, IMAGETYP="Focus")
+    shot(tmp_path / "flat_x.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0)
+    (tmp_path / "broken.fits").write_bytes(b"SIMPLE")
+    plan = plan_folder(tmp_path)
+    said = "\n".join(plan.problems)
+    for words in ("broken.fits: not a readable", "'Focus' is unknown", "--cfa", "--black-level", "--assign",
+                  "headed 'Dark Frame' but named flat", "--leave-out"):  # fmt: skip
+        assert words in said
+    with pytest.raises(BadInput, match="broken.fits.*other1.fits, other2.fits.*--black-level") as caught:
+        check(plan)
+    assert "\n" not in str(caught.value)
+    mended = plan_folder(
+        tmp_path,
+        {"cfa": "RGGB", "black_level": (1000.0,)},
+        assign=[("other*", "flat")],
+        leave_out=["broken*", "flat_x*"],
+    )
+    assert not mended.problems and labels(mended) == {"flat_1s": 4}
+    assert mended.sets[0].groups[0].frames == 4
+
+
+def test_an_average_a_copy_and_a_picture_are_no_frames(tmp_path):
+    night(tmp_path)
+    shutil.copy(tmp_path / "dark_1.fits", tmp_path / "dark_again.fits")
+    shot(tmp_path / "master_bias.fits", "bias", IMAGETYP="Bias Frame")
+    shot(tmp_path / "b.fits", "bias", IMAGETYP="Bias Frame", NCOMBINE=20, INSTRUME="Acme 100")
+    shot(tmp_path / "c.fits", "bias", IMAGETYP="Master Bias", INSTRUME="Acme 100")
+    (tmp_path / "view.jpg").write_bytes(b"\xff\xd8")
+    plan = plan_folder(tmp_path)
+    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2}
+    said = notes(plan)
+    assert "dark_again.fits: the same pixels as dark_1.fits" in said and "1 .jpg" in said
+    for name in (
+        "master_bias.fits: an average",
+        "b.fits: an average, no frame (20 frames)",
+        "c.fits: an average",
+    ):
+        assert name in said
+
+
+def test_dark_flats_are_darks(tmp_path):
+    night(tmp_path)
+    shot(tmp_path / "DARKFLAT" / "1.fits", "dark", IMAGETYP="DARKFLAT", EXPTIME=2.0, INSTRUME="Acme 100")
+    shot(tmp_path / "flat_dark_2.fits", "dark", EXPTIME=2.0, INSTRUME="Acme 100")
+    assert labels(plan_folder(tmp_path))["dark_2s"] == 2
+
+
+def test_values_of_any_type_that_are_whole_numbers(tmp_path):
+    night(tmp_path)
+    for n, kind in enumerate((np.int16, np.int32, np.float32)):
+        shot(
+            tmp_path / f"dark_t{n}.fits",
+            "dark",
+            dtype=kind,
+            IMAGETYP="Dark",
+            EXPTIME=60.0,
+            INSTRUME="Acme 100",
+        )
+    packed = tmp_path / "dark_z.fits.gz"
+    path = shot(tmp_path / "dark_z.fits", "dark", IMAGETYP="Dark", EXPTIME=60.0, INSTRUME="Acme 100")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    path.unlink()
+    plan = plan_folder(tmp_path)
+    assert labels(plan)["dark_60s"] == 6 and not plan.problems
+    for _ in write_plan(plan, tmp_path / "out"):
+        pass
+    assert read_recording(tmp_path / "out" / "dark_60s.h5").frames[:].mean() == pytest.approx(1000, abs=1)
+
+
+def test_the_folder_names_a_camera_that_no_header_names(tmp_path):
+    plan = plan_folder(night(tmp_path / "bench", INSTRUME=""))
+    assert {g.settings["camera"] for g in plan.sets[0].groups} == {"bench"}
+    assert "called bench" in notes(plan)
+
+
+def test_what_cannot_be_written_leaves_nothing(tmp_path):
+    plan = plan_folder(night(tmp_path / "in"))
+    out = tmp_path / "a" / "b"
+    assert all(path.exists() for path, _ in list(write_plan(plan, out)))
+    files = write_plan(plan, tmp_path / "c" / "d")
+    next(files)
+    with pytest.raises(KeyboardInterrupt):
+        files.throw(KeyboardInterrupt())
+    assert not (tmp_path / "c").exists()
+    with pytest.raises(BadInput, match="exists: name another folder, or replace it with --force"):
+        list(write_plan(plan, out))
+    assert len(list(write_plan(plan, out, force=True))) == 3
+
+
+def test_a_folder_is_converted_once(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    steps = []
+    capture, said = capture_of(folder, Options({}), cache, lambda n, total: steps.append(n))
+    assert {r.kind for r in capture.recordings} == {"bias", "dark", "flat"} and "flat_2s.h5" in said
+    assert capture.path == str(folder) and steps
+    steps.clear()
+    again, said_again = capture_of(folder, Options({}), cache, lambda n, total: steps.append(n))
+    assert not steps and said_again == said and len(again.recordings) == 3
+    other, _ = capture_of(folder, Options({"black_level": (990.0,)}), cache)
+    assert {r.black_level for r in other.recordings} == {(990.0,) * 4}
+    shot(folder / "dark_3.fits", "dark", IMAGETYP="Dark Frame", EXPTIME=60.0, INSTRUME="Acme 100")
+    changed, _ = capture_of(folder, Options({}), cache)
+    assert max(r.count for r in changed.recordings) == 3
+    prepared = tmp_path / "out"
+    for _ in write_plan(plan_folder(folder), prepared):
+        pass
+    assert capture_of(prepared, Options({}), tmp_path / "unused")[1] == ""
+    assert not (tmp_path / "unused").exists()
+
+
+def test_text_names_every_file_and_note(tmp_path):
+    night(tmp_path)
+    plan = plan_folder(tmp_path)
+    said = text(plan)
+    assert "Acme 100, 24 x 32, MONO" in said and "dark_1.fits, dark_2.fits" in said
+    assert said.count("note: ") == len(plan.notes)
+
+
+def test_a_real_night(real_data):
+    plan = plan_folder(real_data / "night_fits")
+    assert labels(plan) == {"flat_23s_Visible_-5C": 2, "dark_60s_-5C": 2, "dark_300s_-5C": 1, "bias_-5C": 2}
+    assert labels(plan, 1) == {"bias_-10C": 1} and not plan.problems
+    assert "headed 'Light Frame', flat by name" in notes(plan)
+    assert plan.sets[0].levels.values == {
+        "cfa": "MONO",
+        "black_level": (992.5,) * 4,
+        "white_level": 65535.0,
+    }

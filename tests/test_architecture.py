@@ -1,0 +1,153 @@
+"""The house rules, read from the syntax trees: no mechanism's name outside its room, and arrows one way."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import cannoise_jax
+from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.vocabulary import CLASSES
+
+PACKAGE = Path(cannoise_jax.__file__).parent
+NAMED = ("mechanisms", "blind", "physics/core/presets.py")
+"""Where the name of a mechanism may stand: its own room, the injectors, and cameras made of named parts."""
+LEFT = (
+    "trials/real.py",
+    "discovery/balance.py",
+    "discovery/declare.py",
+    "discovery/diagnose.py",
+    "discovery/fit.py",
+    "discovery/grammar_points.py",
+    "discovery/limits.py",
+    "discovery/model.py",
+    "discovery/name.py",
+    "discovery/sides.py",
+    "discovery/statistics",
+    "physics/synthetic/virtual.py",
+    "signatures",
+)
+"""Where names still stand: to be emptied."""
+NAMES = frozenset(MECHANISMS) - frozenset(CLASSES)  # a class of mechanisms is called as one of them is
+LATE = {
+    ("cannoise_jax.physics.core.registry", "cannoise_jax.mechanisms"),
+    ("cannoise_jax.physics.core.sensor", "cannoise_jax.physics.core.sensor_json"),
+    ("cannoise_jax.discovery.diagnose", "cannoise_jax.discovery.save"),
+}
+"""Arrows up that are followed when they are used: a mechanism that a caller names, in one place; and methods
+that store what they belong to, whose readers and writers are built on it."""
+FLOORS = (
+    ("vocabulary", "lazy"),
+    ("recordings",),
+    ("physics.core",),
+    ("physics.likelihood", "physics.transfer", "physics.synthetic", "physics.initial_noise"),
+    ("signatures", "physics.single_image"),
+    ("mechanisms",),
+    ("discovery", "networks", "blind"),
+    ("trials", "commands"),
+)
+"""From the ground up: a room imports from its own floor and those below."""
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
+def modules() -> dict[str, Path]:
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+@cache
+def imports(module: str) -> frozenset[str]:
+    """Modules of the package that a module imports, inside functions too, but not for type checking alone."""
+    found: set[str] = set()
+
+    def visit(node: ast.AST) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                continue
+            if isinstance(child, ast.Import):
+                found.update(alias.name for alias in child.names)
+            elif isinstance(child, ast.ImportFrom) and child.module:
+                for alias in child.names:
+                    inner = f"{child.module}.{alias.name}"
+                    found.add(inner if inner in modules() else child.module)
+            visit(child)
+
+    visit(tree(modules()[module]))
+    return frozenset(m for m in found if m in modules() and m != module and (module, m) not in LATE)
+
+
+def room(module: str) -> str:
+    parts = module.split(".")[1:]
+    return ".".join(parts[:2]) if parts[:1] == ["physics"] else (parts[0] if parts else "")
+
+
+def circles(arrows: dict[str, set[str]]) -> list[list[str]]:
+    """Every circle that a walk along the arrows meets."""
+    found, done = [], set()
+
+    def walk(place: str, way: list[str]) -> None:
+        if place in way:
+            found.append([*way[way.index(place) :], place])
+        elif place not in done:
+            for next in sorted(arrows.get(place, ())):
+                walk(next, [*way, place])
+            done.add(place)
+
+    for place in arrows:
+        walk(place, [])
+    return found
+
+
+def literals(path: Path) -> list[tuple[int, str]]:
+    constants = [n for n in ast.walk(tree(path)) if isinstance(n, ast.Constant)]
+    return [(n.lineno, n.value) for n in constants if isinstance(n.value, str) and n.value in NAMES]
+
+
+def test_no_mechanism_is_named_outside_its_room():
+    assert literals(PACKAGE / "mechanisms" / "readout.py"), "the test sees names where they are"
+    for path in modules().values():
+        place = path.relative_to(PACKAGE).as_posix()
+        if not place.startswith((*NAMED, *LEFT)):
+            assert not literals(path), f"{place}: {literals(path)}"
+
+
+def test_no_module_imports_itself_in_a_circle():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == [["a", "b", "c", "a"]]
+    assert not circles({module: set(imports(module)) for module in modules()})
+
+
+def test_no_two_rooms_import_each_other():
+    arrows: dict[str, set[str]] = {}
+    for module in modules():
+        arrows.setdefault(room(module), set()).update(room(m) for m in imports(module))
+    for one, others in arrows.items():
+        others.discard(one)
+    assert not circles(arrows)
+
+
+@pytest.mark.parametrize("floor", range(len(FLOORS) - 1), ids=lambda n: FLOORS[n][0])
+def test_nothing_points_up(floor):
+    above = {name for rooms in FLOORS[floor + 1 :] for name in rooms}
+    for module in modules():
+        if room(module) in FLOORS[floor]:
+            wrong = {m for m in imports(module) if room(m) in above}
+            assert not wrong, f"{module} imports {sorted(wrong)}"
+
+
+def test_the_ground_floor_imports_nothing():
+    assert not imports("cannoise_jax.vocabulary") and not imports("cannoise_jax.lazy")
+
+
+def test_late_arrows_are_late():
+    for module, target in LATE:
+        text = modules()[module].read_text()
+        assert f"from {target} import" in text and f"\nfrom {target} import" not in text, module
