@@ -64,6 +64,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
 
     from cannoise_jax.discovery.diagnose import diagnose
     from cannoise_jax.discovery.save import save
+    from cannoise_jax.mechanisms import ENTRIES
+    from cannoise_jax.mechanisms.outside import entries_at
 
     found = diagnose(
         capture,
@@ -71,6 +73,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         jax.random.key(arguments.key),
         alpha=arguments.alpha,
         without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
+        mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
         tell=tell,
     )
     report = save(
@@ -110,6 +113,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--key", type=int, default=0, help="seed of everything random")
     add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
+    add(
+        "--mechanisms",
+        metavar="MODULE:NAME",
+        action="append",
+        default=[],
+        help="entries of your own to look for too (docs/adding_a_mechanism.md); may be repeated",
+    )
     add_recording_flags(parser)
     add("--force", action="store_true", help="replace results that exist")
     return parser

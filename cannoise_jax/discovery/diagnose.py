@@ -3,6 +3,7 @@ came out."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +26,7 @@ from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.signatures import generic
 from cannoise_jax.signatures.fields import refit
 from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
 from cannoise_jax.vocabulary import Term
@@ -158,8 +160,17 @@ def diagnose(
 
 
 def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
-    """What recordings are searched for: every mechanism of the package, and those from outside."""
-    return (*ENTRIES, *(entry for entry in entries if entry not in ENTRIES))
+    """What recordings are searched for: every mechanism of the package, and those from outside, which are
+    looked for by their samplers where they bring no signature of their own."""
+    return (*ENTRIES, *(_searchable(entry) for entry in entries if entry not in ENTRIES))
+
+
+def _searchable(entry: Entry) -> Entry:
+    if entry.looked_for:
+        return entry
+    unit = next(p.unit for p in entry.record.parameters if p.name == generic.strength_of(entry.record))
+    by_sampling = generic.by_sampling(entry.record, name=entry.id, unit=unit, known={})
+    return dataclasses.replace(entry, signatures=by_sampling)
 
 
 @dataclass(frozen=True, eq=False)

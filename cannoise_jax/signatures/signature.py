@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
-from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.mechanism import Mechanism, Scaling
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import Law, Seen
 from cannoise_jax.signatures.score import Score
@@ -102,7 +102,8 @@ class Found(NamedTuple):
 class Addition(NamedTuple):
     """What a finding adds to a camera model: strengths of a mechanism, measured maps, another place or
     scaling than its own where given. black_shift: DN per channel taken from the black level; fitted_black:
-    whether the model takes the black level that was fitted. bare: nothing but these."""
+    whether the model takes the black level that was fitted. bare: nothing but these. record: of a mechanism
+    from outside."""
 
     values: dict[str, float] = {}
     maps: dict[str, Any] = {}
@@ -111,6 +112,7 @@ class Addition(NamedTuple):
     black_shift: np.ndarray | None = None
     fitted_black: bool = False
     bare: bool = False
+    record: Mechanism | None = None
 
 
 class Asked(NamedTuple):
