@@ -192,11 +192,6 @@ def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Est
     return {"sigma": normal_estimate(float(np.tanh(logs.mean() / 2)), float(np.sqrt(spread)) / 2)}
 
 
-def green_sites(cfa: str) -> list[int]:
-    """Mosaic sites of the green beside red and of the green beside blue; none for a monochrome sensor."""
-    return {"RGGB": [1, 2], "BGGR": [2, 1], "GRBG": [0, 3], "GBRG": [3, 0]}.get(cfa, [])
-
-
 def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray]:
     """Pixels without channel, row and column means, and column means per row parity, channel means out."""
     pixels = np.where(keep, values, 0.0)
