@@ -26,6 +26,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site, steady_frames
 from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
+from cannoise_jax.recordings.packing import green_sites
 
 _HOT = 6.0
 
@@ -177,7 +178,7 @@ def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
 def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma: half of the relative difference of the two greens, that beside red less that beside blue."""
     flat = brightest_flat(statistics)
-    greens = [] if flat is None else green_sites(flat.recording.cfa)
+    greens = None if flat is None else green_sites(flat.recording.cfa)
     if flat is None or not greens:
         return REPEATED_FLATS
     first, second = greens
