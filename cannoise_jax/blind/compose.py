@@ -52,6 +52,8 @@ SHOWS = {
 }
 """The lesser design that still shows a mechanism, where it is not the one without flats."""
 ADVERSARIES = ("misregistered", "short_burst", "nyquist", "lamp_drift", "wrong_black", "wrong_white")
+PARTS = ("inject", "withhold", "permute")
+"""What a trial does to real recordings."""
 SHARES = {
     "null": 0.25,
     "strong": 0.25,

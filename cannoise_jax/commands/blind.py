@@ -22,27 +22,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.blind import claims, compose
-from cannoise_jax.blind.page import page
-from cannoise_jax.blind.score import score
-from cannoise_jax.blind.seal import seal, write_atomically
-from cannoise_jax.blind.table import text
+from cannoise_jax.blind.compose import PARTS, SHARES
+from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.parser import OneLineParser, count
-from cannoise_jax.discovery.report import plain
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
-from cannoise_jax.trials.analysis import (
-    ALPHA,
-    diagnosed,
-    fingerprint,
-    located,
-)
-from cannoise_jax.trials.develop import develop
-from cannoise_jax.trials.know import know
-from cannoise_jax.trials.real import PARTS, real_trial
-from cannoise_jax.trials.real import text as real_text
-from cannoise_jax.trials.size import true_size
 
 
+@command("blind")
 def main(argv: list[str] | None = None) -> int:
     """Runs one step of a trial; returns 0, or 2 after one line on stderr when something cannot be used."""
     arguments = _parser().parse_args(argv)
@@ -58,20 +44,27 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _seal(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.blind.seal import seal
+    from cannoise_jax.trials.analysis import fingerprint
+
+    nulls = round(0.75 * arguments.sets) if arguments.nulls is None else arguments.nulls
     commitment = seal(
         arguments.out,
         arguments.truth,
         arguments.seed,
         arguments.sets,
-        arguments.nulls,
+        nulls,
         progress("sealed"),
         arguments.kinds,
         fingerprint(),
     )
-    print(f"{arguments.out}: {arguments.sets} sets and {arguments.nulls} nulls; truth {commitment}")
+    print(f"{arguments.out}: {arguments.sets} sets and {nulls} nulls; truth {commitment}")
 
 
 def _run(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.blind import claims
+    from cannoise_jax.trials.analysis import diagnosed, fingerprint, located
+
     code = fingerprint()
     version = importlib.metadata.version("cannoise-jax")
 
@@ -85,6 +78,14 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _score(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.blind import claims
+    from cannoise_jax.blind.page import page
+    from cannoise_jax.blind.score import score
+    from cannoise_jax.blind.seal import write_atomically
+    from cannoise_jax.blind.table import text
+    from cannoise_jax.discovery.report import plain
+    from cannoise_jax.trials.know import know
+
     manifest = claims.read_manifest(arguments.sets)
     said = claims.read_claims(arguments.claims, manifest)
     truth = claims.read_truth(arguments.truth, manifest)
@@ -112,6 +113,9 @@ def _score(arguments: argparse.Namespace) -> None:
 
 
 def _develop(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.blind.seal import write_atomically
+    from cannoise_jax.trials.develop import develop
+
     name = "slow" if arguments.slow else "fast"
     with contextlib.ExitStack() as stack:
         folder = arguments.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -123,6 +127,10 @@ def _develop(arguments: argparse.Namespace) -> None:
 
 
 def _real(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.trials.analysis import ALPHA
+    from cannoise_jax.trials.real import real_trial
+    from cannoise_jax.trials.real import text as real_text
+
     result = real_trial(
         arguments.recordings,
         arguments.out,
@@ -136,6 +144,9 @@ def _real(arguments: argparse.Namespace) -> None:
 
 
 def _true_size(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.discovery.report import plain
+    from cannoise_jax.trials.size import true_size
+
     result = true_size(
         arguments.out,
         arguments.seed,
@@ -178,8 +189,8 @@ def _shard(text: str) -> tuple[int, int]:
 def _kinds(text: str) -> tuple[str, ...]:
     kinds = tuple(part for part in text.split(",") if part)
     for kind in kinds:
-        if kind not in compose.SHARES:
-            raise argparse.ArgumentTypeError(f"{kind!r}: give some of {', '.join(compose.SHARES)}")
+        if kind not in SHARES:
+            raise argparse.ArgumentTypeError(f"{kind!r}: give some of {', '.join(SHARES)}")
     return kinds
 
 
@@ -214,16 +225,14 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--out", type=Path, required=True, help="folder for the sets")
     step.add_argument("--truth", type=Path, required=True, help="file for the truth, outside of that folder")
     step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
-    step.add_argument("--sets", type=_whole, default=400, help="sets to diagnose (400)")
-    step.add_argument(
-        "--nulls", type=_whole, default=300, help="further sets without an effect, located only"
-    )
+    step.add_argument("--sets", type=_whole, default=400, help="sets to diagnose")
+    step.add_argument("--nulls", type=_whole, help="located only (default three for every four sets)")
     step.add_argument(
         "--kinds",
         type=_kinds,
         default=(),
         metavar="KIND,...",
-        help=f"only these: {', '.join(compose.SHARES)}",
+        help=f"only these: {', '.join(SHARES)}",
     )
     step.set_defaults(step=_seal)
     step = steps.add_parser("run", prog="bin/blind run", help="diagnose every set, commit to the claims")
@@ -237,7 +246,7 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--truth", type=Path, required=True, help="file that bin/blind seal wrote")
     step.add_argument("--out", type=Path, help="folder for blind.html and blind.json (that of the claims)")
     step.add_argument("--quick", action="store_true", help="leave out the true model's gain and MDE")
-    step.add_argument("--jobs", type=count, default=1, help="processes for those two (1)")
+    step.add_argument("--jobs", type=count, default=1, help="processes for those two")
     step.set_defaults(step=_score)
     step = steps.add_parser("develop", prog="bin/blind develop", help="figures of fixed development sets")
     step.add_argument("--figures", type=Path, required=True, help="file of recorded figures, written anew")
@@ -254,14 +263,14 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument(
         "--parts", type=_parts, default=PARTS, metavar="PART,...", help=f"some of {', '.join(PARTS)}"
     )
-    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="crop used (192x256)")
-    step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted (100)")
+    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="crop used")
+    step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted")
     step.set_defaults(step=_real)
     step = steps.add_parser("size", prog="bin/blind size", help="false alarms of the search, by simulation")
     step.add_argument("--out", type=Path, required=True, help="folder for the lines of all replicates")
     step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
-    step.add_argument("--replicates", type=count, default=2000, help="capture sets (2000)")
-    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="pixels (192x256)")
+    step.add_argument("--replicates", type=count, default=2000, help="capture sets")
+    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="pixels")
     step.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help="part I of N of them")
     step.set_defaults(step=_true_size)
     return parser

@@ -9,7 +9,7 @@ import time
 
 from cannoise_jax.commands.entry import cache_folder, command, progress
 from cannoise_jax.commands.outputs import check_folder
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
 from cannoise_jax.recordings.recording import BadInput
 
 _FILES = ("report.json", "report.html", "sensor.json")
@@ -46,6 +46,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
     from cannoise_jax.physics.core.sensor_json import check_place
+    from cannoise_jax.recordings.crop import central
     from cannoise_jax.recordings.folders.store import capture_of
     from cannoise_jax.recordings.usable import check_usable
 
@@ -55,6 +56,9 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
     check_usable(capture)
+    capture, size = central(capture, arguments.most_pixels)
+    if size is not None:
+        tell("frames cut to their middle, {} x {}: --most-pixels sets how much is used".format(*size))
 
     import jax
 
@@ -75,6 +79,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         key=arguments.key,
         seconds=time.monotonic() - started,
         force=arguments.force,
+        used=size,
     )
     return report, capture.camera
 
@@ -96,6 +101,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--out", type=folder, required=True, metavar="DIR", help="for report.html, report.json, sensor.json")
     add("--alpha", type=float, default=0.01, help="false-alarm rate of the whole run")
+    add(
+        "--most-pixels",
+        type=count,
+        default=400_000,
+        metavar="N",
+        help="use no more of each frame, about its middle: a megapixel takes minutes more",
+    )
     add("--key", type=int, default=0, help="seed of everything random")
     add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
     add_recording_flags(parser)

@@ -6,20 +6,35 @@ import subprocess
 import sys
 from pathlib import Path
 
+from cannoise_jax.commands.parser import OneLineParser
+
 
 def main(argv: list[str] | None = None) -> int:
     """Runs the checks of this checkout; returns the first failing exit status."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    parser = OneLineParser(
+        prog="bin/test",
+        usage="bin/test [--slow] [PATH ...] [pytest's own flags]",
+        description="Runs ruff check, ruff format --check, mypy and all tests on two processes (half an hour "
+        "on two cores). With paths it runs only the tests there, and no linter.",
+        epilog="Everything else goes to pytest, as -k NAME, -x or --durations=10.",
+    )
+    parser.add_argument("--slow", action="store_true", help="also the tests that take minutes (hours in all)")
+    known, rest = parser.parse_known_args(sys.argv[1:] if argv is None else argv)
+    arguments = [*(["--slow"] if known.slow else []), *rest]
     root = Path(__file__).resolve().parents[2]
     if not (root / "tests").is_dir():
-        print(f"test: {root} holds no tests: run bin/test in a checkout of the project", file=sys.stderr)
+        print(f"bin/test: {root} holds no tests: run it in a checkout of the project", file=sys.stderr)
         return 2
-    selected = any(not a.startswith("-") for a in arguments)  # paths were named: only those tests, no linting
+    # Paths that were named: only those tests, no linting.
+    selected = any(not a.startswith("-") and Path(a.partition("::")[0]).exists() for a in rest)
     steps = [] if selected else [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]]
     steps.append(["pytest", "-n", "2", *arguments])
     for step in steps:
         print("$", " ".join(step), flush=True)
-        status = subprocess.run([sys.executable, "-m", *step], cwd=root).returncode
+        try:
+            status = subprocess.run([sys.executable, "-m", *step], cwd=root).returncode
+        except KeyboardInterrupt:
+            return 130
         if status:
             return status
     return 0

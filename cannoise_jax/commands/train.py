@@ -5,18 +5,25 @@ Trains, resumes where it was stopped, and ends with a table, a picture and resul
 
 from __future__ import annotations
 
+import json
 import logging
+import re
+import runpy
 import signal
 import sys
+import tempfile
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from absl import flags
 from ml_collections import ConfigDict, config_flags
 
+from cannoise_jax.commands.entry import command
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
 
@@ -27,13 +34,13 @@ def _default_config() -> str:
     return str(next((f for f in folders if (f / "default.py").is_file()), folders[0]) / "default.py")
 
 
-def _flags(arguments: list[str]) -> flags.FlagValues:
+def _flags(arguments: list[str], default: str | None = None) -> flags.FlagValues:
     """The command's flags, not yet parsed. Made anew each time: a config file that fails to load is kept."""
     values = flags.FlagValues()
     config_flags.DEFINE_config_file(
         "config",
-        _default_config(),
-        "A file with get_config().",
+        default or _default_config(),
+        "A file with get_config(); a folder that holds a run goes on with its own.",
         lock_config=True,
         flag_values=values,
         sys_argv=["bin/train", *arguments],
@@ -46,14 +53,13 @@ def _flags(arguments: list[str]) -> flags.FlagValues:
     return values
 
 
+@command("train")
 def main(argv: list[str] | None = None) -> int:
     """Trains; returns 0, also when a signal stops it between steps; 1 when a loss is not finite; 2 after bad
     input, 130 when interrupted elsewhere, each in one line."""
     arguments = sys.argv[1:] if argv is None else argv
     if any(a in ("-h", "--help", "-help") for a in arguments):
-        print(__doc__)
-        values = _flags([])
-        print("\n".join(f"  --{name}  {values[name].help}" for name in values if "." not in name))
+        print(_help())
         return 0
     started = time.monotonic()
     logging.basicConfig(format="bin/train: %(message)s", level=logging.WARNING)
@@ -99,19 +105,25 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
 def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
     try:
-        values = _flags(arguments)
-        rest = values(["bin/train", *arguments])[1:]
-        config = values.config
-        config.to_dict()  # a file that could not be loaded says so only when it is looked at
+        with _stored_config(arguments) as stored:
+            values = _flags(arguments, stored)
+            rest = values(["bin/train", *arguments])[1:]
+            config = values.config
+            config.to_dict()  # a file that could not be loaded says so only when it is looked at
     except flags.Error as error:
         raise BadInput(" ".join(str(error).split())) from error
+    except BadInput:
+        raise
     except Exception as error:  # a config file is a program: it may raise anything
+        _refuse_unknown_field(arguments, error)
         reason = " ".join(str(error).split())
         raise BadInput(f"--config: cannot be read: {type(error).__name__}: {reason}") from error
     if rest:
         raise BadInput(f"{rest[0]}: not understood: see bin/train --help")
     if not values.workdir:
         raise BadInput("--workdir: missing: name a folder for checkpoints and results")
+    if values["recordings"].present and not any(folder.strip() for folder in values.recordings):
+        raise BadInput("--recordings: an empty name: name folders of recordings, one a camera")
     if values.recordings:
         if "recordings" not in config.data:
             raise BadInput("--recordings: this config reads other data: use it with configs/default.py")
@@ -128,6 +140,86 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
     if values["white-level"].value is not None:
         config.data.white_level = values["white-level"].value
     return config, Path(values.workdir)
+
+
+@contextmanager
+def _stored_config(arguments: list[str]) -> Iterator[str | None]:
+    """The config of the run that the workdir holds, as a file with get_config(); None where there is none, or
+    where another is asked for."""
+    path = Path(_value(arguments, "workdir") or "") / "config.json"
+    if _value(arguments, "config") is not None or not path.is_file() or not _value(arguments, "workdir"):
+        yield None
+        return
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
+    if not isinstance(stored, dict):
+        raise BadInput(f"{path}: holds no config: use another --workdir")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "stored.py"
+        file.write_text(
+            "import json\nfrom cannoise_jax.commands.train import as_config\n\n\n"
+            f"def get_config():\n    return as_config(json.loads({json.dumps(stored)!r}))\n"
+        )
+        yield str(file)
+
+
+def as_config(stored: dict[str, Any]) -> ConfigDict:
+    """A config from its JSON: lists were tuples, and what is null may take any value."""
+
+    def value(old: Any) -> Any:
+        if isinstance(old, dict):
+            return {name: value(v) for name, v in old.items()}
+        return tuple(value(v) for v in old) if isinstance(old, list) else old
+
+    return ConfigDict(value(stored))
+
+
+def _value(arguments: list[str], name: str) -> str | None:
+    """The last value of a flag, `--name value` or `--name=value`, None where it is not given."""
+    found = None
+    for at, argument in enumerate(arguments):
+        flag, equals, value = argument.lstrip("-").partition("=")
+        if argument.startswith("-") and flag == name:
+            found = value if equals else (arguments[at + 1] if at + 1 < len(arguments) else "")
+    return found
+
+
+def _refuse_unknown_field(arguments: list[str], error: Exception) -> None:
+    """Raises BadInput in the words of a command line for a --config.FIELD that does not exist."""
+    words = re.findall(r"'(\w+)'|\"(\w+)\"", str(error).replace("\\", ""))
+    names = [a or b for a, b in words]
+    for argument in arguments:
+        flag = argument.lstrip("-").partition("=")[0]
+        if names and flag.startswith("config.") and names[0] in flag.split("."):
+            near = names[1] if len(names) > 1 and "Did you mean" in str(error) else None
+            path = flag.split(".")
+            path[path.index(names[0])] = near or names[0]
+            advice = f"did you mean --{'.'.join(path)}?" if near else "see bin/train --help"
+            raise BadInput(f"--{flag}: no such field: {advice}") from error
+
+
+def _help() -> str:
+    values = _flags([])
+    lines = [__doc__ or ""]
+    for name in (n for n in values if "." not in n and values[n].help):
+        default = values[name].default if name != "config" else "configs/default.py"
+        shown = "" if default in (None, []) else f" (default {default})"
+        lines.append(f"  --{name}  {values[name].help}{shown}")
+    fields = runpy.run_path(_default_config())["get_config"]().to_dict()
+    lines.append("\nFields of the config, --config.FIELD=VALUE, with the defaults of configs/default.py:")
+    lines += textwrap.wrap(", ".join(_fields(fields)), 100, initial_indent="  ", subsequent_indent="  ",
+                           break_long_words=False, break_on_hyphens=False)  # fmt: skip
+    return "\n".join(lines)
+
+
+def _fields(config: dict[str, Any], before: str = "") -> Iterator[str]:
+    for name, value in config.items():
+        if isinstance(value, dict):
+            yield from _fields(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}={value}".replace(", ", ",")
 
 
 def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], None]) -> int:

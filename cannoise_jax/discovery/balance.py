@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,22 +12,22 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import own_variance
 from cannoise_jax.discovery.stacks import FLICKER
 from cannoise_jax.physics.core.chain import closed_form
+from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
 from cannoise_jax.signatures.fields import channel_index
 
-_WHOLE = (
-    "offset_drift",
-    "temperature_drift",
-    "illumination_drift",
-    "unknown_site_redrawn",
-    "unknown_site_relative_redrawn",
-    "unknown_frame_additive",
-    "unknown_frame_relative",
-)
-"""What a whole frame, or channel of it, shares."""
-_ROWS = ("flicker", "unknown_flicker", "unknown_row_relative_temporal")
-"""What rows of light share: out of the fitted baseline where it is strong, see `stacks.without_flicker`."""
+
+def _of_frames(record: Mechanism) -> bool:
+    """Whether it is what a whole frame, or channel of it, shares."""
+    return record.point.over in ("whole", "channel") and record.point.time != "frozen"
+
+
+def _of_lit_rows(record: Mechanism) -> bool:
+    """Whether it is what rows of light share: out of the fitted baseline where it is strong, see
+    `stacks.without_flicker`."""
+    point = record.point
+    return point.over == "row" and point.combine == "multiply" and point.time != "frozen"
 
 
 def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> SensorModel:
@@ -77,17 +78,23 @@ def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) 
 def _variance(model: SensorModel, level: float, settings: Settings, channel: np.ndarray) -> np.ndarray:
     """Median over the pixels of each channel of the temporal variance before rounding, DN^2, but for what the
     fitted baseline is without: what whole frames share, and rows of light where that is strong."""
-    steady = _closed_variance(model, (*_WHOLE, *_ROWS), level, settings, channel)
-    if not any(f.mechanism in _ROWS for f in model.mechanisms):
-        return steady
-    whole = _closed_variance(model, _WHOLE, level, settings, channel)
-    return np.where(whole - steady > FLICKER * steady, steady, whole)
+    own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel)
+    if not any(_of_lit_rows(f.record) for f in model.mechanisms):
+        return own
+    steady = _closed_variance_of(
+        model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel
+    )
+    return np.where(own - steady > FLICKER * steady, steady, own)
 
 
-def _closed_variance(
-    model: SensorModel, without: tuple[str, ...], level: float, settings: Settings, channel: np.ndarray
+def _closed_variance_of(
+    model: SensorModel,
+    kept_if: Callable[[Mechanism], bool],
+    level: float,
+    settings: Settings,
+    channel: np.ndarray,
 ) -> np.ndarray:
-    kept = tuple(f for f in model.mechanisms if f.mechanism not in without)
+    kept = tuple(f for f in model.mechanisms if kept_if(f.record))
     model = dataclasses.replace(model, mechanisms=kept)
     context = context_of(model, jnp.full((1, *channel.shape), level, jnp.float32), settings)
     _, variance = closed_form(model, context, resolve(model, context))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from cannoise_jax.discovery.calibrate import fit_baseline, gain_groups, standardise, stated_black
 from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detected_step, iso_numbers, stack
-from cannoise_jax.mechanisms.looked_for import looked_for
+from cannoise_jax.mechanisms import ENTRIES, signatures
+from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet
 from cannoise_jax.signatures.fields import Fields, refit
 from cannoise_jax.signatures.levels import frame_jitter
@@ -72,12 +76,71 @@ def prepare_split(
     drawn: CaptureSet | None = None,
     *,
     held_back: bool = False,
+    entries: tuple[Entry, ...] = ENTRIES,
 ) -> Prepared:
     """The frames that look for effects or, `held_back`, those that prove, seen against the others' mean."""
     looking = [a for a, _ in splits]
     if not held_back:
-        return prepare(capture, looking, judge_stated, drawn)
-    return prepare(capture, [b for _, b in splits], judge_stated, drawn, looking)
+        return prepare(capture, looking, judge_stated, drawn, entries=entries)
+    return prepare(capture, [b for _, b in splits], judge_stated, drawn, looking, entries)
+
+
+@dataclass(frozen=True, eq=False)
+class Splits:
+    """The frames of a capture set as a run sees them, each split prepared once, when it is first asked for.
+
+    frames: of every recording, those that look and those that are held back.
+    """
+
+    frames: list[tuple[list[int], list[int]]]
+    of: Callable[[str], Prepared]
+
+    @cached_property
+    def looking(self) -> Prepared:
+        """The frames that look for effects."""
+        return self.of("looking")
+
+    @cached_property
+    def held_back(self) -> Prepared:
+        """Those that prove, seen against the others' mean."""
+        return self.of("held_back")
+
+    @cached_property
+    def together(self) -> Prepared:
+        """All frames."""
+        return self.of("together")
+
+    @property
+    def chosen(self) -> list[list[int]]:
+        """Frames held back, per recording."""
+        return [held for _, held in self.frames]
+
+    @property
+    def can_prove(self) -> bool:
+        """Whether any frames are held back."""
+        return any(self.chosen)
+
+    def less(self, change: Callable[[Prepared], Prepared]) -> Splits:
+        """The same splits, each changed."""
+        return Splits(self.frames, lambda which: change(getattr(self, which)))
+
+
+def splits_of(
+    capture: CaptureSet,
+    judge_stated: bool = False,
+    drawn: CaptureSet | None = None,
+    entries: tuple[Entry, ...] = ENTRIES,
+) -> Splits:
+    """The splits of a capture set, see `prepare` for what is judged and looked for."""
+    frames = split_recordings(capture)
+
+    def of(which: str) -> Prepared:
+        if which == "together":
+            return prepare(capture, all_frames(frames), judge_stated, drawn, entries=entries)
+        held = which == "held_back"
+        return prepare_split(capture, frames, judge_stated, drawn, held_back=held, entries=entries)
+
+    return Splits(frames, of)
 
 
 def prepare(
@@ -86,12 +149,14 @@ def prepare(
     judge_stated: bool,
     drawn: CaptureSet | None = None,
     before: list[list[int]] | None = None,
+    entries: tuple[Entry, ...] = ENTRIES,
 ) -> Prepared:
     """Reads the chosen frames of every recording once, fits the baseline and builds fields and signatures.
 
     chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
     read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given. before:
-    frames per recording whose mean the chosen ones are seen against as well. Raises BadInput for recordings
+    frames per recording whose mean the chosen ones are seen against as well. entries: mechanisms that are
+    looked for. Raises BadInput for recordings
     of fewer than `LEAST_SIDE` rows or columns.
     """
     first = capture.recordings[0]
@@ -141,7 +206,7 @@ def prepare(
     return Prepared(
         fields,
         baselines,
-        looked_for(recorded),
+        signatures(recorded, entries),
         stacks,
         step,
         span,

@@ -3,53 +3,48 @@ what to record."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from cannoise_jax.discovery.locate import Located
 from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.signature import Signature
 
-NEEDS = {entry.id: entry.needs for entry in LISTED}
 
-
-UNTESTED = (
-    "poisson_skew",
-    "excess_noise",
-    "clock_induced_charge",
-    "dual_gain",
-    "dead_pixels",
-    "cosmic_rays",
-    "temperature_drift",
-    "image_lag",
-    "smear",
-    "lossy_compression",
-    "defect_correction",
-    "hot_pixel_suppression",
-    "scene_motion",
-)
-"""Ids that no statistic looks for, whatever is recorded."""
-
-
-def registered(without: tuple[str, ...] = (), mechanisms: tuple[str, ...] | None = None) -> tuple[str, ...]:
-    """Ids that this run may name. Raises ValueError for an id that the vocabulary does not have."""
-    known = [entry.id for entry in LISTED]
-    for id in (*without, *(mechanisms or ())):
+def registered(
+    without: Sequence[str] = (), mechanisms: Sequence[str | Entry] | None = None
+) -> tuple[Entry, ...]:
+    """The entries that a run may name: those of the package, and of one's own where `mechanisms` holds any;
+    of these `mechanisms` alone where given. Raises ValueError for a name that is none of them."""
+    own = tuple(m for m in mechanisms or () if isinstance(m, Entry) and m not in LISTED)
+    known = {entry.id: entry for entry in LISTED}
+    for entry in own:
+        if entry.id in known:
+            raise ValueError(f"{entry.id}: there is a mechanism of this name: choose another")
+        known[entry.id] = entry
+    wanted = None if mechanisms is None else {m if isinstance(m, str) else m.id for m in mechanisms}
+    for id in (*without, *(wanted or ())):
         if id not in known:
             raise ValueError(f"{id}: no such mechanism; known: {', '.join(known)}")
-    return tuple(id for id in known if id not in without and (mechanisms is None or id in mechanisms))
+    return tuple(e for id, e in known.items() if id not in without and (wanted is None or id in wanted))
 
 
 def testable(
-    located: Located, signatures: tuple[Signature, ...], ids: tuple[str, ...]
+    located: Located, signatures: tuple[Signature, ...], entries: tuple[Entry, ...]
 ) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
     """Ids that some signature could test on these recordings, and the others with what to record."""
-    tested = {p.mechanism for p in signatures if p.name in located.scores}
-    yes = tuple(id for id in ids if id in tested)
-    return yes, tuple((id, needs(id)) for id in ids if id not in tested)
+    tested = {s.mechanism for s in signatures if s.name in located.scores}
+    yes = tuple(e.id for e in entries if e.id in tested)
+    return yes, tuple((e.id, needs(e)) for e in entries if e.id not in tested)
 
 
-def needs(id: str) -> str:
+NOTHING_LOOKS = "nothing looks for it yet; it would show in "
+
+
+def needs(entry: Entry) -> str:
     """What to record for a mechanism; said so where no recording helps yet."""
-    return f"nothing looks for it yet; it would show in {NEEDS[id]}" if id in UNTESTED else NEEDS[id]
+    return entry.needs if entry.looked_for else NOTHING_LOOKS + entry.needs
 
 
 def kinds(capture: CaptureSet) -> list[dict]:

@@ -3,9 +3,9 @@ came out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,43 +14,40 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import (
-    Prepared,
-    all_frames,
-    prepare,
-    prepare_split,
-    split_recordings,
-    stated_parameters,
-)
+from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
 from cannoise_jax.discovery.fit import SPENT, Fitted, Step, part_of, stepwise
+from cannoise_jax.discovery.locate import locate
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
-from cannoise_jax.discovery.sides import handed_simulators, simulators
-from cannoise_jax.discovery.simulate import Draw, open_simulator, simulate_like
-from cannoise_jax.mechanisms import VOCABULARY
+from cannoise_jax.discovery.sides import Sides, handed_simulators, simulators
+from cannoise_jax.discovery.simulate import Draw, Simulator, open_simulator, simulate_like
+from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
+from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.signatures.fields import refit
 from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
+from cannoise_jax.vocabulary import Term
 
 ROWS = Axes("readout", "row", "redrawn", "additive", "white")
 """Offsets of rows, of which some are added to draws for the control of the two-sample test."""
-SIMULATORS = ("poisson-gaussian", "nlf")
+CALIBRATED, STATED = "poisson-gaussian", "nlf"
+"""Simulators by name: calibrated from the recordings, or as the files state it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What a run found. `report.document` turns it into the report, `model` is the extended simulator.
 
-    splits: frames of every recording that looked for effects, and that proved them. steps of `fitted` and
-    `proofs` go together; proven: also the likelihood of the frames held back; quality: draws of the simulator
-    before and after against those, None where not measured.
+    entries: mechanisms that may be named. splits: frames of every recording that looked for effects, and that
+    proved them. steps of `fitted` and `proofs` go together; proven: also the likelihood of the frames held
+    back; quality: draws of the simulator before and after against those, None where not measured.
     """
 
     capture: CaptureSet
     simulator: str
     alpha: float
-    ids: tuple[str, ...]
+    entries: tuple[Entry, ...]
     testable: tuple[str, ...]
     not_testable: tuple[tuple[str, str], ...]
     splits: list[tuple[list[int], list[int]]]
@@ -60,6 +57,16 @@ class Diagnosis:
     proven: Proofs
     quality: Quality | None
     model: SensorModel
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Names that may be given."""
+        return tuple(entry.id for entry in self.entries)
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """What names mean."""
+        return {**VOCABULARY, **{entry.id: entry.term for entry in self.entries}}
 
     @property
     def proofs(self) -> tuple[Proof, ...]:
@@ -84,12 +91,12 @@ class Diagnosis:
 
 def diagnose(
     capture: CaptureSet,
-    simulator: str | Path | SensorModel | Draw = "poisson-gaussian",
+    simulator: str | Path | SensorModel | Draw = CALIBRATED,
     key: Key[Array, ""] | None = None,
     *,
     alpha: float = 0.01,
-    without: tuple[str, ...] = (),
-    mechanisms: tuple[str, ...] | None = None,
+    without: Sequence[str] = (),
+    mechanisms: Sequence[str | Entry] | None = None,
     compare: bool = True,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
@@ -98,74 +105,119 @@ def diagnose(
 
     simulator: 'poisson-gaussian', calibrated from the recordings; 'nlf', the files' shot and read as stated;
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
-    alpha: false-alarm rate of the whole run. without, mechanisms: ids that may not, or may alone, be
-    named. compare: also run the two-sample test. tell: called with one line per stage.
-    Raises BadInput for a simulator that cannot be judged, ValueError for unknown ids or an alpha out
+    alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
+    `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
+    test. tell: called with one line per stage.
+    Raises BadInput for a simulator that cannot be judged, ValueError for unknown names or an alpha out
     of (0, 1).
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     key = jax.random.key(0) if key is None else key
-    ids = declare.registered(without, mechanisms)
-    judged = simulator != "poisson-gaussian"
-    if simulator == "nlf" and not any(r.shot and r.read for r in capture.recordings):
-        raise BadInput(
-            f"{capture.path or 'recordings'}: state no shot and read: use --simulator poisson-gaussian"
-        )
-    tell("calibrate: black level, gain and read noise")
-    drawn, handed = None, None
-    if simulator not in SIMULATORS:
-        handed = open_simulator(simulator, capture)
-        tell("draw: frames of the simulator at the settings of the recordings")
-        drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
-        capture = as_simulated(capture, drawn)
-    splits = split_recordings(capture)
-    seen = prepare_split(capture, splits, judged, drawn)
-    own = _own_effects(drawn, frozenset(ids), float(np.log(alpha))) if drawn else ()
-    first = _without(seen, own)
-    tell(f"locate: {len(first.signatures)} signatures on {sum(len(a) for a, _ in splits)} frames")
-    chosen = [b for _, b in splits]
-
-    @cache
-    def every() -> Prepared:
-        return _without(prepare(capture, all_frames(splits), judged, drawn), own)
-
     log_alpha = float(np.log(alpha))
-    again = (lambda: every().fields) if any(chosen) else None
-    fitted = stepwise(first.fields, first.signatures, frozenset(ids), log_alpha, tell, again)
-    yes, no = declare.testable(fitted.first, first.signatures, ids)
-    second = unseen = None
+    entries = declare.registered(without, mechanisms)
+    allowed = frozenset(entry.id for entry in entries)
+
+    tell("calibrate: black level, gain and read noise")
+    judged = opened(capture, simulator, key, tell)
+    raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
+    own = own_effects(judged.drawn, allowed, log_alpha)
+    splits = raw.less(partial(without_own, own=own))
+    first = splits.looking
+
+    tell(f"locate: {len(first.signatures)} signatures on {sum(len(a) for a, _ in splits.frames)} frames")
+    located = locate(first.fields, first.signatures)
+    testable, not_testable = declare.testable(located, first.signatures, entries)
+    every = (lambda: splits.together.fields) if splits.can_prove else None
+    fitted = stepwise(first.fields, first.signatures, allowed, log_alpha, tell, every, located)
+
     proven = unproven(fitted.steps)
-    if any(chosen):
+    if splits.can_prove:
         tell("prove: on the frames held back")
-        unseen = prepare_split(capture, splits, judged, drawn, held_back=True)
-        second = _without(unseen, own)
-        proven = prove(fitted, first, second, chosen, every)
-    if handed is None:
-        stated = stated_parameters(capture, first.baselines) if judged else None
-        sides = simulators(capture, first, fitted.steps, stated)
-    else:
-        assert drawn is not None
-        sides = handed_simulators(capture, first, fitted.steps, own, handed, drawn)
-    quality = None
-    if compare and unseen is not None:
-        tell("prove: draws of the simulator before and after")
-        row = fitted.first.scores.get(next((s.name for s in first.signatures if s.axes == ROWS), ""))
-        # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
-        share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
-        sigma = 2 * row.mde * share**0.25 if row else None
-        composite = proven.after is None or not sides.likelihood
-        quality = compare_models(jax.random.fold_in(key, 2), seen, unseen, sides, sigma, composite)
-        if quality is not None and not sides.likelihood:
-            tell("prove: composite score without each finding")
-            proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
-    if not sides.likelihood:
-        proven = proven._replace(before=None, after=None)
-    proven = unconfirmed(proven, fitted.steps)
-    label = str(simulator) if handed is None else handed.label
+        proven = prove(fitted, splits)
+    sides = judged.sides(first, fitted.steps, own)
+    quality = compared(raw, fitted, proven, sides, key, tell) if compare and splits.can_prove else None
+    if quality is not None and not sides.likelihood:
+        tell("prove: composite score without each finding")
+        proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
     return Diagnosis(
-        capture, label, alpha, ids, yes, no, splits, first, second, fitted, proven, quality, sides.exported
+        judged.capture,
+        judged.label,
+        alpha,
+        entries,
+        testable,
+        not_testable,
+        splits.frames,
+        first,
+        splits.held_back if splits.can_prove else None,
+        fitted,
+        unconfirmed(proven if sides.likelihood else proven.without_likelihood(), fitted.steps),
+        quality,
+        sides.exported,
     )
+
+
+def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
+    """What recordings are searched for: every mechanism of the package, and those from outside."""
+    return (*ENTRIES, *(entry for entry in entries if entry not in ENTRIES))
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The simulator that is judged, and the recordings that it can draw. stated: whether gain and read noise
+    of the files are judged. handed, drawn: a simulator that was handed over, and frames of it like the
+    recordings."""
+
+    capture: CaptureSet
+    label: str
+    stated: bool
+    handed: Simulator | None = None
+    drawn: CaptureSet | None = None
+
+    def sides(self, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...]) -> Sides:
+        """The simulator before and after, as draws."""
+        if self.handed is not None and self.drawn is not None:
+            return handed_simulators(self.capture, first, steps, own, self.handed, self.drawn)
+        stated = stated_parameters(self.capture, first.baselines) if self.stated else None
+        return simulators(self.capture, first, steps, stated)
+
+
+def opened(
+    capture: CaptureSet,
+    simulator: str | Path | SensorModel | Draw,
+    key: Key[Array, ""],
+    tell: Callable[[str], None],
+) -> Judged:
+    """The simulator as it is judged. Raises BadInput for one that cannot be."""
+    if simulator == STATED and not any(r.shot and r.read for r in capture.recordings):
+        raise BadInput(
+            f"{capture.path or 'recordings'}: state no shot and read: use --simulator {CALIBRATED}"
+        )
+    if simulator in (CALIBRATED, STATED):
+        return Judged(capture, str(simulator), simulator == STATED)
+    handed = open_simulator(simulator, capture)
+    tell("draw: frames of the simulator at the settings of the recordings")
+    drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
+    return Judged(as_simulated(capture, drawn), handed.label, True, handed, drawn)
+
+
+def compared(
+    raw: Splits,
+    fitted: Fitted,
+    proven: Proofs,
+    sides: Sides,
+    key: Key[Array, ""],
+    tell: Callable[[str], None],
+) -> Quality | None:
+    """Draws of the simulator before and after against the frames held back."""
+    tell("prove: draws of the simulator before and after")
+    seen, unseen = raw.looking, raw.held_back
+    row = fitted.first.scores.get(next((s.name for s in seen.signatures if s.axes == ROWS), ""))
+    # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
+    share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
+    sigma = 2 * row.mde * share**0.25 if row else None
+    composite = proven.after is None or not sides.likelihood
+    return compare_models(jax.random.fold_in(key, 2), seen, unseen, sides, sigma, composite)
 
 
 def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
@@ -180,13 +232,15 @@ def contrasts(prepared: Prepared) -> int:
     return sum(len(f.contrasts) for f in prepared.fields)
 
 
-def _own_effects(drawn: CaptureSet, ids: frozenset[str], log_alpha: float) -> tuple[Step, ...]:
-    """What the simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
-    prepared = prepare_split(drawn, split_recordings(drawn))
-    return stepwise(prepared.fields, prepared.signatures, ids, log_alpha).steps
+def own_effects(drawn: CaptureSet | None, allowed: frozenset[str], log_alpha: float) -> tuple[Step, ...]:
+    """What a simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
+    if drawn is None:
+        return ()
+    prepared = splits_of(drawn).looking
+    return stepwise(prepared.fields, prepared.signatures, allowed, log_alpha).steps
 
 
-def _without(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
+def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
     """A split with what the simulator has already taken out, and the signatures set aside that cannot be
     trusted beside it."""
     fields = prepared.fields
@@ -213,4 +267,4 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
         if s.detectable is not NO_STRENGTH
     ]
     best = min(found, default=np.inf)
-    return (float(best), VOCABULARY[mechanism].unit) if np.isfinite(best) else None
+    return (float(best), diagnosis.terms[mechanism].unit) if np.isfinite(best) else None

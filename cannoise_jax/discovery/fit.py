@@ -70,14 +70,16 @@ def stepwise(
     log_alpha: float,
     tell: Callable[[str], None] = lambda text: None,
     every: Callable[[], tuple[Fields, ...]] | None = None,
+    located: Located | None = None,
 ) -> Fitted:
     """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is rejected.
     What the final model does not need any more is given up again, the least needed first. every: the fields
     of all frames, for a second look at what is suspected; without it all of alpha is spent on the first.
+    located: the first pass of the battery, where it was run already.
     """
     shares = SPENT if every else (1.0, 0.0)
     level = log_alpha + float(np.log(shares[0]))
-    first = last = locate(fields, signatures)
+    first = last = located or locate(fields, signatures)
     start = fields
     steps: list[Step] = []
     given_up: set[str] = set()

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cannoise_jax import vocabulary
 from cannoise_jax.discovery.locate import Located
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
 
-UNKNOWN = "unknown"
+UNKNOWN = vocabulary.UNKNOWN.id
 """What a structure is called that no mechanism explains."""
 TIE_NATS = 3.0
 UNNAMED_NATS = 3.0

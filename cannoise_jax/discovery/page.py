@@ -8,11 +8,10 @@ from typing import Any
 import jinja2
 
 from cannoise_jax.discovery.card import lines as card_lines
-from cannoise_jax.discovery.declare import UNTESTED
+from cannoise_jax.discovery.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_picture, where_picture
 from cannoise_jax.discovery.report import listed_steps
-from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import Recording
 
 _MEASURES = (
@@ -112,14 +111,15 @@ def advice(report: dict[str, Any]) -> list[tuple[str, str]]:
     """What to record next, and the mechanisms it would decide, the most decisive first."""
     needs: dict[str, list[str]] = {}
     for entry in report["not_testable"]:
-        if entry["mechanism"] not in UNTESTED:
+        if not entry["needs"].startswith(NOTHING_LOOKS):
             needs.setdefault(entry["needs"], []).append(_name(entry["mechanism"]))
     return sorted(((n, ", ".join(m)) for n, m in needs.items()), key=lambda e: -e[1].count(","))
 
 
 def not_looked_for(report: dict[str, Any]) -> str:
     """The mechanisms that no recording lets this version test."""
-    return ", ".join(_name(e["mechanism"]) for e in report["not_testable"] if e["mechanism"] in UNTESTED)
+    unseen = (e for e in report["not_testable"] if e["needs"].startswith(NOTHING_LOOKS))
+    return ", ".join(_name(e["mechanism"]) for e in unseen)
 
 
 def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
@@ -146,6 +146,6 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         place=place,
         name=_name,
         advice=advice(report),
-        definitions={id: term.definition for id, term in VOCABULARY.items()},
+        definitions={id: term.definition for id, term in diagnosis.terms.items()},
         quality=None if diagnosis.quality is None else quality_picture(diagnosis.quality),
     )

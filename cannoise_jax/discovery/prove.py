@@ -12,13 +12,12 @@ and new frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.discovery.battery import Prepared
+from cannoise_jax.discovery.battery import Splits
 from cannoise_jax.discovery.blocks import bands, frame_blocks, leave_out
 from cannoise_jax.discovery.fit import Fitted, Step
 from cannoise_jax.discovery.heldout import Scored, score_frames
@@ -68,6 +67,10 @@ class Proofs(NamedTuple):
     before: float | None
     after: float | None
 
+    def without_likelihood(self) -> Proofs:
+        """The proofs of a simulator that has none."""
+        return self._replace(before=None, after=None)
+
 
 def unproven(steps: tuple[Step, ...]) -> Proofs:
     """What is said where no frames could be set aside."""
@@ -85,19 +88,16 @@ def unconfirmed(proofs: Proofs, steps: tuple[Step, ...]) -> Proofs:
 
 def prove(
     fitted: Fitted,
-    first: Prepared,
-    second: Prepared,
-    chosen: list[list[int]],
-    every: Callable[[], Prepared] | None = None,
+    splits: Splits,
 ) -> Proofs:
-    """Every accepted mechanism on the frames held back, `chosen` per recording, all others in the model; for
-    statistics, of many findings, those accepted before it, which have the larger effects. every: all frames
-    together; with them the strength of a frozen pattern is told by `strength_beyond`.
+    """Every accepted mechanism on the frames held back, all others in the model; for statistics, of many
+    findings, those accepted before it, which have the larger effects. With all frames together the strength
+    of a frozen pattern is told by `strength_beyond`.
 
     Pixels that a finding is about one by one (hot, telegraph) are scored for hot pixels only: their noise is
     not that of the others, and would drown what rows or frames share.
     """
-    steps = fitted.steps
+    steps, first, second, chosen = fitted.steps, splits.looking, splits.held_back, splits.chosen
     signatures = {p.name: p for p in second.signatures}
     laws = [s.named.signature.predict(s.before, s.named.score) for s in steps]
     known = [p for p in laws if p is not None]
@@ -107,7 +107,7 @@ def prove(
     ordinary = {f.number: f.usable for f in fitted.fields}
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
     out = []
-    together = every() if every and any(_pattern(step.named.signature) for step in steps) else None
+    together = splits.together if any(_pattern(step.named.signature) for step in steps) else None
     for n, step in enumerate(steps):
         fields = beside(steps, n, second.fields)
         signature = signatures.get(step.named.signature.name)

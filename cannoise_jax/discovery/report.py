@@ -15,7 +15,6 @@ from cannoise_jax.discovery.diagnose import Diagnosis, detectable
 from cannoise_jax.discovery.fit import Step, part_of
 from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.wording import sentence
-from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.score import Score
 
 SCHEMA = "cannoise/diagnosis/1"
@@ -200,7 +199,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     score = step.named.signature.quoted(
         again if again is not None and again.error > 0 and same_place(found, again) else found, mechanism
     )
-    term = VOCABULARY[mechanism]
+    term = diagnosis.terms[mechanism]
     outcome = (
         "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
     )
@@ -240,7 +239,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
     if mechanism == "unknown":
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
-    out["sentence"] = sentence(out, step, proof)
+    out["sentence"] = sentence(out, step, proof, term.definition)
     return out
 
 

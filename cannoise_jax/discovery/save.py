@@ -22,12 +22,18 @@ FILES = ("report.json", "report.html", "sensor.json")
 
 
 def save(
-    found: Diagnosis, folder: str | Path, *, key: int = 0, seconds: float = 0.0, force: bool = False
+    found: Diagnosis,
+    folder: str | Path,
+    *,
+    key: int = 0,
+    seconds: float = 0.0,
+    force: bool = False,
+    used: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
     """Writes `FILES` into a folder, made where it is missing, and returns the report.
 
-    key, seconds: of the run, as the report states them. Raises BadInput where a file exists (without force)
-    or cannot be written; then all that was there is kept.
+    key, seconds: of the run, as the report states them. used: rows and columns where frames were cut.
+    Raises BadInput where a file exists (without force) or cannot be written; then all that was there is kept.
     """
     folder = Path(folder)
     there = [name for name in FILES if (folder / name).exists()]
@@ -40,6 +46,8 @@ def save(
         seconds=seconds,
         peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )
+    if used is not None:
+        report["cut_to"] = list(used)
     texts = {
         "report.json": json.dumps(report, indent=1, allow_nan=False) + "\n",
         "report.html": page(found, report),

@@ -7,11 +7,10 @@ from typing import Any
 
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.prove import Proof
-from cannoise_jax.mechanisms import VOCABULARY
 
 
-def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
-    """What a camera engineer reads first."""
+def sentence(entry: dict[str, Any], step: Step, proof: Proof, definition: str) -> str:
+    """What a camera engineer reads first. definition: of the mechanism, one sentence."""
     name = entry["mechanism"].replace("_", " ")
     amount = f"{entry['amplitude']['value']:.3g} {entry['amplitude']['unit']}".replace(" 1", "")
     low, high = entry["amplitude"]["ci90"]
@@ -29,10 +28,9 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof) -> str:
         )
         start = f"These recordings cannot separate {others}; as {name} it is {amount}"
     else:
-        definition = VOCABULARY[entry["mechanism"]].definition[:-1]
         told = "exposure" in definition or step.named.signature.axes.scales != "exposure"
         grows = "" if told else " (growing with the exposure)"
-        start = f"{definition}{grows}: {amount}"
+        start = f"{definition.removesuffix('.')}{grows}: {amount}"
         if step.named.signature.says:
             start, (low, high) = step.named.signature.says(entry)
     moved = entry.get("parameters", {}).get("frame_offset")

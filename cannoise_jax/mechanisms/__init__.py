@@ -14,8 +14,11 @@ from cannoise_jax.mechanisms import (
     pixel,
     readout,
     transport,
+    unnamed,
 )
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import UNKNOWN, Term
 
 _FAMILIES = (
@@ -55,6 +58,11 @@ LISTED: tuple[Entry, ...] = tuple(sorted(ENTRIES, key=lambda entry: entry.term.l
 MECHANISMS: dict[str, Entry] = {entry.id: entry for entry in ENTRIES}
 
 VOCABULARY: dict[str, Term] = {**{entry.id: entry.term for entry in LISTED}, UNKNOWN.id: UNKNOWN}
+
+
+def signatures(recorded: Recorded, entries: tuple[Entry, ...] = ENTRIES) -> tuple[Signature, ...]:
+    """All that recordings are searched for: the signatures of the entries, and structures without a name."""
+    return (*(s for entry in entries for s in entry.looks(recorded)), *unnamed.signatures(recorded))
 
 
 def contains(general: str, special: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples, Shot
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -204,6 +205,9 @@ ENTRIES: tuple[Entry, ...] = (
              17, "capture", "px", "length of the shift, px", ("reference_error",), listed=47),
         MISREGISTRATION,
         needs="scenes with an independent reference",
+        signatures=lambda recorded: (
+            looks.reference.moved(recorded, name="reference_shift", covers=looks.SCENES),
+        ),
         examples=Examples("edges", shown={"shift_px": 1.0}, strong={"shift_px": 1.5, "angle": 0.7}),
     ),
     Entry(
@@ -221,6 +225,13 @@ ENTRIES: tuple[Entry, ...] = (
              listed=46),
         REFERENCE_ERROR,
         needs="scenes with an independent reference",
+        signatures=lambda recorded: (
+            looks.patterns.scenes(name="scene_static", covers=looks.SCALES),
+            looks.reference.scaled(recorded, name="reference_scale", common=False, covers=looks.SCALES),
+            looks.reference.blurred(recorded, "blur", name="reference_blur", error="reference_error",
+                camera="in_camera_denoising", parameter="weight", partner=looks.BLENDS[0],
+                template=looks.covariance.BLENDED_4, covers=(*looks.SCENES, *looks.BLENDS)),
+        ),
         estimator=Estimator(light.reference_error),
         examples=Examples("spatial", shown={"sigma_dn": 3.0, "blur": 0.1},
                           strong={"sigma_dn": 5.0, "blur": 0.2, "shift_y": 0.6, "shift_x": -0.8,
@@ -234,6 +245,9 @@ ENTRIES: tuple[Entry, ...] = (
              16, "capture", "1", "peak, as a fraction of the signal", listed=44),
         FLICKER,
         needs="two frames or more of a lit scene or flat",
+        signatures=looks.always(
+            looks.flicker.mains(name="flicker", parameter="amplitude"),
+        ),
         estimator=Estimator(light.flicker, searched=True),
         examples=Examples("row spectrum", strong={"amplitude": 0.08, "frequency": 0.11},
                           cases=(Case({"amplitude": 0.02, "frequency": 0.06}, FLAT),)),
@@ -244,6 +258,9 @@ ENTRIES: tuple[Entry, ...] = (
              18, "capture", "1", FRACTION, listed=45),
         ILLUMINATION_DRIFT,
         needs="two frames or more of a lit scene or flat, and of a second recording",
+        signatures=looks.always(
+            looks.patterns.frame("signal", name="frame_relative", parameter="sigma", covers=looks.SCALES),
+        ),
         estimator=Estimator(light.illumination_drift),
         examples=Examples("frames", shown={"sigma": 0.02}, strong={"sigma": 0.05},
                           cases=(Case({"sigma": 0.01}, FLAT),)),
@@ -257,6 +274,10 @@ LAST = (
              50, "bookkeeping", "DN", "rms error of the description, DN", listed=49),
         BOOKKEEPING,
         needs="darks, and a stated black level",
+        signatures=lambda recorded: (
+            looks.reference.scaled(recorded, name="description_scale", common=True, covers=looks.SCALES),
+            looks.levels.black(recorded, name="black_level", covers=("black_level", *looks.SCALES)),
+        ),
         estimator=Estimator(codes.bookkeeping),
         examples=Examples("mean", strong={"black_dn": 4.0, "white_error": 0.1},
                           cases=(Case({"black_dn": 2.0}, DARK),

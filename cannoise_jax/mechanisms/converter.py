@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -135,6 +136,12 @@ ENTRIES: tuple[Entry, ...] = (
              listed=7),
         BLACK_CLIPPING,
         needs="darks",
+        signatures=lambda recorded: (
+            # Levels cut off at black are far to one side, and their means curved, without more.
+            looks.codes.piled_up(recorded, name="pile_up", parameter="level_dn",
+                covers=("pile_up", *looks.NOISY, looks.BENT, "black_level", "black_channels", "lags_any",
+                        "curvature")),
+        ),
         estimator=Estimator(codes.black_clipping, exact=True),
         examples=Examples("codes", dim=True, strong={"level_dn": 60.0},
                           cases=(Case({"level_dn": -3.0}, DARK, exact=True),)),
@@ -145,6 +152,9 @@ ENTRIES: tuple[Entry, ...] = (
              41, "sensor", "DN", "spacing of the codes, DN", ("lossy_compression",), listed=26),
         QUANTIZATION,
         needs="files that state code_step",
+        signatures=lambda recorded: (
+            looks.codes.coarse(recorded, name="coarse", parameter="step_dn", covers=("coarse", "comb")),
+        ),
         estimator=Estimator(codes.quantization, in_baseline=True),
         examples=Examples("codes", shown={"step_dn": 8.0}, cases=(Case({"step_dn": 4.0}, DARK, exact=True),)),
     ),
@@ -154,6 +164,10 @@ ENTRIES: tuple[Entry, ...] = (
              42, "sensor", "code steps", "period: one code in every so many is missing", listed=27),
         MISSING_CODES,
         needs="flats or scenes whose noise spans three codes or more",
+        signatures=lambda recorded: (
+            looks.codes.combed(recorded, name="comb", parameter="period", covers=("comb",),
+                shapes=looks.SHAPES),
+        ),
         estimator=Estimator(codes.missing_codes, exact=True),
         examples=Examples("codes", strong={"period": 4.0}, cases=(Case({"period": 8.0}, FLAT, exact=True),)),
     ),

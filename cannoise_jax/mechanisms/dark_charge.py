@@ -7,6 +7,7 @@ import math
 import jax
 import jax.numpy as jnp
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import LONG, SERIES, Case, Entry, Examples
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point
@@ -194,6 +195,9 @@ ENTRIES: tuple[Entry, ...] = (
              19, "sensor", "e-/s", "mean dark current, e-/s", listed=9),
         DARK_CURRENT,
         needs="darks at two exposures or more, exposure_s stated",
+        signatures=lambda recorded: (
+            looks.levels.by_exposure(recorded, name="dark_level", parameter="e_per_s",
+        covers=("dark_level",)), ),
         estimator=Estimator(charge.dark_current),
         examples=Examples("mean", shown={"e_per_s": 30.0}, strong={"e_per_s": 60.0},
                           cases=(Case({"e_per_s": 2.0}, SERIES),)),
@@ -204,6 +208,9 @@ ENTRIES: tuple[Entry, ...] = (
              21, "sensor", "DN", RMS, listed=10),
         AMP_GLOW,
         needs="darks, best at a long exposure",
+        signatures=looks.always(
+            looks.glow.from_edges(name="glow", parameter="e_per_s"),
+        ),
         estimator=Estimator(charge.amp_glow, gives_way_to=("hot_pixels",), maps=measured.glow),
         examples=Examples("columns", strong={"e_per_s": 200.0, "length": 0.4},
                           cases=(Case({"e_per_s": 3.0, "length": 0.2}, LONG),)),
@@ -214,6 +221,10 @@ ENTRIES: tuple[Entry, ...] = (
              22, "sensor", "DN", RMS, listed=11),
         HOT_PIXELS,
         needs="darks, best at a long exposure",
+        signatures=looks.always(
+            looks.hot.standing_out("additive", name="hot_additive", maps=looks.MAPS, covers=("hot_thermal",)),
+            looks.hot.standing_out("exposure", name="hot_thermal", maps=looks.MAPS, covers=("hot_additive",)),
+        ),
         estimator=Estimator(charge.hot_pixels, maps=measured.heat),
         examples=Examples("tail", shown={"e_per_s": 300.0, "fraction": 0.004}, dim=True,
                           strong={"fraction": 0.1, "e_per_s": 100.0},

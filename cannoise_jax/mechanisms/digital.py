@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import DARK, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -162,6 +163,10 @@ ENTRIES: tuple[Entry, ...] = (
              48, "sensor", "1", "blend weight of the interpolated value", listed=43),
         DEMOSAICING,
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.covariance.neighbours("white", looks.covariance.INTERPOLATED, name="lags_demosaicing",
+                parameter="weight"),
+        ),
         examples=Examples("lags"),
     ),
     Entry(
@@ -170,6 +175,12 @@ ENTRIES: tuple[Entry, ...] = (
              45, "sensor", "1", "blend weight of the neighbours' mean", listed=28),
         IN_CAMERA_DENOISING,
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.covariance.neighbours("white", looks.covariance.BLENDED_4, name=looks.BLENDS[0],
+                parameter="weight", least=looks.covariance.blended),
+            looks.covariance.neighbours("white", looks.covariance.BLENDED_8, name=looks.BLENDS[1],
+                parameter="weight", least=looks.covariance.blended),
+        ),
         estimator=Estimator(neighbours.in_camera_denoising, least=0.01, smooths=True),
         examples=Examples("lags", shown={"weight": 0.4}, strong={"weight": 0.4},
                           cases=(Case({"weight": 0.15}, DARK), Case({"weight": 0.45}, DARK, note="strong"),

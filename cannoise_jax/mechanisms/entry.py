@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.recordings.recording import Kind
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import Term
 
 
@@ -59,7 +62,7 @@ class Examples:
     cases: tuple[Case, ...] = ()
 
 
-def nothing_looks(recorded: Any) -> tuple[Any, ...]:
+def nothing_looks(recorded: Recorded) -> tuple[Signature, ...]:
     """No signature, whatever was recorded."""
     return ()
 
@@ -78,11 +81,20 @@ class Entry:
     needs: str
     estimator: Estimator | None = None
     examples: Examples = field(default_factory=Examples)
-    signatures: Callable[[Any], tuple[Any, ...]] = nothing_looks
+    signatures: Callable[[Recorded], tuple[Signature, ...]] = nothing_looks
 
     def __post_init__(self):
         if self.term.id != self.record.id:
             raise ValueError(f"{self.term.id}: its record is that of {self.record.id}: give both one name")
+
+    def looks(self, recorded: Recorded) -> tuple[Signature, ...]:
+        """Its signatures, under its name."""
+        return tuple(dataclasses.replace(s, mechanism=self.id) for s in self.signatures(recorded))
+
+    @property
+    def looked_for(self) -> bool:
+        """Whether anything looks for it, where the recordings allow."""
+        return self.signatures is not nothing_looks
 
     @property
     def id(self) -> str:

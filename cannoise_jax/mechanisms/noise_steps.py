@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.core.grammar import Point
@@ -177,6 +178,9 @@ ENTRIES: tuple[Entry, ...] = (
         GAIN_ERROR,
         needs="run with --simulator nlf on files that state shot and read, with scenes or flats at two "
               "levels",
+        signatures=lambda recorded: looks.curve.restated(
+            recorded, "gain", name="stated_gain", covers=("stated_gain",)
+        ),
         estimator=Estimator(noise.gain_error, in_baseline=True),
         examples=Examples("variance", shown={"error": 0.5}, strong={"error": 0.4},
                           cases=(Case({"error": 0.1}, FLAT),)),
@@ -189,6 +193,9 @@ ENTRIES: tuple[Entry, ...] = (
         READ_NOISE_ERROR,
         needs="run with --simulator nlf on files that state shot and read, with darks of two frames or "
               "more",
+        signatures=lambda recorded: looks.curve.restated(
+            recorded, "read", name="stated_read", covers=("stated_read",)
+        ),
         estimator=Estimator(noise.read_noise_error, in_baseline=True),
         examples=Examples("variance", shown={"error": 1.0}, dim=True, strong={"error": 0.5},
                           cases=(Case({"error": 0.1}, DARK),)),
@@ -199,6 +206,9 @@ ENTRIES: tuple[Entry, ...] = (
              26, "sensor", "1", "excess kurtosis of the read noise", listed=12),
         HEAVY_TAILS,
         needs="darks of two frames or more whose noise exceeds two thirds of a code",
+        signatures=looks.always(
+            looks.shape.tails(name="kurtosis", heavy=True, covers=looks.NOISY),
+        ),
         estimator=Estimator(noise.heavy_tails, least=0.02, law="tails",
                             neutral=tukey_lambda.GAUSSIAN, against=noise.no_heavier),
         examples=Examples("tail", shown={"tukey_lambda": -0.15}, dim=True,
@@ -210,6 +220,9 @@ ENTRIES: tuple[Entry, ...] = (
              27, "sensor", "1", "rms relative spread of the read noise over the pixels", listed=13),
         PIXEL_READ_NOISE_MAP,
         needs="three dark frames or more; eight are better",
+        signatures=looks.always(
+            looks.pixels.own_noise(name="pixel_spread", parameter="spread", covers=looks.NOISY),
+        ),
         estimator=Estimator(maps.pixel_read_noise_map, least=0.03, law="spread", maps=measured.read_noise),
         examples=Examples("spread", shown={"spread": 0.8}, dim=True, cases=(Case({"spread": 0.2}, DARK),
                           Case({"spread": 0.8}, DARK, note="strong"))),

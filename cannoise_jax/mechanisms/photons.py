@@ -7,6 +7,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -130,6 +131,9 @@ ENTRIES: tuple[Entry, ...] = (
              15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=34),
         LENS_SHADING,
         needs="flats with a reference of the light falling on the sensor (clean)",
+        signatures=lambda recorded: (
+            looks.light.shaded(recorded, name="shading", parameter="sigma", covers=("shading",
+        *looks.SCALES)), ),
         examples=Examples("radius", strong={"sigma": 0.3}),
     ),
     Entry(
@@ -138,6 +142,10 @@ ENTRIES: tuple[Entry, ...] = (
              5, "sensor", "1", FRACTION, listed=2),
         PRNU,
         needs="flats of two frames or more, or scenes with an independent reference",
+        signatures=looks.always(
+            looks.patterns.pixel("signal", name="pixel_relative_static", parameter="sigma",
+                covers=looks.LIGHT_LEVELS),
+        ),
         estimator=Estimator(maps.prnu, least=1e-3, maps=measured.response),
         examples=Examples("spatial", shown={"sigma": 0.03}, strong={"sigma": 0.1},
                           cases=(Case({"sigma": 0.005}, FLAT),)),
@@ -148,6 +156,10 @@ ENTRIES: tuple[Entry, ...] = (
              6, "sensor", "1", FRACTION, ("prnu",), listed=4),
         COLUMN_GAIN,
         needs="flats of two frames or more, or scenes with an independent reference",
+        signatures=looks.always(
+            looks.lines.frozen("column", "signal", name="column_relative_static", parameter="sigma",
+                covers=looks.LIGHT_LEVELS),
+        ),
         estimator=Estimator(maps.column_gain, least=3e-4, maps=measured.column_response),
         examples=Examples("columns", shown={"sigma": 0.02}, strong={"sigma": 0.1},
                           cases=(Case({"sigma": 0.002}, FLAT),)),
@@ -160,6 +172,9 @@ ENTRIES: tuple[Entry, ...] = (
              listed=25),
         GREEN_IMBALANCE,
         needs="flats, or scenes with an independent reference, from a Bayer sensor",
+        signatures=lambda recorded: (
+            looks.light.two_greens(recorded, name="greens", parameter="sigma", covers=("greens",)),
+        ),
         estimator=Estimator(maps.green_imbalance, least=1e-3),
         examples=Examples("sites", strong={"sigma": 0.05}, cases=(Case({"sigma": 0.01}, FLAT),)),
     ),

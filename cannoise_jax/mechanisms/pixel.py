@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, LADDER, Case, Entry, Examples, Shot
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
@@ -191,6 +192,10 @@ ENTRIES: tuple[Entry, ...] = (
              "full well in normalised units: the clean signal at which the pixel is full", listed=6),
         SATURATION,
         needs="scenes or flats of several levels, two frames or more each, up to the white level",
+        signatures=lambda recorded: (
+            looks.curve.ceiling(recorded, name="saturation", parameter="full_well_e",
+                covers=("saturation", looks.BENT, "skewness", "kurtosis", *looks.SCENES)),
+        ),
         estimator=Estimator(light.saturation, exact=True),
         examples=Examples("high codes", shown={"full_well_e": 900.0}, strong={"full_well_e": 420.0},
                           cases=(Case({"full_well_e": 5000.0}, (*FLAT, Shot("flat", 0.9))),)),
@@ -209,6 +214,9 @@ ENTRIES: tuple[Entry, ...] = (
              8, "sensor", "1", "fraction of the signal lost at the white level", listed=5),
         NONLINEARITY,
         needs="scenes with an independent reference that spans the range",
+        signatures=lambda recorded: (
+            looks.light.curved(recorded, name="curvature", parameter="loss", covers=looks.SCALES),
+        ),
         estimator=Estimator(light.nonlinearity, least=3e-3),
         examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},
                           cases=(Case({"loss": 0.03}, LADDER),)),
@@ -219,6 +227,9 @@ ENTRIES: tuple[Entry, ...] = (
              28, "sensor", "DN", RMS, listed=14),
         RTS,
         needs="three dark frames or more; a hundred show the two levels",
+        signatures=looks.always(
+            looks.pixels.jumping(name="telegraph", covers=looks.NOISY),
+        ),
         estimator=Estimator(noise.rts, law="telegraph", maps=measured.telegraph),
         examples=Examples("spread", shown={"jump_dn": 12.0, "fraction": 0.05}, dim=True,
                           strong={"jump_dn": 12.0, "fraction": 0.3},
@@ -231,6 +242,12 @@ ENTRIES: tuple[Entry, ...] = (
              20, "sensor", "DN", RMS, listed=3),
         DSNU,
         needs="darks of two frames or more",
+        signatures=looks.always(
+            looks.patterns.pixel("additive", name="pixel_additive_static", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+            looks.patterns.pixel("exposure", name="pixel_thermal_static", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(maps.dsnu, maps=measured.offsets),
         examples=Examples("spatial", dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 0.5}, DARK),)),

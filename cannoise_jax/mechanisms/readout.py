@@ -7,6 +7,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import DARK, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
@@ -105,6 +106,10 @@ ENTRIES: tuple[Entry, ...] = (
             r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.lines.redrawn("row", "additive", name="row_additive_temporal", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(lines.row_noise, gives_way_to=("row_pink_noise",), placed=lines.placed_rows),
         examples=Examples("row spectrum", dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 1.0}, DARK),
@@ -121,6 +126,10 @@ ENTRIES: tuple[Entry, ...] = (
             r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.lines.redrawn("column", "additive", name="column_additive_temporal", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(lines.column_noise),
         examples=Examples("column jitter", dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 1.0}, DARK),)),
@@ -136,6 +145,10 @@ ENTRIES: tuple[Entry, ...] = (
             r"y_{tij} \to y_{tij} + \sigma r_i",
         ),
         needs="darks of two frames or more",
+        signatures=looks.always(
+            looks.lines.frozen("row", "additive", name="row_additive_static", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(lines.row_fpn, maps=measured.row_pattern),
         examples=Examples("rows", dim=True, strong={"sigma_dn": 3.0}, cases=(Case({"sigma_dn": 1.0}, DARK),)),
     ),
@@ -150,6 +163,10 @@ ENTRIES: tuple[Entry, ...] = (
             r"y_{tij} \to y_{tij} + \sigma c_j",
         ),
         needs="darks of two frames or more",
+        signatures=looks.always(
+            looks.lines.frozen("column", "additive", name="column_additive_static", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(lines.column_fpn, maps=measured.column_pattern),
         examples=Examples("columns", dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 1.0}, DARK),)),
@@ -168,6 +185,9 @@ ENTRIES: tuple[Entry, ...] = (
             spectrum="power_law",
         ),
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.spectra.slope("raster", name="raster_slope", parameter="sigma_dn",
+        covers=looks.DARK_LEVELS), ),
         estimator=Estimator(spectra.pink_noise),
         examples=Examples("raster spectrum", dim=True, strong={"sigma_dn": 4.0, "exponent": 1.2},
                           cases=(Case({"sigma_dn": 2.0, "exponent": 1.0}, DARK),)),
@@ -184,6 +204,9 @@ ENTRIES: tuple[Entry, ...] = (
             spectrum="power_law",
         ),
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.spectra.slope("row", name="row_slope", parameter="sigma_dn", covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(spectra.row_pink_noise, against=spectra.reaches_no_further),
         examples=Examples("row spectrum", dim=True, strong={"sigma_dn": 4.0, "exponent": 0.8},
                           cases=(Case({"sigma_dn": 2.0, "exponent": 1.0}, DARK),)),
@@ -202,6 +225,10 @@ ENTRIES: tuple[Entry, ...] = (
             spectrum="sinusoid",
         ),
         needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.waves.interference("redrawn", name="wave_redrawn", parameter="amplitude_dn"),
+            looks.waves.interference("frozen", name="wave_frozen", parameter="amplitude_dn"),
+        ),
         estimator=Estimator(spectra.banding, searched=True, beside=spectra.beside_rows),
         examples=Examples("raster spectrum", shown={"amplitude_dn": 1.0, "frequency": 0.0823}, dim=True,
                           strong={"amplitude_dn": 6.0, "frequency": 0.13},
@@ -219,6 +246,9 @@ ENTRIES: tuple[Entry, ...] = (
             r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal{N}(0,\sigma^2)", default=0.2,
         ),
         needs="two recordings of two frames or more, best darks",
+        signatures=looks.always(
+            looks.patterns.frame("additive", name="frame_additive", parameter="sigma_dn"),
+        ),
         estimator=Estimator(lines.offset_drift),
         examples=Examples("frames", shown={"sigma_dn": 0.5}, dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 0.3}, DARK),)),
@@ -234,6 +264,10 @@ ENTRIES: tuple[Entry, ...] = (
             r"y_{tij} \to y_{tij} + \sigma d_{c(i,j)}",
         ),
         needs="darks, and a stated black level",
+        signatures=lambda recorded: (
+            looks.levels.black_of_channels(recorded, name="black_channels", parameter="sigma_dn",
+                covers=("black_channels",)),
+        ),
         estimator=Estimator(codes.channel_offset, reported="(the measured black level is in the baseline)"),
         examples=Examples("sites", dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 1.0}, DARK),)),
@@ -244,6 +278,10 @@ ENTRIES: tuple[Entry, ...] = (
              38, "sensor", "DN", "step between adjoining regions, DN", ("dsnu",), listed=24),
         AMPLIFIER_MISMATCH,
         needs="darks of two frames or more",
+        signatures=looks.always(
+            looks.means.halves(name="step", parameter="step_dn", covers=("taps",)),
+            looks.taps.regions(name="taps", parameter="step_dn", covers=("step",)),
+        ),
         estimator=Estimator(codes.amplifier_mismatch),
         examples=Examples("columns", dim=True, strong={"step_dn": 5.0},
                           cases=(Case({"step_dn": 1.0}, DARK),)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from cannoise_jax.mechanisms import looks
 from cannoise_jax.mechanisms.entry import FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Parameter, effect_in_dn
@@ -143,6 +144,11 @@ ENTRIES: tuple[Entry, ...] = (
              listed=33),
         BRIGHTER_FATTER,
         needs="two frames or more of bright flats",
+        signatures=looks.always(
+            # The variance that is lost bends the curve, which counts for it where both reject.
+            looks.covariance.neighbours("charge", looks.covariance.REPELLED, name="lags_brighter_fatter",
+                parameter="a00", covers=(looks.BENT,), lifted_by=(looks.BENT,)),
+        ),
         examples=Examples("variance", shown={"a00": 0.0001}, strong={"a00": 0.0003}),
     ),
     Entry(
@@ -167,6 +173,13 @@ ENTRIES: tuple[Entry, ...] = (
              13, "sensor", "1", "total fraction of charge given away", listed=8),
         CROSSTALK,
         needs="two frames or more of a lit scene or flat",
+        signatures=lambda recorded: (
+            looks.covariance.neighbours("shot", looks.covariance.GIVEN, name=looks.SHARED,
+                parameter="fraction", least=looks.covariance.shared_charge),
+            looks.reference.blurred(recorded, "spread", name="reference_spread", error="reference_error",
+                camera="crosstalk", parameter="fraction", partner=looks.SHARED,
+                template=looks.covariance.GIVEN, covers=(*looks.SCENES, looks.SHARED)),
+        ),
         estimator=Estimator(neighbours.crosstalk, least=5e-3, smooths=True),
         examples=Examples("lags", shown={"fraction": 0.15}, strong={"fraction": 0.3},
                           cases=(Case({"fraction": 0.03}, FLAT),)),

@@ -48,6 +48,8 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
 _CHUNK_BYTES = 64 << 20
+_LONGEST = 200
+"""Characters of a camera's name."""
 _log = logging.getLogger(__name__)
 
 
@@ -91,7 +93,7 @@ def make_recording(
         cfa=cfa,
         black_level=black,
         white_level=white,
-        camera=_camera(stated.get("camera")) or Path(path).absolute().parent.name or Recording.camera,
+        camera=_camera(path, stated.get("camera")) or Path(path).absolute().parent.name or Recording.camera,
         kind=_one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
@@ -199,31 +201,44 @@ def _required(path: str | Path, stated: Mapping[str, Any], name: str) -> Any:
     return stated[name]
 
 
-def _text(value: Any) -> str:
+def _text(path: str | Path, name: str, value: Any) -> str:
+    """A stated name or word. Raises BadInput for lists, tables, and text that no line can show."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or "")
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    if isinstance(text, (bool, int, float)):
+        text = str(text)
+    if not (isinstance(text, str) and text.isprintable() and len(text) <= _LONGEST):
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {_LONGEST} characters")
+    return text
 
 
-def _camera(value: Any) -> str:
+def _quoted(value: Any) -> str:
+    """The value for a message, in one line and not at length."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _camera(path: str | Path, value: Any) -> str:
     """The stated name; nothing for what a `Recording` says where nobody named it."""
-    name = _text(value)
+    name = "" if value is None else _text(path, "camera", value)
     return "" if name == Recording.camera else name
 
 
 def _cfa(path: str | Path, value: Any) -> str:
-    cfa = _text(value).strip().upper()
+    cfa = _text(path, "cfa", value).strip().upper()
     if cfa not in CFA_PATTERNS:
-        raise BadInput(f"{path}: unknown CFA {cfa!r}: use --cfa with one of {', '.join(CFA_PATTERNS)}")
+        known = ", ".join(CFA_PATTERNS)
+        raise BadInput(f"{path}: unknown CFA {_quoted(cfa)}: use --cfa with one of {known}")
     return cfa
 
 
 def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:
     if name not in stated:
         return None
-    text = _text(stated[name])
+    text = _text(path, name, stated[name])
     if text not in allowed:
-        raise BadInput(f"{path}: unknown {name} {text!r}: use one of {', '.join(allowed)}")
+        raise BadInput(f"{path}: unknown {name} {_quoted(text)}: use one of {', '.join(allowed)}")
     return text
 
 
@@ -231,7 +246,7 @@ def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     try:
         values = per_channel(value)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"{path}: {name} {value!r}: expected 1 or 4 numbers in mosaic order") from error
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
     if not all(map(math.isfinite, values)):
         raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
     return values
@@ -254,7 +269,7 @@ def _number(path: str | Path, name: str, value: Any) -> float:
     try:
         number = float(np.asarray(value).reshape(()))
     except (TypeError, ValueError) as error:
-        raise BadInput(f"{path}: {name} {value!r}: expected one number") from error
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
     if not math.isfinite(number):
         raise BadInput(f"{path}: {name} is not finite: {number}")
     return number

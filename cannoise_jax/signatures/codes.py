@@ -181,7 +181,6 @@ def combed(
     recorded: Recorded,
     *,
     name: str,
-    mechanism: str,
     parameter: str,
     covers: tuple[str, ...],
     shapes: tuple[str, ...],
@@ -212,7 +211,6 @@ def combed(
     return _of_codes(
         "comb",
         name=name,
-        mechanism=mechanism,
         score=partial(comb_score, codes=recorded.codes),
         covers=covers,
         hides=hides,
@@ -221,14 +219,11 @@ def combed(
     )
 
 
-def coarse(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
-) -> Signature:
+def coarse(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Codes that are more widely spaced than stated."""
     return _of_codes(
         "lattice",
         name=name,
-        mechanism=mechanism,
         score=partial(step_score, codes=recorded.codes),
         covers=covers,
         rare=True,
@@ -236,14 +231,11 @@ def coarse(
     )
 
 
-def piled_up(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
-) -> Signature:
+def piled_up(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Values that are cut off at a rail above or below black."""
     return _of_codes(
         "pile-up",
         name=name,
-        mechanism=mechanism,
         score=partial(clip_score, codes=recorded.codes, black=float(recorded.black.mean())),
         covers=covers,
         rare=True,

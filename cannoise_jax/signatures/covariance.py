@@ -216,7 +216,6 @@ def neighbours(
     template: Template,
     *,
     name: str,
-    mechanism: str,
     parameter: str,
     least: Least = NO_CLOSED_FORM,
     covers: tuple[str, ...] = (),
@@ -227,7 +226,6 @@ def neighbours(
     scales: dict[str, Scales] = {"shot": "signal", "charge": "signal squared", "white": "all noise"}
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("digital" if law == "white" else "pixel", "pixel", "redrawn", scales[law], "neighbours"),
         reads=_READS if law == "white" else _READS | {"shot", "signal"},
         score=partial(template_score, law=law, template=template),
@@ -287,7 +285,6 @@ def any_lag(*, name: str) -> Signature:
 
     return Signature(
         name=name,
-        mechanism=None,
         axes=Axes("readout", "pixel", "redrawn", "all noise", "neighbours"),
         reads=_READS,
         score=any_score,

@@ -155,7 +155,6 @@ def bent(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Sign
     """A variance that does not follow a straight line."""
     return _files(
         name=name,
-        mechanism=None,
         axes=Axes("photons", "signal", "redrawn", "signal", "variance curve"),
         score=partial(curve_score, baselines=recorded.baselines, step=recorded.step),
         covers=covers,
@@ -164,13 +163,10 @@ def bent(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Sign
     )
 
 
-def ceiling(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def ceiling(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """Pixels that are full below the converter's own rail."""
     return _files(
         name=name,
-        mechanism=mechanism,
         axes=Axes("pixel", "signal", "frozen", "signal", "ceiling"),
         score=partial(saturation_score, baselines=recorded.baselines, step=recorded.step, span=recorded.span),
         covers=covers,
@@ -181,7 +177,7 @@ def ceiling(
 
 
 def restated(
-    recorded: Recorded, kind: Literal["gain", "read"], *, name: str, mechanism: str, covers: tuple[str, ...]
+    recorded: Recorded, kind: Literal["gain", "read"], *, name: str, covers: tuple[str, ...]
 ) -> tuple[Signature, ...]:
     """A gain or read noise other than the stated one; nothing where none is judged."""
     if recorded.stated is None:
@@ -189,7 +185,6 @@ def restated(
     return (
         _files(
             name=name,
-            mechanism=mechanism,
             axes=Axes("readout", "signal", "redrawn", "signal" if kind == "gain" else "additive", "variance"),
             score=partial(
                 stated_score,

@@ -227,11 +227,10 @@ def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
     return map_contrasts(field, function)
 
 
-def mains(*, name: str, mechanism: str, parameter: str) -> Signature:
+def mains(*, name: str, parameter: str) -> Signature:
     """A sinusoid of the light from row to row, its phase new in every frame."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("photons", "row", "redrawn", "signal", "sinusoid"),
         reads=CONTRASTS | STATIC | {"signal"},
         score=flicker_score,

@@ -189,7 +189,7 @@ def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
     return float(np.clip(shown, means.min(), means.max()))
 
 
-def from_edges(*, name: str, mechanism: str, parameter: str) -> Signature:
+def from_edges(*, name: str, parameter: str) -> Signature:
     """Light that falls off from a corner or an edge of the darks."""
 
     def simulate(found: Found) -> Addition | None:
@@ -208,7 +208,6 @@ def from_edges(*, name: str, mechanism: str, parameter: str) -> Signature:
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("pixel", "block", "frozen", "exposure", "exponential fall"),
         reads=STATIC,
         score=glow_score,

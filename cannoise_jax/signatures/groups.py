@@ -189,7 +189,6 @@ def shared(
     time: Literal["redrawn", "frozen"],
     *,
     scaling: Scales = "additive",
-    mechanism: str | None = None,
     parameter: str | None = None,
     covers: tuple[str, ...] = (),
 ) -> Signature:
@@ -208,7 +207,6 @@ def shared(
     reads = CONTRASTS if time == "redrawn" else STATIC
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin=layout_name,
         axes=Axes("readout" if scaling == "additive" else "photons", over, time, scaling, "white"),
         reads=reads | (frozenset({"signal"}) if scaling == "signal" else frozenset()),

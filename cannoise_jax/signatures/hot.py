@@ -259,7 +259,7 @@ def _least(sets: tuple[Seen, ...]) -> Law:
 
 
 def standing_out(
-    scaling: Scales, *, name: str, mechanism: str, maps: tuple[str, ...], covers: tuple[str, ...] = ()
+    scaling: Scales, *, name: str, maps: tuple[str, ...], covers: tuple[str, ...] = ()
 ) -> Signature:
     """A few pixels far above the others in the darks. maps: signatures of maps of all pixels, which are
     judged once the pixels that stand out from them are gone."""
@@ -288,7 +288,6 @@ def standing_out(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin="hot",
         axes=Axes("readout", "pixel", "frozen", scaling, "sparse"),
         reads=STATIC,

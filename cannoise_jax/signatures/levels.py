@@ -152,11 +152,10 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float) -> Score | 
 _READS = frozenset({"mean", "sigma", "contrasts"})
 
 
-def black(recorded: Recorded, *, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+def black(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Signature:
     """A black level other than the stated one, the same in all channels."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "channel", "frozen", "additive", "common"),
         reads=_READS,
         score=partial(channel_score, recorded=recorded, common=True),
@@ -173,7 +172,7 @@ def black(recorded: Recorded, *, name: str, mechanism: str, covers: tuple[str, .
 
 
 def black_of_channels(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
+    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()
 ) -> Signature:
     """Black levels that differ between the channels."""
 
@@ -193,7 +192,6 @@ def black_of_channels(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "channel", "frozen", "additive", "contrast"),
         reads=_READS,
         score=partial(channel_score, recorded=recorded, common=False),
@@ -208,13 +206,10 @@ def black_of_channels(
     )
 
 
-def by_exposure(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def by_exposure(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """A level of the darks that rises with the exposure."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("pixel", "frame", "frozen", "exposure", "mean"),
         reads=_READS,
         score=partial(dark_current_score, jitter=recorded.jitter),

@@ -263,9 +263,7 @@ def curvature_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, 
     return tuple(out)
 
 
-def two_greens(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def two_greens(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """A difference between the two greens."""
     sites = recorded.greens
 
@@ -285,7 +283,6 @@ def two_greens(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
         reads=STATIC | {"mean"},
         score=partial(green_score, greens=sites),
@@ -300,13 +297,10 @@ def two_greens(
     )
 
 
-def shaded(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def shaded(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """Fall-off towards the corners, where the light is known."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("photons", "block", "frozen", "signal", "fall-off"),
         reads=STATIC | {"mean"},
         score=partial(shading_score, span=recorded.span),
@@ -321,9 +315,7 @@ def shaded(
     )
 
 
-def curved(
-    recorded: Recorded, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def curved(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """A mean that bends with the light."""
     span = recorded.span
 
@@ -335,7 +327,6 @@ def curved(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),
         reads=STATIC | {"mean"},
         score=partial(curvature_score, span=span),

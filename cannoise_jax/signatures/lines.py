@@ -275,7 +275,6 @@ def redrawn(
     scaling: Scales,
     *,
     name: str,
-    mechanism: str | None = None,
     parameter: str | None = None,
     covers: tuple[str, ...] = (),
 ) -> Signature:
@@ -288,7 +287,6 @@ def redrawn(
     )
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin=axis,
         axes=Axes("readout" if additive else "photons", axis, "redrawn", scaling, "white"),
         reads=CONTRASTS | _light(scaling),
@@ -313,7 +311,6 @@ def frozen(
     scaling: Scales,
     *,
     name: str,
-    mechanism: str | None = None,
     parameter: str | None = None,
     covers: tuple[str, ...] = (),
 ) -> Signature:
@@ -342,7 +339,6 @@ def frozen(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin=axis,
         axes=Axes("readout", axis, "frozen", scaling, "white"),
         reads=STATIC | _light(scaling),

@@ -131,7 +131,7 @@ def step_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return tuple(f if f.static is None else minus(f, project(f, template)) for f in fields)
 
 
-def halves(*, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def halves(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """A step in offset at a boundary that is looked for."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
@@ -148,7 +148,6 @@ def halves(*, name: str, mechanism: str, parameter: str, covers: tuple[str, ...]
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "amplifier", "frozen", "additive", "step"),
         reads=STATIC,
         score=step_score,

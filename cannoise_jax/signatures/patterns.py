@@ -183,14 +183,11 @@ def own_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return tuple(f._replace(static=None) if f.kind == "scene" else f for f in fields)
 
 
-def frame(
-    scaling: Scales, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """One offset (or factor of the light) of every frame."""
     additive = scaling == "additive"
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin="frame",
         axes=Axes("readout" if additive else "photons", "frame", "redrawn", scaling, "white"),
         reads=CONTRASTS if additive else CONTRASTS | {"signal"},
@@ -210,9 +207,7 @@ def frame(
     )
 
 
-def pixel(
-    scaling: Scales, *, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """A frozen offset (or gain, or dark current) of every pixel."""
     growing, light = scaling == "exposure", scaling == "signal"
     point = Point("photons", "mean", "pixel", "frozen", "multiply") if light else OFFSETS
@@ -237,7 +232,6 @@ def pixel(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin="pixel",
         axes=Axes("pixel", "pixel", "frozen", scaling, "white"),
         reads=STATIC | {"signal"} if light else STATIC,
@@ -253,11 +247,10 @@ def pixel(
     )
 
 
-def scenes(*, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
     """What stays in each scene by itself: an error of its reference."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("reference", "pixel", "frozen", "scene", "white"),
         reads=STATIC,
         score=own_score,

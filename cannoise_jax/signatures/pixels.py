@@ -236,7 +236,7 @@ def read_map(sets: tuple[Seen, ...]) -> Law:
     return grows(16 * (float(np.sum(np.square(information))) + float(single) / 2) / 2, 2)
 
 
-def own_noise(*, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def own_noise(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """A read noise of its own for every pixel."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
@@ -249,7 +249,6 @@ def own_noise(*, name: str, mechanism: str, parameter: str, covers: tuple[str, .
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "pixel", "frozen", "additive", "log-normal variance"),
         reads=_READS,
         score=spread_score,
@@ -264,7 +263,7 @@ def own_noise(*, name: str, mechanism: str, parameter: str, covers: tuple[str, .
     )
 
 
-def jumping(*, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+def jumping(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
     """A few pixels that jump between levels."""
 
     def simulate(found: Found) -> Addition:
@@ -286,7 +285,6 @@ def jumping(*, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signa
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
         reads=_READS,
         score=telegraph_score,

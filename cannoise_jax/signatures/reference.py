@@ -174,13 +174,10 @@ def drop_blurred(fields: Many, score: Score, template: covariance.Template, law:
     return covariance.absorb(drop_scenes(fields, score), score.replace(payload=left))
 
 
-def scaled(
-    recorded: Recorded, *, name: str, mechanism: str, common: bool, covers: tuple[str, ...] = ()
-) -> Signature:
+def scaled(recorded: Recorded, *, name: str, common: bool, covers: tuple[str, ...] = ()) -> Signature:
     """A wrong scale: of the description (`common` to all scenes), or of single references."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("reference", "channel" if common else "frame", "frozen", "signal", "scale"),
         reads=STATIC | {"mean", "signal"},
         score=partial(scale_score, span=recorded.span, common=common),
@@ -195,11 +192,10 @@ def scaled(
     )
 
 
-def moved(recorded: Recorded, *, name: str, mechanism: str, covers: tuple[str, ...] = ()) -> Signature:
+def moved(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Signature:
     """References that are shifted."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("reference", "edge", "frozen", "signal", "shift"),
         reads=STATIC,
         score=partial(reference_score, kind="shift", span=recorded.span, edge="shift"),
@@ -219,7 +215,6 @@ def blurred(
     kind: Literal["blur", "spread"],
     *,
     name: str,
-    mechanism: str,
     error: str,
     camera: str,
     parameter: str,
@@ -229,8 +224,7 @@ def blurred(
 ) -> Signature:
     """Scenes that are blurred against their references, within each colour ('blur') or over the neighbours of
     the mosaic ('spread'): by the reference, mechanism `error`, or by the `camera`, which then correlates the
-    noise as well: `partner` is the signature of that, `template` its lags. mechanism: the one that it counts
-    for."""
+    noise as well: `partner` is the signature of that, `template` its lags."""
 
     def readings(score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
         """The noise correlation that goes with the fitted blur decides who did it."""
@@ -255,7 +249,6 @@ def blurred(
     law, edge = ("shot", camera) if kind == "spread" else ("white", kind)
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("pixel" if kind == "spread" else "reference", "edge", "frozen", "signal", kind),
         reads=STATIC,
         score=partial(reference_score, kind=kind, span=recorded.span, edge=edge),

@@ -241,11 +241,10 @@ def _place_tails(found: Found) -> Addition:
     return Addition(values, point=point)
 
 
-def tails(*, name: str, heavy: bool, mechanism: str | None = None, covers: tuple[str, ...] = ()) -> Signature:
+def tails(*, name: str, heavy: bool, covers: tuple[str, ...] = ()) -> Signature:
     """A fourth moment beyond Poisson and rounding, or short of them."""
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "pixel", "redrawn", "additive", "heavy tails" if heavy else "light tails"),
         reads=CONTRASTS | STATIC | {"mean", "signal", "shot"},
         score=partial(kurtosis_score, tails=1 if heavy else -1),
@@ -268,7 +267,6 @@ def skewed(*, name: str) -> Signature:
     """A third moment beyond that of Poisson noise."""
     return Signature(
         name=name,
-        mechanism=None,
         axes=Axes("photons", "pixel", "redrawn", "signal", "skewed"),
         reads=CONTRASTS | STATIC | {"signal"},
         score=skew_score,

@@ -136,7 +136,7 @@ Limit = Callable[[Asked, Score, str], float]
 class Signature:
     """How one mechanism shows.
 
-    name: unique. mechanism: its id in the vocabulary, None: it has none. axes: its place in words. kin:
+    name: unique. mechanism: id of the entry that it is of, None: of none. axes: its place in words. kin:
       shared by signatures of the same thing at another time or scaling. reads: attributes of `Fields` that
       the score depends on; a score stands as long as none of them changed.
     score(fields) -> Score, None where it cannot be tested; absorb(fields, score) -> fields with the effect
@@ -162,7 +162,6 @@ class Signature:
     """
 
     name: str
-    mechanism: str | None
     axes: Axes
     reads: frozenset[str]
     score: Look
@@ -173,6 +172,7 @@ class Signature:
     place: Callable[[Found], Addition | None]
     detectable: Limit
     least: Callable[[tuple[Seen, ...]], Law | None]
+    mechanism: str | None = None
     kin: str = ""
     covers: tuple[str, ...] = ()
     hides: Callable[[Score], tuple[str, ...]] = lambda score: ()

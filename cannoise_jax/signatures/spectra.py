@@ -257,7 +257,6 @@ def slope(
     scan: Literal["raster", "row"],
     *,
     name: str,
-    mechanism: str,
     parameter: str,
     covers: tuple[str, ...] = (),
 ) -> Signature:
@@ -272,7 +271,6 @@ def slope(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "row" if rows else "raster time", "redrawn", "additive", "1/f"),
         reads=CONTRASTS,
         score=partial(slope_score, scan=scan),

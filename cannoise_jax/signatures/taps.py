@@ -132,7 +132,7 @@ def tap_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return tuple(f if f.static is None else minus(f, project(f, image)) for f in fields)
 
 
-def regions(*, name: str, mechanism: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def regions(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """Offsets of regions of equal size."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
@@ -140,7 +140,6 @@ def regions(*, name: str, mechanism: str, parameter: str, covers: tuple[str, ...
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         axes=Axes("readout", "amplifier", "frozen", "additive", "step"),
         reads=STATIC,
         score=tap_score,

@@ -237,9 +237,7 @@ def wave_detectable(asked: Asked, score: Score, mechanism: str) -> float:
     return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))
 
 
-def interference(
-    time: Literal["redrawn", "frozen"], *, name: str, mechanism: str, parameter: str
-) -> Signature:
+def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: str) -> Signature:
     """A plane wave: of a new phase in every frame, or of one that stays."""
     redrawn_too = time == "redrawn"
     point = Point("readout", "signal", "raster", time, spectrum="sinusoid")
@@ -270,7 +268,6 @@ def interference(
 
     return Signature(
         name=name,
-        mechanism=mechanism,
         kin="wave",
         axes=Axes("readout", "raster time", time, "additive", "sinusoid"),
         # Of two frames their mean tells of what is new in each as well.

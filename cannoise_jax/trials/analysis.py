@@ -13,12 +13,12 @@ import numpy as np
 
 import cannoise_jax
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import all_frames, prepare, prepare_split, split_recordings
+from cannoise_jax.discovery.battery import prepare_split, split_recordings, splits_of
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fit import SPENT, charge, second_look
 from cannoise_jax.discovery.heldout import score_frames
 from cannoise_jax.discovery.locate import Located, locate
-from cannoise_jax.discovery.name import mechanism_of
+from cannoise_jax.discovery.name import UNKNOWN, mechanism_of
 from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document
 from cannoise_jax.discovery.stacks import Stack
@@ -41,11 +41,11 @@ def diagnosed(
 
 def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
     """Declare, calibrate and locate alone: what the battery rejects, and its smallest family-wise p."""
-    ids = declare.registered(without)
-    splits = split_recordings(capture)
-    prepared = prepare_split(capture, splits)
+    allowed = frozenset(entry.id for entry in declare.registered(without))
+    splits = splits_of(capture)
+    prepared = splits.looking
     first = locate(prepared.fields, prepared.signatures)
-    mechanism = {s.name: mechanism_of(s, frozenset(ids)) for s in prepared.signatures}
+    mechanism = {s.name: mechanism_of(s, allowed) for s in prepared.signatures}
     rejected = [
         (mechanism[n], n, charge(first.log_p[n], SPENT[0]))
         for n in first.significant(math.log(ALPHA * SPENT[0]))
@@ -54,9 +54,9 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
         late = second_look(
             [],
             first,
-            lambda: prepare(capture, all_frames(splits), False).fields,
+            lambda: splits.together.fields,
             prepared.signatures,
-            frozenset(ids),
+            allowed,
             first.tests,
             math.log(ALPHA),
         )
@@ -66,8 +66,8 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
     findings = [
         {
             "mechanism": name,
-            "class": "sensor" if name == "unknown" else VOCABULARY[name].kind,
-            "outcome": "UNKNOWN_STRUCTURE" if name == "unknown" else "FOUND",
+            "class": "sensor" if name == UNKNOWN else VOCABULARY[name].kind,
+            "outcome": "UNKNOWN_STRUCTURE" if name == UNKNOWN else "FOUND",
             "candidates": [{"mechanism": name, "probability": 1.0}],
             "probe": probe,
             "p_value": math.exp(max(log_p, -700.0)),
@@ -136,10 +136,10 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
     the frames held out. None where no probe looks for it.
 
     A mechanism that blurs the scenes too gets the best gain of the probe of blur beside its own."""
-    splits = split_recordings(capture)
-    if not any(held for _, held in splits):
+    splits = splits_of(capture)
+    if not splits.can_prove:
         return None
-    first, prepared = prepare_split(capture, splits), prepare_split(capture, splits, held_back=True)
+    first, prepared = splits.looking, splits.held_back
     found = {s.name: s.score(first.fields) for s in first.signatures if s.mechanism == mechanism}
     gains, bare = [], None
     for signature in (s for s in prepared.signatures if s.mechanism == mechanism and not s.reads_as):
@@ -153,9 +153,8 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
         if law is None:
             gains.append(held_out_gain(score.replace(amplitude=strength), score))
             continue
-        chosen = [held for _, held in splits]
-        bare = bare or score_frames(first, prepared, chosen, [])
-        with_it = score_frames(first, prepared, chosen, [law])
+        bare = bare or score_frames(first, prepared, splits.chosen, [])
+        with_it = score_frames(first, prepared, splits.chosen, [law])
         gains.append(float(with_it.log_prob.sum() - bare.log_prob.sum()))
     blurs = [
         score.gain

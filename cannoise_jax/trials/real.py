@@ -25,7 +25,6 @@ from cannoise_jax.discovery.report import document, plain
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import CaptureSet
 
-PARTS = ("inject", "withhold", "permute")
 MULTIPLES = (4.0, 16.0)
 """Strengths of what is injected; the second has twice the amplitude where the shift grows as its square."""
 WITHHELD = 3

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.commands import bench
+from cannoise_jax.commands import bench, bench_runs
 from cannoise_jax.mechanisms.peers import GETFRAMES
 from cannoise_jax.physics.core.sensor import Settings
 
@@ -23,11 +23,13 @@ def test_bad_options_end_with_one_line(capsys):
 def test_both_simulators_are_given_the_same_camera():
     getframes = pytest.importorskip("getframes")
     side, electrons = 256, 40.0
-    clean = np.full((side, side), electrons * bench.GAIN / (bench.WHITE - bench.BLACK), np.float32)
+    clean = np.full(
+        (side, side), electrons * bench_runs.GAIN / (bench_runs.WHITE - bench_runs.BLACK), np.float32
+    )
     ours = np.asarray(
-        bench.our_model(side).sample(jax.random.key(0), clean, Settings(exposure_s=1.0, frames=2))
+        bench_runs.our_model(side).sample(jax.random.key(0), clean, Settings(exposure_s=1.0, frames=2))
     ).astype(float)
-    camera = getframes.Camera(bench.peer_config(side), seed=1)
+    camera = getframes.Camera(bench_runs.peer_config(side), seed=1)
     theirs = np.stack([camera.expose(np.full((side, side), electrons), 1.0).data for _ in range(2)]).astype(
         float
     )

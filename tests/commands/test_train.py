@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from cannoise_jax.commands import train
+from cannoise_jax.commands.train import main
+from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import data
 
 CI = str(Path(__file__).resolve().parents[2] / "configs" / "ci.py")
@@ -147,3 +149,40 @@ def test_an_interruption_that_python_drops_is_not_lost(tmp_path, capsys, monkeyp
 def test_help(capsys):
     assert train.main(["--help"]) == 0
     assert "--workdir" in capsys.readouterr().out
+
+
+def test_a_workdir_goes_on_with_its_own_config(tmp_path):
+    workdir = tmp_path / "run"
+    started, _ = train._read_flags(["--workdir", str(workdir), "--config.steps=7", "--config.data.scenes=5"])
+    workdir.mkdir()
+    (workdir / "config.json").write_text(started.to_json_best_effort())
+    resumed, where = train._read_flags(["--workdir", str(workdir)])
+    assert where == workdir and (resumed.steps, resumed.data.scenes) == (7, 5)
+    assert resumed.to_json_best_effort(sort_keys=True) == started.to_json_best_effort(sort_keys=True)
+    longer, _ = train._read_flags([f"--workdir={workdir}", "--config.steps=9"])
+    assert (longer.steps, longer.data.scenes) == (9, 5)
+    for broken in ("{", "[1]"):
+        (workdir / "config.json").write_text(broken)
+        with pytest.raises(BadInput, match="use another --workdir"):
+            train._read_flags(["--workdir", str(workdir)])
+
+
+@pytest.mark.parametrize(
+    ("flag", "said"),
+    [
+        ("--config.stepz=5", "--config.stepz: no such field: did you mean --config.steps?"),
+        ("--config.data.sourc=x", "--config.data.sourc: no such field: did you mean --config.data.source?"),
+        ("--config.qqqqqq=5", "--config.qqqqqq: no such field"),
+    ],
+)
+def test_a_field_that_does_not_exist_is_named_with_its_neighbour(flag, said, tmp_path, capsys):
+    assert main(["--workdir", str(tmp_path / "run"), flag]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"bin/train: {said}") and error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("empty", [["--recordings", ""], ["--recordings="]])
+def test_an_empty_name_of_recordings_starts_nothing(empty, tmp_path, capsys):
+    assert main(["--workdir", str(tmp_path / "run"), *empty]) == 2
+    assert "--recordings: an empty name" in capsys.readouterr().err and not (tmp_path / "run").exists()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cannoise_jax.mechanisms.looked_for import looked_for
+from cannoise_jax.mechanisms import signatures
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.recorded import Codes, Recorded
 from cannoise_jax.signatures.signature import Signature
@@ -22,7 +22,7 @@ RECORDED = Recorded(
     span=1000.0,
 )
 """What the files of no recordings say."""
-SIGNATURES: dict[str, Signature] = {s.name: s for s in looked_for(RECORDED)}
+SIGNATURES: dict[str, Signature] = {s.name: s for s in signatures(RECORDED)}
 
 
 def white(rng, *, kinds=("dark", "dark", "flat"), frames=4, size=(64, 96), sigma=3.0, signal=3.6):

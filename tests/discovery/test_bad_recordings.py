@@ -16,7 +16,9 @@ SIZE = (64, 64)
 
 def found(capture):
     first = prepare_split(capture, split_recordings(capture))
-    fitted = stepwise(first.fields, first.signatures, frozenset(registered(())), float(np.log(0.01)))
+    fitted = stepwise(
+        first.fields, first.signatures, frozenset(e.id for e in registered(())), float(np.log(0.01))
+    )
     return {s.named.mechanism: s.named.score.amplitude for s in fitted.steps}
 
 

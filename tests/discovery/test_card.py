@@ -31,7 +31,7 @@ def told(alter, name, seed):
     prepared = prepare_split(capture, split_recordings(capture))
     probe = next(p for p in prepared.signatures if p.name == name)
     named = Named(probe.score(prepared.fields), probe, "unknown", (("unknown", 1.0),), False)
-    ids = frozenset(registered(HIDDEN))
+    ids = frozenset(e.id for e in registered(HIDDEN))
     return card(Step(named, prepared.fields, -20.0), prepared.signatures, ids), ids
 
 

@@ -1,15 +1,24 @@
 """What can be tested, and what is said of the rest."""
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.declare import NEEDS, UNTESTED, needs
-from cannoise_jax.mechanisms import VOCABULARY
+from cannoise_jax.discovery.battery import splits_of
+from cannoise_jax.discovery.declare import needs
+from cannoise_jax.mechanisms import ENTRIES
 from tests.discovery.capture import capture_set
 
 
 def test_every_mechanism_is_looked_for_or_said_not_to_be():
-    capture = capture_set(1)
-    probes = prepare_split(capture, split_recordings(capture), judge_stated=True).signatures
-    looked_for = {p.mechanism for p in probes} | {m for p in probes for m in p.reads_as}
-    assert set(VOCABULARY) - {"unknown"} == set(NEEDS)
-    assert set(NEEDS) - looked_for == set(UNTESTED)
-    assert all(needs(id).startswith("nothing looks for it yet") == (id in UNTESTED) for id in NEEDS)
+    signatures = splits_of(capture_set(1), judge_stated=True).looking.signatures
+    seen = {s.mechanism for s in signatures} | {m for s in signatures for m in s.reads_as}
+    for entry in ENTRIES:
+        assert entry.looked_for == (entry.id in seen), entry.id
+        assert needs(entry).startswith("nothing looks for it yet") == (not entry.looked_for)
+
+
+def test_every_signature_names_others_that_exist():
+    signatures = splits_of(capture_set(1), judge_stated=True).looking.signatures
+    names = {s.name for s in signatures}
+    assert len(names) == len(signatures)
+    ids = {entry.id for entry in ENTRIES}
+    for s in signatures:
+        assert {*s.covers, *s.lifted_by} <= names, s.name
+        assert {s.mechanism, *s.reads_as} <= ids | {None}, s.name

@@ -33,7 +33,9 @@ def flickering(strength, colours=(1.0, 1.0, 1.0, 1.0)):
 
 def looked_at(capture):
     first = prepare_split(capture, split_recordings(capture))
-    return first, stepwise(first.fields, first.signatures, frozenset(registered(())), np.log(0.01))
+    return first, stepwise(
+        first.fields, first.signatures, frozenset(e.id for e in registered(())), np.log(0.01)
+    )
 
 
 @pytest.mark.parametrize("kinds", ["df", "sdf"])

@@ -37,7 +37,7 @@ def looked_at(alter, flats=1):
     lit = [r for r in whole.recordings if r.kind == "flat"][-flats:]
     capture = CaptureSet(whole.camera, (*(r for r in whole.recordings if r.kind == "dark"), *lit))
     first = prepare_split(capture, split_recordings(capture))
-    fitted = stepwise(first.fields, first.signatures, frozenset(registered()), np.log(0.01))
+    fitted = stepwise(first.fields, first.signatures, frozenset(e.id for e in registered()), np.log(0.01))
     return capture, first, fitted
 
 

@@ -34,7 +34,9 @@ def looked_at(capture):
 
 def found(capture, without=()):
     first = looked_at(capture)
-    fitted = stepwise(first.fields, first.signatures, frozenset(registered(without)), float(np.log(0.01)))
+    fitted = stepwise(
+        first.fields, first.signatures, frozenset(e.id for e in registered(without)), float(np.log(0.01))
+    )
     return first, fitted.steps
 
 

@@ -67,5 +67,5 @@ def test_a_bent_response_is_no_wrong_scale():
 
     capture = capture_set(8, alter, kinds="sd", size=(96, 128))
     first = prepare_split(capture, split_recordings(capture))
-    fitted = stepwise(first.fields, first.signatures, frozenset(registered()), np.log(0.01))
+    fitted = stepwise(first.fields, first.signatures, frozenset(e.id for e in registered()), np.log(0.01))
     assert [s.named.mechanism for s in fitted.steps] == ["nonlinearity"]

@@ -268,7 +268,12 @@ def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():
 
     def said(scales):
         signature = SIGNATURES[f"pixel_{scales}_static"]
-        return sentence(entry, SimpleNamespace(named=SimpleNamespace(signature=signature), late=False), proof)
+        return sentence(
+            entry,
+            SimpleNamespace(named=SimpleNamespace(signature=signature), late=False),
+            proof,
+            VOCABULARY["dsnu"].definition,
+        )
 
     assert "growing with the exposure" in said("thermal")
     assert "growing" not in said("additive")

@@ -1,0 +1,151 @@
+"""The expected mean of a recording, and what of it is nobody's fault: light is a nuisance.
+
+A dark has one level per mosaic site, a flat without a reference a smooth surface of as many Legendre products
+as the recording itself asks for (lenses darken corners by half, which no low degree follows), a scene or flat
+with a reference an offset and a factor per site. Drawn frames are fitted anew by the same family, so that
+nothing is compared that light could have made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+_CELL = 8
+_FEWEST = 16
+_DEGREES = (2, 4, 6, 8, 10, 12)
+SITES = tuple((y, x) for y in (0, 1) for x in (0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """How the mean is fitted: `degree` of a surface (0: a level per site), or a normalised reference."""
+
+    degree: int
+    reference: Float[np.ndarray, "h w"] | None = None
+
+    def fit(self, mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> np.ndarray:
+        """The fitted mean of every pixel, DN."""
+        out = np.empty(mean.shape, np.float32)
+        for y, x in SITES:
+            at = np.s_[y::2, x::2]
+            if self.reference is not None:
+                out[at] = _affine(mean[at], self.reference[at], usable[at])
+            else:
+                out[at] = surface(mean[at], usable[at], self.degree)
+        return out
+
+    def residual(
+        self, mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The mean minus the fitted one, and the level of every site, DN."""
+        fitted = self.fit(mean, usable)
+        return mean - fitted, np.array([float(fitted[y::2, x::2].mean()) for y, x in SITES])
+
+
+class Cells(NamedTuple):
+    """Means of cells of 8 x 8 pixels of one site (of fewer in small frames), pixels that stand out left
+    aside, and their numbers; size: of the site."""
+
+    value: Float[np.ndarray, "a b"]
+    weight: Float[np.ndarray, "a b"]
+    size: tuple[int, int]
+
+
+def light_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> Light:
+    """The light of a flat: the degree that a Bayesian information criterion of its cells asks for."""
+    best, chosen = np.inf, _DEGREES[0]
+    sites = [cells_of(mean[y::2, x::2], usable[y::2, x::2]) for y, x in SITES]
+    for degree in _DEGREES:
+        score = 0.0
+        for cells in sites:
+            _, rest, count, terms = _fit(cells, degree)
+            if count < 3 * terms:
+                return Light(chosen)
+            score += count * np.log(max(rest, 1e-12)) + terms * np.log(count)
+        if score < best - 6:
+            best, chosen = score, degree
+    return Light(chosen)
+
+
+def surface(mean: Float[np.ndarray, "a b"], usable: Bool[np.ndarray, "a b"], degree: int) -> np.ndarray:
+    """Surface of Legendre products up to `degree` through the cells of one site; 0: its level."""
+    if degree == 0:
+        return np.full(mean.shape, _bulk(mean[usable]) if usable.any() else mean.mean(), np.float32)
+    table = _fit(cells_of(mean, usable), degree)[0]
+    rows, columns = _legendre(mean.shape[0], degree), _legendre(mean.shape[1], degree)
+    return (rows.T @ table @ columns).astype(np.float32)
+
+
+def _fit(cells: Cells, degree: int) -> tuple[np.ndarray, float, int, int]:
+    """Coefficients of the products, mean square left over the cells, cells and terms."""
+    bases = [
+        _cell_means(_legendre(n, degree)[:, : k * (n // k)], k)
+        for n, k in zip(cells.size, cells.value.shape, strict=True)
+    ]
+    pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    basis = np.stack([np.outer(bases[0][i], bases[1][j]).ravel() for i, j in pairs], 1)
+    values, root = cells.value.ravel(), np.sqrt(cells.weight.ravel())
+    beta = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
+    rest = values - np.einsum("nk,k->n", basis, beta)
+    table = np.zeros((degree + 1, degree + 1))
+    for (i, j), b in zip(pairs, beta, strict=True):
+        table[i, j] = b
+    used = root > 0
+    left = float(np.sum(rest[used] ** 2) / max(used.sum() - len(pairs), 1))
+    return table, left, int(used.sum()), len(pairs)
+
+
+def cells_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> Cells:
+    """Cells of one site; the pixels left over at the far edges join none."""
+    a, b = (max(n // _CELL, min(_FEWEST, n // 2), 1) for n in mean.shape)
+    cell = [mean.shape[0] // a, mean.shape[1] // b]
+
+    def cut(values):
+        blocks = values[: a * cell[0], : b * cell[1]].reshape(a, cell[0], b, cell[1])
+        return blocks.swapaxes(1, 2).reshape(a, b, -1)
+
+    values, ok = cut(mean).astype(np.float64), cut(usable)
+    centre = np.median(values, 2, keepdims=True)
+    away = np.abs(values - centre)
+    # Where most values are one code, the median of what is away from it is zero: then all count.
+    spread = 1.4826 * np.median(away, 2, keepdims=True)
+    ok = ok & (away <= np.where(spread > 0, 5 * spread, np.inf))
+    weight = ok.sum(2)
+    return Cells(np.sum(values * ok, 2) / np.maximum(weight, 1), weight, mean.shape)  # type: ignore[arg-type]
+
+
+def _bulk(values: np.ndarray) -> float:
+    """Mean of the values within five robust standard deviations of their median."""
+    centre = np.median(values)
+    away = np.abs(values - centre)
+    kept = values[away <= max(5 * 1.4826 * float(np.median(away)), 1e-6)]
+    return float(kept.mean()) if kept.size > 0.5 * values.size and np.ptp(kept) > 0 else float(values.mean())
+
+
+@lru_cache(maxsize=32)
+def _legendre(side: int, degree: int) -> np.ndarray:
+    at = 2 * np.arange(side) / max(side - 1, 1) - 1
+    return np.stack([np.polynomial.legendre.legval(at, np.eye(degree + 1)[k]) for k in range(degree + 1)])
+
+
+def _cell_means(basis: np.ndarray, cells: int) -> np.ndarray:
+    """The basis as means of cells sees it."""
+    return np.stack([part.mean(1) for part in np.array_split(basis, cells, axis=1)], 1)
+
+
+def _affine(mean: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Offset and factor of a reference, pixels that stand out left aside; of an even one, the offset."""
+    x, values = reference[usable].astype(np.float64), mean[usable].astype(np.float64)
+    if x.size < 16 or np.ptp(x) < 1e-6:
+        return np.full(mean.shape, _bulk(values) if values.size else mean.mean(), np.float32)
+    kept = np.ones(x.size, bool)
+    for _ in range(3):
+        slope, offset = np.polyfit(x[kept], values[kept], 1)
+        rest = values - slope * x - offset
+        kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest[kept])) + 1e-6
+    return (slope * reference + offset).astype(np.float32)

@@ -1,0 +1,181 @@
+"""The bank of one recording: every family of statistics of its view, unit by unit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from cannoise_jax.discovery.compare.view import RESIDUES, View
+from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.fields import helmert
+
+
+class Family(NamedTuple):
+    """One family of one recording. law: `energy`, `mean` or `count`. values: by unit and statistic. size:
+    degrees of freedom of an energy, variance of a unit's mean under white noise, 1 for counts. frames: of
+    which a static map is the mean."""
+
+    law: str
+    values: Float[np.ndarray, "u k"]
+    size: Float[np.ndarray, "k"]
+    frames: int = 1
+
+
+class Measured(NamedTuple):
+    """The families of one recording by name, the summed periodogram of its contrasts and how many they are,
+    and its static map for the comparison between recordings (None: not known)."""
+
+    families: dict[str, Family]
+    power: Float[np.ndarray, "h v"] | None
+    contrasts: int
+    static: Float[np.ndarray, "h w"] | None
+
+
+TEMPORAL, STATIC = "frame to frame", "fixed"
+TAILS = (-3.5, -2.5, 2.5, 3.5)
+UNSTEADY = (1e-2, 1e-3, 1e-4, 1e-6)
+STANDING = (-20.0, -10.0, -5.0, 5.0, 10.0, 20.0, 40.0, 80.0)
+_NEXT = [(dy, dx) for dy in (0, 1, 2) for dx in (-2, -1, 0, 1, 2)]
+
+
+BROAD = 0.75
+"""Codes modulo m are compared where the noise is as many times m: then no level can favour a residue."""
+
+
+def measure(
+    seen: View, level_known: bool, degree: int, variance: Float[np.ndarray, "4"], step: float
+) -> Measured:
+    """Every family of one view. level_known: whether the mean of the frames is the simulator's to tell;
+    degree: of the surface that was taken out of the static map; variance: of a pixel of every site, DN^2;
+    step: of the codes, DN."""
+    families: dict[str, Family] = {}
+    n, size = len(seen.z), seen.kept.size
+    share = float(max(seen.kept.mean(), 1e-6))
+    power = None
+    if n and seen.kept.any():
+        kept = seen.kept.astype(np.float32)
+        rows = [_unit(z, kept, share) for z in seen.z]
+        for name, law, width in _unit_families(seen.kept.shape, size * share):
+            families[f"{TEMPORAL}: {name}"] = Family(law, np.stack([r[name] for r in rows]), width)
+        power = np.sum([bank.power(z, share) for z in seen.z], 0)
+        limits = np.array([stats.chi2.isf(p, n) / n for p in UNSTEADY])
+        over = [(seen.steadiness[seen.usable] > t).sum() for t in limits]
+        under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in (1e-2, 1e-3)]
+        families["pixels: unsteady"] = _count(np.array([[*over, *under]]))
+        families["pixels: one frame only"] = _count(seen.single[:, None])
+        if n > 1:
+            families["next frame: products"] = _next(seen, share)
+    families["rails"] = _count(seen.rails)
+    broad = np.repeat([np.sqrt(np.mean(variance)) > BROAD * m * step for m in RESIDUES], RESIDUES)
+    families["codes"] = _count((seen.codes * broad)[None])
+    if level_known and seen.static is not None:
+        own = np.asarray(variance) / max(size * share / 4, 1)
+        families["level"] = Family("mean", seen.level, own)
+    if seen.static is not None and seen.static_kept.any():
+        share = float(max(seen.static_kept.mean(), 1e-6))
+        row = _unit(seen.static, seen.static_kept.astype(np.float32), share)
+        for name, law, width in _unit_families(seen.kept.shape, size * share):
+            if name == "structure":
+                width = width * ~absorbed(seen.kept.shape, degree).ravel()
+            families[f"{STATIC}: {name}"] = Family(law, row[name][None], width, n + 1)
+        if degree == 0:  # else it is what the surface took out
+            first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
+            families[f"{STATIC}: smooth maps"] = Family(
+                "mean", first, np.full(first.size, 1 / (size * share))
+            )
+        values = seen.outlying[seen.usable]  # type: ignore[index]
+        counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING]
+        families["pixels: standing out"] = _count(np.array([counts]))
+    return Measured(families, power, n, seen.static)
+
+
+def absorbed(shape: tuple[int, int], degree: int) -> np.ndarray:
+    """Coefficients of a static map that the fit of its mean has taken out, `bool[4, i, j]`: the whole
+    frame of every site, and all that is as smooth both ways as the surface of the light."""
+    sides = [bank.cropped_side(n) // 2 for n in shape]
+    rows, columns = (
+        np.array([s.whole or (degree > 0 and s.length > n / degree) for s in bank.scales(n)]) for n in sides
+    )
+    return np.broadcast_to(np.outer(rows, columns), (4, rows.size, columns.size))
+
+
+def _count(values: np.ndarray) -> Family:
+    values = np.asarray(values, float)
+    return Family("count", values, np.ones(values.shape[1]))
+
+
+def _unit_families(shape: tuple[int, int], pixels: float) -> list[tuple[str, str, np.ndarray]]:
+    """Families of a unit: name, law, and the sizes of `Family`."""
+    at = bank.lags()
+    h, w = (m - m % 2 for m in shape)
+    pairs = np.maximum((h - at[:, 0]) * (w - np.abs(at[:, 1])), 1) * pixels / (shape[0] * shape[1])
+    near = np.tile(pairs[bank.near_lags()], 3)
+    orders = np.repeat([2.0, 6.0, 24.0], len(bank.MOMENTS)) / pixels
+    return [
+        ("structure", "energy", bank.counts(shape).ravel()),
+        ("neighbours", "mean", 1 / pairs),
+        ("neighbours by parity", "mean", 1 / near),
+        ("moments", "mean", orders),
+        ("tails", "count", np.ones(len(TAILS))),
+    ]
+
+
+def _unit(z: np.ndarray, kept: np.ndarray, share: float) -> dict[str, np.ndarray]:
+    """One field. Its level is the energies' and the second moment's to tell: all else is of the field divided
+    by its own root mean square, so that a noisier one is not skewed, tailed or correlated for that."""
+    own = z / np.float32(np.sqrt(max(float(np.mean(z * z)) / share, 1e-9)))
+    alone = bank.without_lines(own) * kept
+    together, apart = bank.product_statistics(bank.products(alone, share))
+    moments = bank.hermite(own, kept)
+    moments[0] = bank.maps((z * z - 1) * kept, kept)
+    return {
+        "structure": bank.energies(z, share).ravel(),
+        "neighbours": together,
+        "neighbours by parity": apart,
+        "moments": moments.ravel(),
+        "tails": np.array([(own < t).sum() if t < 0 else (own > t).sum() for t in TAILS], float),
+    }
+
+
+def _next(seen: View, share: float) -> Family:
+    """Mean products of a frame with the next one at small lags, whole frames' means out."""
+    n = len(seen.z)
+    matrix = helmert(n + 1).astype(np.float32)
+    kept = seen.kept
+    total = np.zeros(len(_NEXT))
+    before = None
+    h, w = kept.shape
+    for t in range(n + 1):
+        frame = np.tensordot(matrix[:, t], seen.z, 1)
+        frame = bank.without_lines(frame) * kept
+        if before is not None:
+            for k, (dy, dx) in enumerate(_NEXT):
+                a = before[: h - dy, max(-dx, 0) : w - max(dx, 0)]
+                b = frame[dy:, max(dx, 0) : w - max(-dx, 0)]
+                total[k] += float(np.einsum("ij,ij->", a, b)) / (a.size * share)
+        before = frame
+    variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * n) for dy, dx in _NEXT])
+    total /= n * max(float(np.mean(seen.z**2)) / share, 1e-9)
+    return Family("mean", total[None], variance)
+
+
+def shared(first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
+    """Correlation of two static maps: pixel by pixel (lines out), of row means and of column means."""
+    out = [_correlation(bank.without_lines(first), bank.without_lines(second))]
+    for axis in (1, 0):
+        out.append(_correlation(*(_rough(m.mean(axis, dtype=np.float64)) for m in (first, second))))
+    return np.array(out)
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    scale = np.sqrt(np.mean(a * a, dtype=np.float64) * np.mean(b * b, dtype=np.float64))
+    return float(np.mean(a * b, dtype=np.float64) / max(scale, 1e-12))
+
+
+def _rough(profile: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """A profile without what is smooth: that may be light."""
+    at = np.linspace(-1, 1, profile.size)
+    return profile - np.polynomial.legendre.legval(at, np.polynomial.legendre.legfit(at, profile, 12))

@@ -1,0 +1,202 @@
+"""The layer at work: every recording is read, drawn as often, reduced and measured, and all of it judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.discovery.calibrate import gain_groups
+from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
+from cannoise_jax.discovery.compare.light import Light, light_of
+from cannoise_jax.discovery.compare.measure import Family, Measured, measure, shared
+from cannoise_jax.discovery.compare.sources import Source, open_source
+from cannoise_jax.discovery.compare.view import SITES, Raw, noise_of, reduce, view
+from cannoise_jax.discovery.simulate import Draw
+from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, iso_numbers
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+
+DRAWN = 40e6
+"""Pixels that are drawn at most, all sets and frames together; at least two sets are."""
+MOST_SETS = 4
+
+
+class Seen(NamedTuple):
+    """What is kept of one recording for the report: its name and kind, the simulator's noise per site (DN)
+    and
+    the mean of its logarithm over the pixels, mean signal above black (DN), pixels and frames; degree of the
+    surface that stands for the light, 0 where none does."""
+
+    name: str
+    kind: str
+    sigma: Float[np.ndarray, "4"]
+    log_sigma: float
+    signal: float
+    size: tuple[int, int]
+    frames: int
+    exposure_s: float | None
+    degree: int
+
+
+class Compared(NamedTuple):
+    """The bank of the recordings and of every set of the simulator, by recording, and what was judged."""
+
+    label: str
+    camera: str
+    alpha: float
+    seen: dict[str, Seen]
+    recorded: dict[str, Measured]
+    simulated: dict[str, list[Measured]]
+    judgements: list[Judgement]
+    peaks: list[Peak]
+    sets: int
+    step: float
+
+
+def compare_bank(
+    capture: CaptureSet,
+    simulator: str | Path | SensorModel | CaptureSet | Draw,
+    key: Key[Array, ""] | None = None,
+    *,
+    alpha: float = 0.01,
+    sets: int | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Compared:
+    """All statistics of the bank, of the recordings and of draws of a simulator at equal settings.
+
+    Raises BadInput for a simulator that cannot be judged, ValueError for an alpha out of (0, 1).
+    """
+    if not 0 < alpha < 1:
+        raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
+    key = jax.random.key(0) if key is None else key
+    source = open_source(simulator, capture, key)
+    total = sum(min(r.count, MOST_FRAMES) * r.size[0] * r.size[1] for r in capture.recordings)
+    count = int(np.clip(DRAWN // total, 2, MOST_SETS)) if sets is None else sets
+    count = count if source.sets is None else min(count, source.sets)
+    step = code_step(capture)
+    isos = iso_numbers(gain_groups(capture))
+    recorded: dict[str, Measured] = {}
+    simulated: dict[str, list[Measured]] = {}
+    seen: dict[str, Seen] = {}
+    for number, r in enumerate(capture.recordings):
+        tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}")
+        done = _one(source, number, r, count, step, isos[r.iso])
+        if done is None:
+            continue
+        name = Path(r.path or f"{number} {r.kind}").stem
+        name = name if name not in seen else f"{name} ({number})"
+        seen[name], recorded[name], simulated[name] = done[0]._replace(name=name), done[1], done[2]
+    if not recorded:
+        raise BadInput(
+            f"{source.label}: draws none of the recordings: give flats, or darks to a camera model"
+        )
+    _between(recorded, simulated, seen)
+    kinds = {n: "dark" if s.kind in ("dark", "bias") else "lit" for n, s in seen.items()}
+    judgements, peaks = judge(recorded, simulated, kinds, alpha)
+    return Compared(
+        source.label, capture.camera, alpha, seen, recorded, simulated, judgements, peaks, count, step
+    )
+
+
+def chosen_frames(r: Recording) -> np.ndarray:
+    """Numbers of the frames that are looked at: at most `MOST_FRAMES`, spread evenly."""
+    return np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
+
+
+def _one(
+    source: Source, number: int, r: Recording, sets: int, step: float, iso: float
+) -> tuple[Seen, Measured, list[Measured]] | None:
+    """One recording: its bank, and that of every set; None where the simulator draws none of it."""
+    frames = np.stack([np.asarray(r.frames[t : t + 1])[0] for t in chosen_frames(r)])
+    dark = r.kind in ("dark", "bias")
+    high = min(float(r.white_level), 65535.0)
+    raw = reduce(frames, high, dark, step)
+    light = light_for(r, raw, dark)
+    known = light if light is not None else _scene(raw)
+    fitted = known.fit(raw.mean, raw.usable)
+    clean = _clean(r, fitted, source, dark)
+    settings = Settings(iso, r.exposure_s if r.exposure_s is not None else 0.01, r.temperature_c, len(frames))
+    drawn = [source.frames(m, number, clean, settings) for m in range(sets)]
+    if any(d is None for d in drawn):
+        return None
+    if len(drawn[0]) < len(frames):  # type: ignore[arg-type]
+        raw = reduce(frames[: len(drawn[0])], high, dark, step)  # type: ignore[arg-type]
+    raws = [reduce(d, high, dark, step) for d in drawn]  # type: ignore[arg-type]
+    means = [known.fit(d.mean, d.usable) for d in raws]
+    noise = noise_of(raws, np.mean(means, 0), step)
+    level = dark and light is not None
+    variance = np.array([float(np.mean(v)) for v in noise.variance])
+    degree = light.degree if light is not None else 0
+    real = measure(view(raw, noise, fitted, light), level, degree, variance, step)
+    simulated = []
+    while raws:
+        simulated.append(
+            measure(view(raws.pop(0), noise, means.pop(0), light), level, degree, variance, step)
+        )
+    sigma, log_sigma = np.sqrt(variance), float(np.mean(np.log(noise.sigma(fitted))))
+    signal = float(np.mean(fitted) - np.mean(r.black_level))
+    return (
+        Seen("", r.kind, sigma, log_sigma, signal, r.size, raw.frames, r.exposure_s, degree),
+        real,
+        simulated,
+    )
+
+
+def light_for(r: Recording, raw: Raw, dark: bool) -> Light | None:
+    """How the mean of a recording is modelled; None where it is not known: scenes without a reference, or
+    with one made of the camera's own frames."""
+    if dark:
+        return Light(0)
+    if r.clean is not None and r.reference != "burst_mean":
+        clean = np.asarray(r.clean, np.float32)
+        clean = clean.mean(0) if clean.ndim == 3 else clean
+        return Light(0, clean)
+    if r.kind == "flat":
+        return light_of(raw.mean, raw.usable)
+    return None
+
+
+def _scene(raw: Raw) -> Light:
+    """The scene by itself: its own mean."""
+    return Light(0, raw.mean)
+
+
+def _clean(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -> np.ndarray:
+    """The normalised signal to ask for."""
+    if dark:
+        return np.zeros(r.size, np.float32)
+    if r.clean is not None:
+        clean = np.asarray(r.clean, np.float32)
+        return clean.mean(0) if clean.ndim == 3 else clean
+    cell = np.asarray(r.black_level if source.black is None else source.black, np.float32)
+    black = np.empty(r.size, np.float32)
+    for value, (y, x) in zip(cell, SITES, strict=True):
+        black[y::2, x::2] = value
+    white = float(r.white_level) if source.white is None else source.white
+    return np.maximum((fitted - black) / (white - black), 0).astype(np.float32)
+
+
+def _between(
+    recorded: dict[str, Measured], simulated: dict[str, list[Measured]], seen: dict[str, Seen]
+) -> None:
+    """Adds what the static maps of two recordings share, as a family of the second."""
+    order = [n for n in recorded if recorded[n].static is not None]
+    order.sort(key=lambda n: (seen[n].kind not in ("dark", "bias"), seen[n].exposure_s or 0.0))
+    for first, second in zip(order, order[1:], strict=False):
+        if seen[first].size != seen[second].size:
+            continue
+        rows, columns = seen[first].size
+        size = 1 / np.array([rows * columns, rows, columns])
+
+        def family(a: Measured, b: Measured, size=size) -> Family:
+            assert a.static is not None and b.static is not None
+            return Family("mean", shared(a.static, b.static)[None], size)
+
+        recorded[second].families["shared with another recording"] = family(recorded[first], recorded[second])
+        for a, b in zip(simulated[first], simulated[second], strict=True):
+            b.families["shared with another recording"] = family(a, b)

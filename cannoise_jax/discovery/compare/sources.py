@@ -1,0 +1,146 @@
+"""What is compared with the recordings: anything that draws frames, or a folder of frames drawn already.
+
+A source gives sets of frames, one frame stack per recording and set. Models draw new frozen patterns in every
+set where none were measured, so that a set is another unit of the camera."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Key, UInt16
+
+from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.draws import drawing
+from cannoise_jax.discovery.model import baseline_model
+from cannoise_jax.discovery.simulate import Draw, codes_of, open_simulator
+from cannoise_jax.discovery.stacks import code_step
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+
+Frames = UInt16[np.ndarray, "t h w"]
+
+
+class Source(NamedTuple):
+    """A simulator to compare with. frames(set, number, clean, settings): its frames of one recording, None
+    for
+    one that it does not draw; sets: how many it can give, None: any number; black, white: its own levels, DN,
+    None: those of the recordings. lit: whether frames of given light can be asked for (a folder has its own).
+    """
+
+    label: str
+    frames: Callable[[int, int, Float[np.ndarray, "h w"], Settings], Frames | None]
+    sets: int | None = None
+    black: Float[np.ndarray, "4"] | None = None
+    white: float | None = None
+    asked: bool = True
+
+
+def open_source(
+    simulator: str | Path | SensorModel | CaptureSet | Draw, capture: CaptureSet, key: Key[Array, ""]
+) -> Source:
+    """The source of a model, a function or `module:function`, a sensor.json, a training folder, a capture set
+    of simulated frames or a folder of them, or 'poisson-gaussian', calibrated from the recordings.
+
+    Raises BadInput for what is none.
+    """
+    if isinstance(simulator, CaptureSet):
+        return _recorded(simulator, capture)
+    if isinstance(simulator, SensorModel):
+        return _modelled(simulator, key)
+    if isinstance(simulator, str) and simulator == "poisson-gaussian":
+        prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+        return _modelled(baseline_model(capture, prepared), key)._replace(label=simulator)
+    if isinstance(simulator, str) and ":" in simulator and not Path(simulator).exists():
+        simulator = _imported(simulator)
+    elif isinstance(simulator, (str, Path)) and Path(simulator).is_dir() and _holds_frames(Path(simulator)):
+        return _recorded(load_capture_set(simulator), capture)._replace(label=str(simulator))
+    opened = open_simulator(simulator, capture)
+    if opened.model is not None:
+        return _modelled(opened.model, key)._replace(label=opened.label)
+    step = code_step(capture)
+
+    def frames(number_of_set: int, number: int, clean, settings: Settings):
+        own = jax.random.fold_in(key, number_of_set)
+        return codes_of(opened.draw, capture, own, step, opened.dark)(number, clean, settings)
+
+    return Source(opened.label, frames)
+
+
+def _holds_frames(folder: Path) -> bool:
+    try:
+        load_capture_set(folder)
+    except BadInput:
+        return False
+    return True
+
+
+def _imported(name: str) -> Draw:
+    """The function of `module:function` or `file.py:function`. Raises BadInput where there is none."""
+    where, _, what = name.rpartition(":")
+    try:
+        if where.endswith(".py"):
+            spec = importlib.util.spec_from_file_location(Path(where).stem, where)
+            if spec is None or spec.loader is None:
+                raise ImportError(f"no module in {where}")
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            if "" not in sys.path:
+                sys.path.insert(0, "")
+            module = importlib.import_module(where)
+        return getattr(module, what)
+    except (ImportError, AttributeError, OSError, SyntaxError) as error:
+        raise BadInput(
+            f"{name}: cannot be imported ({error}): give module:function or file.py:function"
+        ) from error
+
+
+def _modelled(model: SensorModel, key: Key[Array, ""]) -> Source:
+    def frames(number_of_set: int, number: int, clean, settings: Settings):
+        own = dataclasses.replace(model, unit_key=jax.random.fold_in(model.unit_key, number_of_set))
+        return drawing(own, jax.random.fold_in(key, number_of_set))(number, clean, settings)
+
+    black = np.asarray(model.black_level, float)
+    return Source(model.camera, frames, None, black, float(np.asarray(model.white_level)))
+
+
+def _recorded(simulated: CaptureSet, capture: CaptureSet) -> Source:
+    """Frames drawn already, matched to the recordings by kind and settings, in the order of both where
+    several are alike."""
+    matched: dict[int, Recording] = {}
+    free = list(simulated.recordings)
+    for number, r in enumerate(capture.recordings):
+        alike = [s for s in free if _settings(s) == _settings(r)]
+        named = [s for s in alike if s.path and r.path and Path(s.path).stem == Path(r.path).stem]
+        if named or alike:
+            matched[number] = (named or alike)[0]
+            free = [s for s in free if s is not matched[number]]
+    if not matched:
+        raise BadInput(
+            f"{simulated.path or 'simulated frames'}: no recording of the kind, exposure, ISO and size of "
+            f"any of {capture.path or 'the recordings'}: simulate those settings"
+        )
+    sets = min(max(matched[n].count // max(min(capture.recordings[n].count, 16), 1), 1) for n in matched)
+
+    def frames(number_of_set: int, number: int, clean, settings: Settings):
+        if number not in matched:
+            return None
+        mine = matched[number]
+        count = min(settings.frames, mine.count)
+        start = number_of_set * count
+        return np.asarray(mine.frames[start : start + count])
+
+    return Source(simulated.path or simulated.camera, frames, sets, asked=False)
+
+
+def _settings(r: Recording) -> tuple:
+    return (r.kind, r.size, r.exposure_s, r.iso, r.temperature_c)

@@ -1,0 +1,207 @@
+"""How frames are seen: as contrasts in time and a static map, divided by the simulator's noise, with pixels
+that are not like the others set aside.
+
+Recordings and draws go through the same functions, so that whatever these do to a law they do to both.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt16
+from scipy import stats
+
+from cannoise_jax.discovery.compare.light import Light
+from cannoise_jax.signatures.fields import helmert
+
+FAR = 1e-5
+"""Chance by which a pixel of normal noise is set aside."""
+SINGLE = 6.0
+"""Standard deviations from which one value of one frame is an outlier."""
+STATIC = 6.0
+"""Robust standard deviations from which a pixel of the static map stands out."""
+RESIDUES = (2, 4, 8, 16)
+"""The stored codes are counted modulo each of these."""
+SITES = tuple((y, x) for y in (0, 1) for x in (0, 1))
+
+
+class Noise(NamedTuple):
+    """The simulator's noise of one recording: variance (DN^2) of every mosaic site at its signal knots."""
+
+    knots: tuple[np.ndarray, ...]
+    variance: tuple[np.ndarray, ...]
+
+    def sigma(self, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """Standard deviation of every pixel, DN."""
+        out = np.empty(signal.shape, np.float32)
+        for (y, x), knots, variance in zip(SITES, self.knots, self.variance, strict=True):
+            out[y::2, x::2] = np.sqrt(np.interp(signal[y::2, x::2], knots, variance))
+        return out
+
+
+class Raw(NamedTuple):
+    """Frames reduced, in DN: contrasts in time, mean, and which pixels are never at a rail; rails: pixels of
+    every frame at the low and the high one; codes: how often each residue of the stored codes modulo each of
+    `RESIDUES` occurs among usable pixels."""
+
+    contrasts: Float[np.ndarray, "n h w"]
+    mean: Float[np.ndarray, "h w"]
+    usable: Bool[np.ndarray, "h w"]
+    rails: Float[np.ndarray, "t 2"]
+    frames: int
+    codes: Float[np.ndarray, "k"]
+
+
+class View(NamedTuple):
+    """One recording as the bank sees it; standardised, masked pixels zero.
+
+    z: contrasts, kept: pixels of them; static: mean over frames minus the expected one, times the root of the
+    number of frames (None: not known), static_kept: pixels of it, outlying: the map before any was set aside.
+    steadiness: mean square of every pixel's contrasts
+    over that of the bulk; single: pixels of each frame whose value lies off
+    alone. level: mean of every frame and site, DN (of contrasts alone where `static` is None).
+    """
+
+    z: Float[np.ndarray, "n h w"]
+    kept: Bool[np.ndarray, "h w"]
+    static: Float[np.ndarray, "h w"] | None
+    static_kept: Bool[np.ndarray, "h w"]
+    outlying: Float[np.ndarray, "h w"] | None
+    usable: Bool[np.ndarray, "h w"]
+    steadiness: Float[np.ndarray, "h w"]
+    single: Float[np.ndarray, "t"]
+    level: Float[np.ndarray, "t 4"]
+    rails: Float[np.ndarray, "t 2"]
+    codes: Float[np.ndarray, "k"]
+
+
+def reduce(frames: UInt16[np.ndarray, "t h w"], high: float, dark: bool, step: float) -> Raw:
+    """Contrasts, mean and rails of frames; `high`: the level at which a pixel is full, DN."""
+    count = len(frames)
+    first = frames[0].astype(np.float32)
+    moved = frames.astype(np.float32) - first
+    matrix = helmert(count).astype(np.float32) if count > 1 else np.zeros((0, 1), np.float32)
+    contrasts = np.tensordot(matrix, moved, 1)
+    low, full = frames == 0, frames >= high - 0.5
+    rails = np.stack([low.mean((1, 2)), full.mean((1, 2))], 1) * frames[0].size
+    usable = ~(low | full).any(0)
+    if dark and usable.mean() < 0.9:
+        usable = ~full.any(0)
+    most = RESIDUES[-1]
+    index = np.round(frames[:, usable] / step).astype(np.int64) % most
+    counts = np.bincount(index.ravel(), minlength=most).astype(float)
+    codes = np.concatenate([counts.reshape(-1, m).sum(0) for m in RESIDUES])
+    return Raw(contrasts, first + moved.mean(0), usable, rails, count, codes)
+
+
+def noise_of(drawn: list[Raw], signal: Float[np.ndarray, "h w"], step: float) -> Noise:
+    """The noise of a simulator from its draws, over the signal where that varies by more than the noise."""
+    knots, variances = [], []
+    for y, x in SITES:
+        s = signal[y::2, x::2].ravel()
+        parts = [np.mean(r.contrasts[:, y::2, x::2] ** 2, 0).ravel() for r in drawn if len(r.contrasts)]
+        if not parts:
+            parts = [_scatter(r.mean[y::2, x::2] - signal[y::2, x::2]) for r in drawn]
+        v = np.mean(parts, 0)
+        dof = max(sum(len(r.contrasts) for r in drawn), 1)
+        used = np.mean([r.usable[y::2, x::2] for r in drawn], 0).ravel() > 0
+        typical = float(np.median(v))
+        bins = int(np.clip(np.ptp(s) ** 2 / max(400 * typical, 1e-9), 1, 16)) if s.size else 1
+        edges = np.unique(np.quantile(s, np.linspace(0, 1, bins + 1)[1:-1])) if bins > 1 else np.zeros(0)
+        which = np.searchsorted(edges, s)
+        at, value = [], []
+        for b in range(len(edges) + 1):
+            mine = (which == b) & used
+            if mine.sum() < 32:
+                continue
+            at.append(float(s[mine].mean()))
+            value.append(trimmed(v[mine], dof))
+        if not at:
+            at, value = [float(s.mean())], [trimmed(v, dof)]
+        order = np.argsort(at)
+        knots.append(np.array(at)[order])
+        variances.append(np.maximum(np.array(value)[order], 1e-4 * step**2))
+    return Noise(tuple(knots), tuple(variances))
+
+
+def _scatter(residual: np.ndarray) -> np.ndarray:
+    """Squares of a single frame about its median, for want of differences in time."""
+    return ((residual - np.median(residual)) ** 2).ravel()
+
+
+def trimmed(v: np.ndarray, dof: int) -> float:
+    """Mean variance of the pixels that are like the others."""
+    most = stats.chi2.isf(FAR, dof) / stats.chi2.median(dof)
+    centre = np.median(v)
+    for _ in range(2):
+        kept = v[v <= most * max(centre, 0.1 * v.mean())]
+        centre = max(float(np.median(kept)), 0.5 * float(kept.mean()))
+    return float(kept.mean())
+
+
+def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> View:
+    """The frames as the bank sees them under a simulator's noise; `light` None: their mean is not known."""
+    weight = raw.usable / noise.sigma(signal)
+    z = raw.contrasts * weight.astype(np.float32)
+    n = len(z)
+    steadiness = np.mean(z**2, 0) if n else np.zeros(raw.mean.shape, np.float32)
+    odd, single = np.zeros(raw.mean.shape, bool), np.zeros(raw.frames)
+    if n:
+        scale = _typical(steadiness, raw.usable, n)
+        odd = steadiness > scale * stats.chi2.isf(FAR, n) / n
+        alone, single = _lone(z, scale)
+        odd |= alone
+        steadiness = steadiness / scale
+    level, static, static_kept = np.zeros(4), None, raw.usable & ~odd
+    outlying = None
+    if light is not None:
+        residual, level = light.residual(raw.mean, raw.usable)
+        static = residual * weight.astype(np.float32) * np.float32(np.sqrt(raw.frames))
+        outlying = static
+        static_kept &= np.abs(static) < STATIC * _robust(static, static_kept)
+    kept = raw.usable & ~odd
+    z *= kept
+    moved = [[np.mean(c[y::2, x::2][kept[y::2, x::2]]) for y, x in SITES] for c in raw.contrasts]
+    levels = np.broadcast_to(level, (raw.frames, 4))
+    if n and kept.any():
+        levels = level + helmert(raw.frames).T @ np.nan_to_num(np.array(moved))
+    if static is not None:
+        static = np.where(static_kept, static, 0).astype(np.float32)
+    return View(
+        z, kept, static, static_kept, outlying, raw.usable, steadiness, single, levels, raw.rails, raw.codes
+    )
+
+
+def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
+    """How much noisier the bulk of every site is than the simulator; at least a quarter, for noise below a
+    code leaves most pixels still."""
+    out = np.ones(steadiness.shape, np.float32)
+    for y, x in SITES:
+        mine = steadiness[y::2, x::2][usable[y::2, x::2]]
+        if mine.size:
+            own = np.median(mine) / (stats.chi2.median(n) / n)
+            own = own if own > 0.3 else 0.5 * min(mine.mean(), 1.0)
+            out[y::2, x::2] = max(float(own), 0.25)
+    return out
+
+
+def _lone(z: Float[np.ndarray, "n h w"], scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels whose noise is like the others' but for one value; how many of them every frame has."""
+    frames = len(z) + 1
+    matrix = helmert(frames).astype(np.float32)
+    total = np.sum(z**2, 0)
+    limit = scale * (stats.chi2.isf(1e-3, max(frames - 2, 1)))
+    found, count = np.zeros(z.shape[1:], bool), np.zeros(frames)
+    factor = np.float32(np.sqrt(frames / (frames - 1)))
+    for t in range(frames):
+        moved = np.tensordot(matrix[:, t], z, 1) * factor
+        here = (np.abs(moved) > SINGLE * np.sqrt(scale)) & (total - moved**2 < limit)
+        count[t], found = here.sum(), found | here
+    return found, count
+
+
+def _robust(static: np.ndarray, kept: np.ndarray) -> float:
+    """Robust standard deviation of the static map, at least that of the noise."""
+    values = static[kept]
+    return max(1.4826 * float(np.median(np.abs(values - np.median(values)))), 1.0) if values.size else 1.0

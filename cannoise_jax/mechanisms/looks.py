@@ -1,0 +1,74 @@
+"""What the families say of their signatures: the kit, and the signatures that one finding makes doubtful."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cannoise_jax.signatures import (
+    codes,
+    covariance,
+    curve,
+    flicker,
+    glow,
+    groups,
+    hot,
+    levels,
+    light,
+    lines,
+    means,
+    patterns,
+    pixels,
+    reference,
+    shape,
+    spectra,
+    taps,
+    waves,
+)
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.signature import Signature
+
+__all__ = [
+    "codes",
+    "covariance",
+    "curve",
+    "flicker",
+    "glow",
+    "groups",
+    "hot",
+    "levels",
+    "light",
+    "lines",
+    "means",
+    "patterns",
+    "pixels",
+    "reference",
+    "shape",
+    "spectra",
+    "taps",
+    "waves",
+]
+
+SCALES = ("reference_scale", "description_scale")
+"""Signatures of the levels of light, which what a frame or its colours share scatters."""
+DARK_LEVELS = ("black_channels", "black_level", "greens", "stated_read")
+LIGHT_LEVELS = ("greens", "shading", *SCALES)
+"""Signatures of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
+channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
+part of the fitted read noise too, so a stated read noise is not judged beside it."""
+SHAPES = ("kurtosis", "light_tails", "pixel_spread", "skewness", "telegraph")
+"""Signatures of the shape of the noise of single pixels."""
+HOT = ("hot_additive", "hot_thermal")
+NOISY = (*SHAPES, *HOT)
+"""Those that cannot be trusted once one of them is in the model."""
+MAPS = ("pixel_additive_static", "pixel_thermal_static")
+"""Signatures of maps of all pixels, which are judged once hot ones that stand out from them are gone."""
+SCENES = ("reference_shift", "reference_blur", "reference_spread", "scene_static", "curvature", *SCALES)
+"""Signatures of scenes against their references."""
+BENT = "variance_curve"
+BLENDS = ("lags_in_camera_denoising", "lags_in_camera_denoising_8")
+SHARED = "lags_crosstalk"
+
+
+def always(*signatures: Signature) -> Callable[[Recorded], tuple[Signature, ...]]:
+    """These signatures, whatever was recorded."""
+    return lambda recorded: signatures

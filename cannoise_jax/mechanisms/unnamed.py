@@ -1,0 +1,38 @@
+"""Structures that no mechanism of the package explains, at places of the grammar where cameras may have them.
+
+What is found here is reported as unknown, with its place.
+"""
+
+from __future__ import annotations
+
+from cannoise_jax.mechanisms import looks
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.signature import Signature
+
+TILES = ("tile_8", "tile_16", "tile_32", "tile_64", "diagonal", "antidiagonal")
+SITES = ("site", "row_parity", "column_parity")
+"""What stays per site of the mosaic is the black level's."""
+
+_ALWAYS: tuple[Signature, ...] = (
+    *(
+        looks.lines.redrawn(axis, "signal", name=f"{axis}_relative_temporal", covers=looks.LIGHT_LEVELS)
+        for axis in ("row", "column")
+    ),
+    looks.lines.frozen("row", "signal", name="row_relative_static", covers=looks.LIGHT_LEVELS),
+    *(
+        looks.groups.shared(f"{layout}_{time}", layout, time, covers=looks.DARK_LEVELS)
+        for layout in (*TILES, *SITES)
+        for time in ("redrawn", "frozen")
+        if time == "redrawn" or layout in TILES
+    ),
+    # A lamp that drifts in colour.
+    looks.groups.shared("site_relative_redrawn", "site", "redrawn", scaling="signal", covers=looks.SCALES),
+    looks.covariance.any_lag(name="lags_any"),
+    looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),
+    looks.shape.skewed(name="skewness"),
+)
+
+
+def signatures(recorded: Recorded) -> tuple[Signature, ...]:
+    """Those that the recordings can be searched for."""
+    return (*_ALWAYS, looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)))

@@ -1,0 +1,63 @@
+"""bin/compare: a table on the screen, JSON and a page in a folder, and one line for bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+
+from cannoise_jax.commands.compare import main
+from cannoise_jax.recordings.native import write_recording
+from tests.discovery.capture import capture_set, row_offsets
+
+SIMULATOR = """
+import numpy as np, jax
+
+def draw(key, clean, settings):
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).tolist())
+    signal = np.asarray(clean, float) * (16383.0 - 200.0)
+    size = (settings.frames, *signal.shape)
+    return 200.0 + 1.5 * (rng.poisson(signal / 1.5, size) + 3.0 * rng.standard_normal(size))
+"""
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Recordings with row noise, and frames of a simulator without."""
+    root = tmp_path_factory.mktemp("compare")
+    for name, alter, seed in (("recorded", row_offsets(1.5), 1), ("simulated", None, 2)):
+        (root / name).mkdir()
+        for r in capture_set(seed, alter, kinds="d").recordings:
+            write_recording(root / name / str(r.path), dataclasses.replace(r, path=None))
+    (root / "camera.py").write_text(SIMULATOR)
+    return root
+
+
+def test_two_simulators_side_by_side(folders, capsys):
+    out = folders / "out"
+    code = main(
+        ["--recordings", str(folders / "recorded"), "--simulator", f"{folders / 'camera.py'}:draw"]
+        + ["--simulator", str(folders / "simulated"), "--out", str(out)]
+    )
+    printed = capsys.readouterr().out
+    assert code == 0 and "too little  rows (frame to frame)" in printed
+    report = json.loads((out / "comparison.json").read_text())
+    assert [c["verdict"] for c in report["comparisons"]] == ["differs", "differs"]
+    assert report["better"]["nearer"] == "neither"  # one law, drawn by two hands
+    html = (out / "comparison.html").read_text()
+    assert "too little" in html and "<svg" in html and "http" not in html
+
+
+def test_bad_input_is_one_line(folders, capsys):
+    recorded = str(folders / "recorded")
+    for flags in (
+        ["--recordings", str(folders / "nowhere")],
+        ["--recordings", recorded, "--simulator", "missing:function"],
+        ["--recordings", recorded, "--alpha", "3"],
+        ["--recordings", recorded, "--simulator", "a", "--simulator", "b", "--simulator", "c"],
+        ["--recordings", recorded, "--out", str(folders / "camera.py")],
+    ):
+        assert main(flags) == 2
+        said = capsys.readouterr().err.strip().splitlines()
+        assert said[-1].startswith("bin/compare: ") and "Traceback" not in "".join(said)

@@ -1,0 +1,153 @@
+"""The layer before any name: silent on equal laws, and each difference is seen with its sign."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.compare import better, compare, document
+from cannoise_jax.discovery.compare.light import light_of
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from tests.discovery.capture import capture_set
+
+KEY = jax.random.key(5)
+
+
+def camera(alter=None, *, gain=1.5, read=3.0, black=200.0, step=1.0):
+    """The camera of `capture_set` as a simulator: a function that draws frames of any clean signal."""
+
+    def simulate(key, clean, settings):
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).tolist())
+        change = alter(rng) if alter else (lambda dn, signal: dn)
+        signal = np.asarray(clean, float) * (16383.0 - black)
+        size = (settings.frames, *signal.shape)
+        dn = black + gain * (rng.poisson(signal / gain, size) + read * rng.standard_normal(size))
+        return np.clip(np.round(np.stack([change(f, signal) for f in dn]) / step) * step, 0, 16383)
+
+    return simulate
+
+
+def rows(sigma):
+    return lambda rng: lambda dn, *_: dn + sigma * rng.standard_normal((dn.shape[0], 1))
+
+
+def fixed(sigma):
+    def alter(rng):
+        pattern = sigma * rng.standard_normal((96, 128))
+        return lambda dn, *_: dn + pattern
+
+    return alter
+
+
+def tails(sigma):
+    return lambda rng: lambda dn, *_: dn + sigma * rng.standard_t(3, dn.shape)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return capture_set(31, kinds="d")
+
+
+@pytest.mark.parametrize("kinds", ["df", "sd"])
+def test_equal_laws_match(kinds):
+    found = compare(capture_set(31, kinds=kinds), camera(), KEY)
+    assert found.verdict == "match" and not found.differences
+
+
+@pytest.mark.parametrize(
+    "alter, name",
+    [(rows(1.0), "rows"), (fixed(1.5), "fixed pattern of single pixels"), (tails(1.5), "heavy tails")],
+)
+def test_too_little_and_too_much_are_told_apart(plain, alter, name):
+    little = compare(capture_set(33, alter, kinds="d"), camera(), KEY)
+    much = compare(plain, camera(alter), KEY)
+    for found, sign in ((little, 1), (much, -1)):
+        assert found.verdict == "differs"
+        assert {d.sign for d in found.differences if d.what == name} == {sign}
+
+
+def test_sizes_are_those_that_were_put_in(plain):
+    little = {d.what: d for d in compare(capture_set(34, rows(1.0), kinds="d"), camera(), KEY).differences}
+    assert little["rows"].recorded == pytest.approx(1.0, rel=0.15) and little["rows"].simulated < 0.15
+    read = {d.what: d for d in compare(capture_set(35, kinds="d"), camera(read=3.3), KEY).differences}
+    noise = read["noise of a pixel"]
+    assert noise.sign == -1 and noise.share > 0.5
+    assert noise.recorded == pytest.approx(4.5, rel=0.02) and noise.simulated == pytest.approx(4.95, rel=0.02)
+
+
+def test_what_no_list_names_is_seen():
+    """Banks of four columns, half rows, and a line of a period that no block has."""
+
+    def banks(rng):
+        return lambda dn, *_: dn + 0.7 * np.repeat(rng.standard_normal((1, 32)), 4, 1)
+
+    def halves(rng):
+        return lambda dn, *_: dn + 1.0 * np.repeat(rng.standard_normal((96, 2)), 64, 1)
+
+    def line(rng):
+        y = np.arange(96)[:, None]
+        return lambda dn, *_: dn + 0.8 * np.sin(2 * np.pi * (y / 5.3 + rng.random()))
+
+    for alter, name in ((banks, "columns"), (halves, "parts of rows"), (line, "line at")):
+        found = compare(capture_set(36, alter, kinds="d"), camera(), KEY)
+        assert any(d.what.startswith(name) and d.sign == 1 for d in found.differences), name
+
+
+def test_hot_pixels_leave_no_blocks_and_no_rows():
+    def hot(rng):
+        map_dn = (rng.random((96, 128)) < 0.01) * rng.exponential(400, (96, 128))
+        return lambda dn, *_: dn + rng.poisson(map_dn)
+
+    found = compare(capture_set(37, hot, kinds="d"), camera(), KEY)
+    names = {d.what for d in found.differences}
+    assert "hot pixels" in names and "pixels noisier than the others" in names
+    assert not names & {"rows", "columns", "parts of rows", "large areas", "blocks"}
+
+
+def test_light_is_a_nuisance_and_its_degree_is_chosen_from_the_flat():
+    y, x = np.mgrid[-1:1:96j, -1:1:128j]
+    vignette = (1 + 0.35 * (y**2 + x**2)) ** -2.0
+    noise = np.random.default_rng(1).standard_normal((96, 128))
+    usable = np.ones((96, 128), bool)
+    assert light_of(5000 * vignette + 20 * noise, usable).degree >= 4
+    assert light_of(5000 + 20 * noise, usable).degree == 2
+    light = light_of(5000 * vignette + 5 * noise, usable)
+    assert np.abs(light.fit(5000 * vignette, usable) - 5000 * vignette).max() < 20
+
+
+def test_a_folder_of_simulated_frames_is_compared_too(plain):
+    """Frames of another unit of the same law match; those of a noisier camera have too much noise."""
+    assert compare(capture_set(40, kinds="df"), capture_set(41, kinds="df"), KEY).verdict == "match"
+    noisy = compare(plain, capture_set(42, rows(1.0), kinds="d"), KEY)
+    assert {d.sign for d in noisy.differences if d.what == "rows"} == {-1}
+
+
+def test_the_nearer_of_two_simulators(plain):
+    near, far, worse = (compare(plain, camera(a), KEY).bank for a in (None, rows(1.0), rows(2.0)))
+    result = better(far, near)
+    assert result.verdict == "B" and result.low > 0 and result.held_back
+    assert better(near, far).verdict == "A" and better(worse, far).verdict == "B"
+    assert better(near, near).gain == 0
+
+
+def test_the_document_is_plain_json(plain):
+    import json
+
+    report = document(compare(plain, camera(rows(1.0)), KEY))
+    assert json.loads(json.dumps(report, allow_nan=False))["verdict"] == "differs"
+    assert report["differences"][0]["what"] == "rows"
+    assert sum(d["share"] for d in report["differences"]) == pytest.approx(1, abs=1e-3)
+
+
+def test_bad_input_is_refused_in_one_line(plain):
+    with pytest.raises(ValueError, match="alpha"):
+        compare(plain, camera(), KEY, alpha=2)
+    for simulator in ("no.such:function", "nothing/here"):
+        with pytest.raises(BadInput) as caught:
+            compare(plain, simulator, KEY)
+        assert "\n" not in str(caught.value)
+    frames = np.full((2, 64, 64), 100, np.uint16)
+    other = Recording(frames, "RGGB", (64.0,) * 4, 1023.0, kind="dark", exposure_s=77.0)
+    with pytest.raises(BadInput, match="no recording of the kind"):
+        compare(plain, CaptureSet("x", (other,)), KEY)
