@@ -11,7 +11,7 @@ from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.vocabulary import CLASSES
 
 PACKAGE = Path(cannoise_jax.__file__).parent
-NAMED = ("mechanisms", "blind", "physics/core/presets.py")
+NAMED = ("mechanisms", "blind", "physics/core/presets.py", "physics/synthetic/virtual.py")
 """Where the name of a mechanism may stand: its own room, the injectors, and cameras made of named parts."""
 LEFT = (
     "trials/real.py",
@@ -25,7 +25,6 @@ LEFT = (
     "discovery/name.py",
     "discovery/sides.py",
     "discovery/statistics",
-    "physics/synthetic/virtual.py",
     "signatures",
 )
 """Where names still stand: to be emptied."""
