@@ -48,6 +48,7 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
 _CHUNK_BYTES = 64 << 20
+_HIGHEST = 65536.0
 _log = logging.getLogger(__name__)
 
 
@@ -81,6 +82,11 @@ def make_recording(
         )
     black = _channels(path, "black_level", _required(path, stated, "black_level"))
     white = _number(path, "white_level", _required(path, stated, "white_level"))
+    if white > _HIGHEST or min(black) < -_HIGHEST:
+        raise BadInput(
+            f"{path}: black level {min(black):g}, white level {white:g}: stored values have 16 bits, so "
+            "levels end at 65536: set them with --black-level and --white-level"
+        )
     if max(black) >= white:
         raise BadInput(
             f"{path}: black level {max(black):g} is not below white level {white:g}: "
@@ -100,7 +106,7 @@ def make_recording(
         temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
         shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
-        code_step=_optional(path, stated, "code_step", least=0),
+        code_step=_optional(path, stated, "code_step", least=0, most=65536),
         reference=_one_of(path, stated, "reference", REFERENCES),
         reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
@@ -202,7 +208,9 @@ def _required(path: str | Path, stated: Mapping[str, Any], name: str) -> Any:
 def _text(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or "")
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return "" if value is None else " ".join(str(value).split())
 
 
 def _camera(value: Any) -> str:
@@ -261,13 +269,15 @@ def _number(path: str | Path, name: str, value: Any) -> float:
 
 
 def _optional(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
 ) -> float | None:
     if name not in stated:
         return None
     number = _number(path, name, stated[name])
     if number < least:
         raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
+    if number > most:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
     return number
 
 
