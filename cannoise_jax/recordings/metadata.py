@@ -50,6 +50,7 @@ _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--whit
 _CHUNK_BYTES = 64 << 20
 _LONGEST = 200
 """Characters of a camera's name."""
+_HIGHEST = 65536.0
 _log = logging.getLogger(__name__)
 
 
@@ -83,6 +84,11 @@ def make_recording(
         )
     black = _channels(path, "black_level", _required(path, stated, "black_level"))
     white = _number(path, "white_level", _required(path, stated, "white_level"))
+    if white > _HIGHEST or min(black) < -_HIGHEST:
+        raise BadInput(
+            f"{path}: black level {min(black):g}, white level {white:g}: stored values have 16 bits, so "
+            "levels end at 65536: set them with --black-level and --white-level"
+        )
     if max(black) >= white:
         raise BadInput(
             f"{path}: black level {max(black):g} is not below white level {white:g}: "
@@ -102,7 +108,7 @@ def make_recording(
         temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
         shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
-        code_step=_optional(path, stated, "code_step", least=0),
+        code_step=_optional(path, stated, "code_step", least=0, most=65536),
         reference=_one_of(path, stated, "reference", REFERENCES),
         reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
@@ -205,6 +211,8 @@ def _text(path: str | Path, name: str, value: Any) -> str:
     """A stated name or word. Raises BadInput for lists, tables, and text that no line can show."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
+    if value is None:
+        return ""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     if isinstance(text, (bool, int, float)):
         text = str(text)
@@ -276,13 +284,15 @@ def _number(path: str | Path, name: str, value: Any) -> float:
 
 
 def _optional(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
 ) -> float | None:
     if name not in stated:
         return None
     number = _number(path, name, stated[name])
     if number < least:
         raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
+    if number > most:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
     return number
 
 

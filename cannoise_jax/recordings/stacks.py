@@ -22,6 +22,7 @@ from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
+from cannoise_jax.recordings.tiff_chain import check_chain
 
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
 _log = logging.getLogger(__name__)
@@ -64,6 +65,7 @@ def open_tiff(path: str | Path) -> Opened:
     """The pages of a TIFF file, and what its side-car states. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
+    check_chain(path)
     with reading(path, "not a readable TIFF file"), quiet("tifffile"), tifffile.TiffFile(path) as file:
         shapes = {page.shape for page in file.pages}
         types = {page.dtype for page in file.pages}
