@@ -9,8 +9,8 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.discovery.compare.view import RESIDUES, View
-from cannoise_jax.discovery.fields import helmert
 from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.fields import helmert
 
 
 class Family(NamedTuple):

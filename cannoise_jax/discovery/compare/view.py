@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
-from cannoise_jax.discovery.fields import helmert
 from cannoise_jax.discovery.stacks import MOST_FRAMES
 from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.signatures.fields import helmert
 
 FAR = 1e-5
 """Chance by which a pixel of normal noise is set aside."""
