@@ -48,8 +48,8 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
 _CHUNK_BYTES = 64 << 20
-_LONGEST = 200
-"""Characters of a camera's name."""
+_LONGEST, _MOST_COUNTED = 200, 10**9
+"""Characters of a camera's name; frames that one may say were averaged."""
 _log = logging.getLogger(__name__)
 
 
@@ -288,4 +288,6 @@ def _optional(
 
 def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
     number = _optional(path, stated, name, least=1)
+    if number is not None and number > _MOST_COUNTED:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")
     return None if number is None else round(number)
