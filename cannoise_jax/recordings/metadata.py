@@ -47,9 +47,9 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 """What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
-_CHUNK_BYTES = 64 << 20
-_LONGEST = 200
-"""Characters of a camera's name."""
+_CHUNK_BYTES, _LARGEST_CODE = 64 << 20, 65535
+_LONGEST, _MOST_COUNTED = 200, 10**9
+"""Characters of a camera's name; frames that one may say were averaged."""
 _HIGHEST = 65536.0
 _log = logging.getLogger(__name__)
 
@@ -94,6 +94,8 @@ def make_recording(
             f"{path}: black level {max(black):g} is not below white level {white:g}: "
             "set them with --black-level and --white-level"
         )
+    if white > _LARGEST_CODE:
+        raise BadInput(f"{path}: white level {white:g}: codes have 16 bits: set it with --white-level")
     recording = Recording(
         frames=frames,
         cfa=cfa,
@@ -253,7 +255,7 @@ def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tup
 def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     try:
         values = per_channel(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
     if not all(map(math.isfinite, values)):
         raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
@@ -276,7 +278,7 @@ def _optional_channels(
 def _number(path: str | Path, name: str, value: Any) -> float:
     try:
         number = float(np.asarray(value).reshape(()))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
     if not math.isfinite(number):
         raise BadInput(f"{path}: {name} is not finite: {number}")
@@ -298,4 +300,6 @@ def _optional(
 
 def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
     number = _optional(path, stated, name, least=1)
+    if number is not None and number > _MOST_COUNTED:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")
     return None if number is None else round(number)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -113,11 +114,12 @@ def faults(case: Case, answer: dict, before: dict, after: dict, folder: Path) ->
     if answer["status"] == 2:
         name = "read: " if case.target.startswith("read:") else f"bin/{case.target}"
         # What was passed over may be said before the line that says why nothing is written.
+        lines = [line for line in lines if not re.match(r"\[ *[\d.]+ s\] ", line)]  # how far it had come
         if not 1 <= len(lines) <= 3 or not all(line.startswith(name) for line in lines):
             found.append(f"{len(lines)} lines: {' / '.join(lines)[:300]}")
         elif max(map(len, lines)) > 900:  # some name every mechanism there is
             found.append(f"a line of {max(map(len, lines))} characters")
-        if answer["out"].strip():
+        if answer["out"].strip() and case.target != "train":  # which says what it is about to read
             found.append(f"printed: {answer['out'][:100]}")
         if before != after:
             found.append(f"files changed: {sorted(before.items() ^ after.items())[:3]}")
