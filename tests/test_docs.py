@@ -220,13 +220,29 @@ def test_python_on_the_pages_imports_what_is_there():
                 assert all(hasattr(module, name.strip()) for name in names.split(",")), (page.name, names)
 
 
-def test_the_examples_of_the_python_page_run():
+def run_examples(wanted) -> dict:
     names: dict[str, object] = {}
     text = (ROOT / "docs" / "python.md").read_text()
     for language, code in FENCE.findall(text):
         assert language == "python"
-        exec(compile(code, "docs/python.md", "exec"), names)
-    assert names["frames"].shape == (8, 64, 96) and names["found"].model is names["extended"]
+        if wanted(code):
+            exec(compile(code, "docs/python.md", "exec"), names)
+    return names
+
+
+def test_the_examples_of_the_python_page_run():
+    names = run_examples(lambda code: "diagnose" not in code)
+    assert names["frames"].shape == (8, 64, 96) and names["another_unit"].cfa == "RGGB"
+    assert [r.kind for r in names["capture"].recordings] == ["dark", "flat"]
+
+
+@pytest.mark.slow
+def test_the_example_of_an_own_simulator_finds_what_it_lacks(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = run_examples(lambda code: True)
+    found = {step.named.mechanism for step in names["found"].fitted.steps}
+    assert "row_noise" in found and names["found"].model is names["extended"]
+    assert (tmp_path / "report" / "report.html").is_file()
 
 
 def test_the_site_is_built_without_warnings(tmp_path):

@@ -15,7 +15,7 @@ from cannoise_jax.commands.entry import progress
 from cannoise_jax.recordings.codes import detect_code_step
 from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
 from cannoise_jax.recordings.native import write_recording
-from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order, unpack
+from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order
 from cannoise_jax.recordings.recording import (
     BadInput,
     PerChannel,
@@ -63,7 +63,8 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
     """
     import jax  # only here: flags are checked, and --help answered, without waiting for it
 
-    from cannoise_jax.sampling import load_model, sample_noise
+    from cannoise_jax.sampling import load_model
+    from cannoise_jax.tiles import sample_mosaic
 
     model = load_model(arguments.model)
     target = _target(arguments, model)
@@ -93,18 +94,23 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{arguments.out}: cannot be made: {error.strerror}") from error
-    sample = jax.jit(sample_noise)
-    tell = progress("sampling frames")
+    tell = progress("sampling pixels")
+    pixels, done = arguments.frames * sum(source.image.size for source in sources), 0
+
+    def told(count: int) -> None:
+        nonlocal done
+        done += count
+        tell(done, pixels)
+
     for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
-        packed = pack(source.image, source.cfa)
         frames = []
         for t in range(arguments.frames):
             key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
-            nlf = target.nlf if target.given else None
-            noise = np.asarray(sample(model, key, packed, target.reference, nlf))
-            mosaic = source.image + unpack(noise, source.cfa)
-            frames.append(_codes(mosaic, black, white, target.code_step))
-            tell(i * arguments.frames + t + 1, len(sources) * arguments.frames)
+            noise = sample_mosaic(
+                model, key, source.image, source.cfa, target.reference,
+                target.nlf if target.given else None, progress=told,
+            )  # fmt: skip
+            frames.append(_codes(source.image + noise, black, white, target.code_step))
         shot, read = (
             per_channel(np.asarray(to_mosaic_order(np.broadcast_to(v, 4), source.cfa))) for v in target.nlf
         )
@@ -166,12 +172,8 @@ def _from_recording(recording: Recording) -> Clean:
 
 def _checked(clean: Clean) -> Clean:
     height, width = clean.image.shape
-    if height % 4 or width % 4:
-        # Packed sizes must be even too: the last rows and columns are left out rather than refused.
-        if height % 2 or width % 2:
-            raise BadInput(f"{clean.path}: {height} x {width} pixels: a mosaic has even sizes: crop it")
-        height, width = height // 4 * 4, width // 4 * 4
-        clean = Clean(clean.path, clean.image[:height, :width], clean.cfa, clean.recording)
+    if height % 2 or width % 2:
+        raise BadInput(f"{clean.path}: {height} x {width} pixels: a mosaic has even sizes: crop it")
     if min(height, width) < 32:
         raise BadInput(f"{clean.path}: {height} x {width} pixels: at least 32 x 32 are needed")
     if not np.all(np.isfinite(clean.image)):

@@ -22,7 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks.layers import Block, Conv, Norm, he_init, leaky_relu, scaled
 
@@ -123,7 +123,9 @@ class Generator(nn.Module):
     direct: also let both set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
 
-    Returns noise in normalised units, not clipped. Height and width must be multiples of 32.
+    Returns noise in normalised units, not clipped. Height and width must be multiples of 32. For a tile of an
+    image, summary: that of the whole image; lines=False: `(noise without row offsets, their sizes)`, the
+    sizes to be averaged over whole rows and multiplied by `row_draws`.
     """
 
     width: float = 1.0
@@ -146,29 +148,39 @@ class Generator(nn.Module):
         *,
         train: bool,
         known: Float[Array, "b"] | None = None,
-    ) -> Float[Array, "b h w 4"]:
+        summary: Float[Array, "b s"] | None = None,
+        lines: bool = True,
+    ) -> Any:
         if self.literal:
             x = jnp.concatenate([clean, n_init], -1)
-            return n_init + jnp.tanh(
+            noise = n_init + jnp.tanh(
                 UNet(self.width, 4, True, "instance", True, name="unet")(x, latent, train=train)
             )
+            return noise if lines else (noise, jnp.zeros_like(noise))
         x = in_sigma_units(clean, n_init, sigma, level=self.level_input)
         features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
         x = jnp.concatenate([x, features], -1)
         told = latent * latent.shape[-1] ** 0.5
         if self.setting_input:
             source = jnp.zeros(clean.shape[0]) if known is None else known
-            told = jnp.concatenate([told, setting_summary(clean, sigma), source[:, None]], -1)
+            summary = setting_summary(clean, sigma) if summary is None else summary
+            told = jnp.concatenate([told, summary, source[:, None]], -1)
         # One hidden layer: how far a camera is from its published noise differs from setting to setting.
         told = leaky_relu(nn.Dense(2 * self.hidden, kernel_init=he_init, name="told")(told))
         maps = PixelBranch(self.hidden, 12, self.direct, name="pixels")(x, told, train=train)
         factor, shift, row = (jnp.tanh(m) for m in jnp.split(maps, 3, -1))
         noise = n_init * jnp.exp(factor) + sigma * shift
+        if not lines:
+            return noise, sigma * row
         if self.row_noise:
-            # One draw a sensor row: R and Gr share the row above, Gb and B the one below.
-            draw = jax.random.normal(self.make_rng("noise"), (*noise.shape[:2], 1, 2), noise.dtype)
-            noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * jnp.repeat(draw, 2, -1)
+            draws = row_draws(self.make_rng("noise"), *noise.shape[:2])
+            noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * draws
         return noise
+
+
+def row_draws(key: Key[Array, ""], images: int, rows: int) -> Float[Array, "b h 1 4"]:
+    """One standard normal draw a sensor row: R and Gr share the row above, Gb and B the one below."""
+    return jnp.repeat(jax.random.normal(key, (images, rows, 1, 2)), 2, -1)
 
 
 def setting_summary(clean: Float[Array, "b h w 4"], sigma: Float[Array, "b h w 4"]) -> Float[Array, "b s"]:

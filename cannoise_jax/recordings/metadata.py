@@ -47,7 +47,10 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 """What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
-_CHUNK_BYTES = 64 << 20
+_CHUNK_BYTES, _LARGEST_CODE = 64 << 20, 65535
+_LONGEST, _MOST_COUNTED = 200, 10**9
+"""Characters of a camera's name; frames that one may say were averaged."""
+_HIGHEST = 65536.0
 _log = logging.getLogger(__name__)
 
 
@@ -81,17 +84,24 @@ def make_recording(
         )
     black = _channels(path, "black_level", _required(path, stated, "black_level"))
     white = _number(path, "white_level", _required(path, stated, "white_level"))
+    if white > _HIGHEST or min(black) < -_HIGHEST:
+        raise BadInput(
+            f"{path}: black level {min(black):g}, white level {white:g}: stored values have 16 bits, so "
+            "levels end at 65536: set them with --black-level and --white-level"
+        )
     if max(black) >= white:
         raise BadInput(
             f"{path}: black level {max(black):g} is not below white level {white:g}: "
             "set them with --black-level and --white-level"
         )
+    if white > _LARGEST_CODE:
+        raise BadInput(f"{path}: white level {white:g}: codes have 16 bits: set it with --white-level")
     recording = Recording(
         frames=frames,
         cfa=cfa,
         black_level=black,
         white_level=white,
-        camera=_camera(stated.get("camera")) or Path(path).absolute().parent.name or Recording.camera,
+        camera=_camera(path, stated.get("camera")) or Path(path).absolute().parent.name or Recording.camera,
         kind=_one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
@@ -100,7 +110,7 @@ def make_recording(
         temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
         shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
-        code_step=_optional(path, stated, "code_step", least=0),
+        code_step=_optional(path, stated, "code_step", least=0, most=65536),
         reference=_one_of(path, stated, "reference", REFERENCES),
         reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
@@ -199,39 +209,54 @@ def _required(path: str | Path, stated: Mapping[str, Any], name: str) -> Any:
     return stated[name]
 
 
-def _text(value: Any) -> str:
+def _text(path: str | Path, name: str, value: Any) -> str:
+    """A stated name or word. Raises BadInput for lists, tables, and text that no line can show."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or "")
+    if value is None:
+        return ""
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    if isinstance(text, (bool, int, float)):
+        text = str(text)
+    if not (isinstance(text, str) and text.isprintable() and len(text) <= _LONGEST):
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {_LONGEST} characters")
+    return text
 
 
-def _camera(value: Any) -> str:
+def _quoted(value: Any) -> str:
+    """The value for a message, in one line and not at length."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _camera(path: str | Path, value: Any) -> str:
     """The stated name; nothing for what a `Recording` says where nobody named it."""
-    name = _text(value)
+    name = "" if value is None else _text(path, "camera", value)
     return "" if name == Recording.camera else name
 
 
 def _cfa(path: str | Path, value: Any) -> str:
-    cfa = _text(value).strip().upper()
+    cfa = _text(path, "cfa", value).strip().upper()
     if cfa not in CFA_PATTERNS:
-        raise BadInput(f"{path}: unknown CFA {cfa!r}: use --cfa with one of {', '.join(CFA_PATTERNS)}")
+        known = ", ".join(CFA_PATTERNS)
+        raise BadInput(f"{path}: unknown CFA {_quoted(cfa)}: use --cfa with one of {known}")
     return cfa
 
 
 def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:
     if name not in stated:
         return None
-    text = _text(stated[name])
+    text = _text(path, name, stated[name])
     if text not in allowed:
-        raise BadInput(f"{path}: unknown {name} {text!r}: use one of {', '.join(allowed)}")
+        raise BadInput(f"{path}: unknown {name} {_quoted(text)}: use one of {', '.join(allowed)}")
     return text
 
 
 def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     try:
         values = per_channel(value)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{path}: {name} {value!r}: expected 1 or 4 numbers in mosaic order") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
     if not all(map(math.isfinite, values)):
         raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
     return values
@@ -253,24 +278,28 @@ def _optional_channels(
 def _number(path: str | Path, name: str, value: Any) -> float:
     try:
         number = float(np.asarray(value).reshape(()))
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{path}: {name} {value!r}: expected one number") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
     if not math.isfinite(number):
         raise BadInput(f"{path}: {name} is not finite: {number}")
     return number
 
 
 def _optional(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
 ) -> float | None:
     if name not in stated:
         return None
     number = _number(path, name, stated[name])
     if number < least:
         raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
+    if number > most:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
     return number
 
 
 def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
     number = _optional(path, stated, name, least=1)
+    if number is not None and number > _MOST_COUNTED:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")
     return None if number is None else round(number)

@@ -1,1 +1,2 @@
-"""Score statistics, one module per signature: where a mechanism shows, how large, how surprising."""
+"""The statistics kit: fields of noise, statistics of them and the laws by which they are judged. Knows no
+mechanism."""

@@ -1,11 +1,15 @@
 """Checkpoints of the combined state: the newest and the best, resumed bit-exactly.
 
 A thin layer over Orbax. What is stored is the state's pytree as it is (typed key included); it is restored
-into an abstract state of the same structure, never by guessing.
+into an abstract state of the same structure, never by guessing. With it goes a record of the data iterator,
+the score, and the SHA-256 of every number: a checkpoint that was damaged on disk is refused, never resumed.
 """
 
 from __future__ import annotations
 
+import hashlib
+import inspect
+import json
 import logging
 import sys
 from collections.abc import Iterator, Mapping
@@ -14,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint import checkpoint_managers
 
@@ -44,21 +49,24 @@ class Checkpoints:
             cleanup_tmp_directories=True,
         )
         try:
-            self._manager = ocp.CheckpointManager(self.folder, options=options)
+            with _without_logs():
+                self._manager = ocp.CheckpointManager(self.folder, options=options)
         except OSError as error:
             raise _unwritable(self.folder, error) from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise _damaged(self.folder, _short(error)) from error
 
     def newest(self) -> int | None:
         """The step of the newest checkpoint, None where there is none."""
         return self._manager.latest_step()
 
     def best(self) -> int | None:
-        """The step with the lowest validation KL among those kept; the newest where none has been scored."""
-        scores = {
-            step: metrics[SCORE]
-            for step in self._manager.all_steps()
-            if (metrics := self._manager.metrics(step)) and SCORE in metrics
-        }
+        """The step with the lowest validation KL among those kept; the newest where none has been scored.
+
+        Raises BadInput for a checkpoint that is damaged.
+        """
+        records = {step: self._record(step) for step in self._manager.all_steps()}
+        scores = {step: record["score"] for step, record in records.items() if record["score"] is not None}
         return min(scores, key=lambda step: (scores[step], -step)) if scores else self.newest()
 
     def path(self, step: int | None) -> str:
@@ -73,15 +81,18 @@ class Checkpoints:
         step = int(state.step)
         if step in self._manager.all_steps():
             return
+        kept = None if score is None else float(score)
+        record = {"iterator": dict(iterator), "score": kept, "state_sha256": _state_sha256(state)}
+        record["sha256"] = _record_sha256(record)
         try:
             with _without_logs():
                 self._manager.save(
                     step,
                     args=ocp.args.Composite(
                         state=ocp.args.StandardSave(state._asdict()),
-                        iterator=ocp.args.JsonSave(dict(iterator)),
+                        iterator=ocp.args.JsonSave(record),
                     ),
-                    metrics=None if score is None else {SCORE: float(score)},
+                    metrics=None if kept is None else {SCORE: kept},
                 )
                 self._manager.wait_until_finished()
         except (OSError, ValueError) as error:
@@ -93,26 +104,82 @@ class Checkpoints:
     def restore(self, like: State, step: int) -> tuple[State, dict[str, Any]]:
         """The state and the iterator's state of a step; `like` gives shapes and dtypes.
 
-        Raises BadInput where the checkpoint does not fit, which a config of other sizes causes.
+        Raises BadInput where the checkpoint does not fit, which a config of other sizes causes, and where it
+        is damaged: every number is held against its checksum before anything is returned.
         """
         abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like._asdict())
+        record = self._record(step)
         try:
-            found = self._manager.restore(
-                step,
-                args=ocp.args.Composite(
-                    state=ocp.args.StandardRestore(abstract), iterator=ocp.args.JsonRestore()
-                ),
-            )
-        except (ValueError, KeyError, FileNotFoundError) as error:
-            reason = " ".join(str(error).split())[:200]
+            with _without_logs():
+                found = self._manager.restore(
+                    step, args=ocp.args.Composite(state=ocp.args.StandardRestore(abstract))
+                )
+            state = State(**found["state"])
+        except (ValueError, KeyError) as error:
+            _without_late_callbacks()
+            if not _is_misfit(error):
+                raise _damaged(self.folder / str(step), _short(error)) from error
             raise BadInput(
-                f"{self.path(step)}: cannot be restored ({reason}): use another workdir"
+                f"{self.path(step)}: cannot be restored ({_short(error)}): use another workdir"
             ) from error
-        return State(**found["state"]), found["iterator"]
+        except Exception as error:  # the storage layers raise whatever damage leads them to
+            _without_late_callbacks()
+            raise _damaged(self.folder / str(step), _short(error)) from error
+        if _state_sha256(state) != record["state_sha256"]:
+            raise _damaged(self.folder / str(step), "its numbers do not match their checksum")
+        return state, record["iterator"]
+
+    def _record(self, step: int) -> dict[str, Any]:
+        """What goes with a step: iterator, score, checksums. Raises BadInput where it is damaged."""
+        folder = self.folder / str(step)
+        try:
+            with _without_logs():
+                found = self._manager.restore(step, args=ocp.args.Composite(iterator=ocp.args.JsonRestore()))
+            record = dict(found["iterator"])
+            stored = record.pop("sha256")
+            if stored != _record_sha256(record):
+                raise ValueError("its record does not match its checksum")
+            return record
+        except Exception as error:  # see above
+            _without_late_callbacks()
+            raise _damaged(folder, _short(error)) from error
 
     def close(self) -> None:
         """Waits for the manager's threads."""
         self._manager.close()
+
+
+def _state_sha256(state: State) -> str:
+    """SHA-256 over names, types, shapes and bytes of every array of the state."""
+    whole = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_flatten_with_path(state._asdict())[0]:
+        is_key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        values = np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+        whole.update(f"{jax.tree_util.keystr(path)} {leaf.dtype} {values.shape} ".encode())
+        whole.update(np.ascontiguousarray(values).tobytes())
+    return whole.hexdigest()
+
+
+def _record_sha256(record: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _short(error: BaseException) -> str:
+    """The start of what an error says: the storage layers go on for pages."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+def _is_misfit(error: BaseException) -> bool:
+    """Whether a restore failed because the shapes or names asked for are not those stored."""
+    text = str(error)
+    return any(sign in text for sign in ("shape", "tree structures do not match", "Dict key mismatch"))
+
+
+def _damaged(folder: Path, reason: str) -> BadInput:
+    return BadInput(
+        f"{folder}: damaged ({reason}): remove it and run again; it goes on from the checkpoint before it, "
+        "or from the start"
+    )
 
 
 @contextmanager
@@ -130,16 +197,17 @@ def _without_logs() -> Iterator[None]:
 
 
 def _without_late_callbacks() -> None:
-    """From here on the tasks of a write that failed end in silence: Python would print their tracebacks, and
-    that their event loop is gone, whenever it comes upon them, around the line that says what is wrong."""
+    """From here on tasks of a failed transfer end in silence: Python would print their tracebacks, and that
+    their event loop is gone, whenever it comes upon them, around the line that says what is wrong."""
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     before = sys.unraisablehook
 
     def hook(dropped):
-        if "Event loop is closed" not in str(dropped.exc_value):
+        if not (inspect.iscoroutine(dropped.object) or "Event loop is closed" in str(dropped.exc_value)):
             before(dropped)
 
-    sys.unraisablehook = hook
+    if getattr(before, "__name__", "") != hook.__name__:
+        sys.unraisablehook = hook
 
 
 def _is_disk_error(error: BaseException) -> bool:

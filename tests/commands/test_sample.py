@@ -51,14 +51,14 @@ LEVELS = ("--black-level", BLACK, "--white-level", WHITE)
 
 def test_a_camera_of_the_model_at_an_iso(model, tmp_path):
     (tmp_path / "in").mkdir()
-    image = np.full((64, 66), 0.1, np.float32)  # 33 packed columns: the last one is left out
+    image = np.full((64, 66), 0.1, np.float32)  # 33 packed columns
     np.save(tmp_path / "in" / "a.npy", image)
     np.save(tmp_path / "in" / "b.npy", image)
     out = tmp_path / "out"
     assert run(model, tmp_path / "in", "A", out, "--iso", 100, "--frames", 3, *LEVELS) == 0
     assert sorted(p.name for p in out.iterdir()) == ["a_A.h5", "b_A.h5"]
     first, second = (read_recording(out / f"{n}_A.h5") for n in "ab")
-    assert first.frames.shape == (3, 64, 64) and first.camera == "A" and first.iso == 100
+    assert first.frames.shape == (3, 64, 66) and first.camera == "A" and first.iso == 100
     np.testing.assert_allclose(first.shot, SHOT)
     frames = np.asarray(first.frames).astype(float)
     noise = (frames - BLACK) / (WHITE - BLACK) - 0.1

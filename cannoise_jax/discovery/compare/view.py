@@ -13,6 +13,8 @@ from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
+from cannoise_jax.discovery.stacks import MOST_FRAMES
+from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import helmert
 
 FAR = 1e-5
@@ -74,6 +76,11 @@ class View(NamedTuple):
     level: Float[np.ndarray, "t 4"]
     rails: Float[np.ndarray, "t 2"]
     codes: Float[np.ndarray, "k"]
+
+
+def chosen_frames(r: Recording) -> np.ndarray:
+    """Numbers of the frames that are looked at: at most `MOST_FRAMES`, spread evenly."""
+    return np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
 
 
 def reduce(frames: UInt16[np.ndarray, "t h w"], high: float, dark: bool, step: float) -> Raw:

@@ -1,0 +1,348 @@
+"""bin/denoise train|test|apply: denoisers trained on noise models, judged on real darks.
+
+bin/denoise train --recordings DIR --workdir RUN [--noise pg,calibrated,real_darks] [--exposure 0.1,10,100]
+bin/denoise test --recordings DIR --workdir RUN
+bin/denoise apply --denoiser FILE --recording FILE --out FILE
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import re
+import shlex
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.parser import OneLineParser, count
+from cannoise_jax.recordings.recording import BadInput
+
+ORDER = ("gaussian", "pg", "calibrated", "discovered", "real_darks")
+"""As the noise models are expected: each no worse than the one before."""
+_DEFAULT = "gaussian,gaussian_pooled,pg,pg_at_exposure,pg_estimated,random_phase,calibrated,real_darks"
+_TEST_SCENES = 16
+
+
+@command("denoise")
+def main(argv: list[str] | None = None) -> int:
+    """Returns 0, 1 for a loss that is not finite, or 2 after one line when something cannot be used."""
+    arguments = sys.argv[1:] if argv is None else argv
+    parsed = _parser().parse_args(arguments)
+    try:
+        {"train": _train, "test": _test, "apply": _apply}[parsed.verb](parsed, arguments)
+    except BadInput as error:
+        print(f"bin/denoise: {error}", file=sys.stderr)
+        return 2
+    except FloatingPointError as error:
+        print(f"bin/denoise: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _train(arguments, argv) -> None:
+    """One denoiser for every exposure, noise model and seed that the workdir has not yet."""
+    import jax
+    from tqdm import tqdm
+
+    from cannoise_jax.recordings.load import load_capture_set
+    from cannoise_jax.training.denoise import Recipe, save_denoiser, train_denoiser
+    from cannoise_jax.training.denoise_data import dim_scenes, half_real
+    from cannoise_jax.training.noise_sources import open_source
+
+    recipe = Recipe(
+        steps=arguments.steps,
+        features=arguments.features,
+        batch_size=arguments.batch,
+        scenes=arguments.scenes,
+    )
+    capture = load_capture_set(arguments.recordings)
+    labels = _labels(arguments.noise)
+    sensors = _sensors(labels, capture, arguments.workdir)
+    for exposure in arguments.exposure:
+        data = half_real(capture, exposure, arguments.full_scale)
+        folder = arguments.workdir / "denoisers" / f"{_slug(data.camera)}_{exposure:g}s"
+        _make(folder)
+        clean = None
+        for label, name in labels.items():
+            source = None
+            for seed in range(arguments.seeds):
+                path = folder / f"{label}_{seed}.npz"
+                if path.exists():
+                    continue
+                if clean is None:
+                    clean = dim_scenes(
+                        jax.random.key(1), "train", recipe.scenes, data.train.shape[1:], data.cfa
+                    )
+                source = source or open_source(name, data, sensors)
+                started = time.monotonic()
+                about: dict[str, Any] = {
+                    "noise": label, "seed": seed, "camera": data.camera, "exposure_s": exposure,
+                    "full_scale_e": data.full_scale_e, "gain_dn_per_e": data.gain_dn_per_e, "cfa": data.cfa,
+                }  # fmt: skip
+                bar = tqdm(total=recipe.steps, desc=f"{folder.name} {label} {seed}", mininterval=1)
+                with bar:
+
+                    def tell(step, loss, bar=bar):
+                        bar.update(step - bar.n)
+                        bar.set_postfix(loss=f"{loss:.5f}", refresh=False)
+
+                    made = train_denoiser(recipe, source, clean, data.cfa, seed, about, tell)
+                made.about["seconds"] = round(time.monotonic() - started, 1)
+                save_denoiser(path, made)
+                print(path, flush=True)
+
+
+def _test(arguments, argv) -> None:
+    """Every denoiser of the workdir on the held-out darks; writes denoising.json and prints a table."""
+    import jax
+    import numpy as np
+
+    from cannoise_jax.evaluation.denoising import in_order, psnr, ssim, summary
+    from cannoise_jax.recordings.load import load_capture_set
+    from cannoise_jax.recordings.packing import pack
+    from cannoise_jax.training.denoise import applied, load_denoiser
+    from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images
+
+    started = time.monotonic()
+    found = [(p, load_denoiser(p)) for p in sorted((arguments.workdir / "denoisers").glob("*/*.npz"))]
+    capture = load_capture_set(arguments.recordings)
+    found = [(p, d) for p, d in found if d.about["camera"] == capture.camera]
+    if not found:
+        raise BadInput(f"{arguments.workdir}: no denoiser for {capture.camera}: bin/denoise train makes them")
+    out: dict[str, Any] = {}
+    for exposure in sorted({d.about["exposure_s"] for _, d in found}):
+        own = [d for _, d in found if d.about["exposure_s"] == exposure]
+        data = half_real(capture, exposure, own[0].about["full_scale_e"])
+        clean = dim_scenes(jax.random.key(2), "test", arguments.scenes, data.test.shape[1:], data.cfa)
+        noisy = held_out_images(data, clean, jax.random.key(3))
+        truth, shown = (pack(np.asarray(x, np.float32), data.cfa) for x in (clean, noisy))
+        made: dict[str, dict[str, dict[int, list[float]]]] = {"psnr_db": {}, "ssim": {}}
+        for d in own:
+            images = [np.asarray(applied(d.recipe)(d.variables, image[None]))[0] for image in shown]
+            for metric, function in (("psnr_db", psnr), ("ssim", ssim)):
+                rows = made[metric].setdefault(d.about["noise"], {})
+                rows[d.about["seed"]] = [function(t, i) for t, i in zip(truth, images, strict=True)]
+        seeds = sorted(set.intersection(*(set(rows) for rows in made["psnr_db"].values())))
+        if not seeds:
+            raise BadInput(f"{arguments.workdir}: no seed is there for all noise models: train the rest")
+        result: dict[str, Any] = {
+            "seeds": len(seeds),
+            "scenes": arguments.scenes,
+            "steps": own[0].recipe.steps,
+        }
+        result["test_frames"] = len(data.test)
+        result["noisy"] = {
+            "psnr_db": float(np.mean([psnr(t, i) for t, i in zip(truth, shown, strict=True)])),
+            "ssim": float(np.mean([ssim(t, i) for t, i in zip(truth, shown, strict=True)])),
+        }
+        for metric, by_noise in made.items():
+            numbers = {name: np.array([rows[s] for s in seeds]) for name, rows in by_noise.items()}
+            result[metric] = summary(numbers, "pg", "real_darks")
+            result[f"{metric}_order"] = in_order(numbers, ORDER)
+        result["seconds_of_training"] = {
+            name: round(float(np.mean([d.about["seconds"] for d in own if d.about["noise"] == name])), 1)
+            for name in made["psnr_db"]
+        }
+        out[f"{exposure:g}"] = result
+        print(_table(f"{capture.camera}, {exposure:g} s", result), flush=True)
+    record = {
+        "schema": "cannoise/denoising/1", "camera": capture.camera, "exposures_s": out,
+        "command": f"bin/denoise {shlex.join(argv)}", "version": importlib.metadata.version("cannoise-jax"),
+        "interval": "90 %, seeds and scenes drawn again", "seconds": round(time.monotonic() - started, 1),
+    }  # fmt: skip
+    path = arguments.workdir / f"denoising_{_slug(capture.camera)}.json"
+    _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    print(path)
+
+
+def _table(title: str, result: dict[str, Any]) -> str:
+    """PSNR and SSIM by noise model, with what each gains over PG."""
+    lines = [
+        f"{title}: {result['seeds']} seeds, {result['scenes']} test scenes, {result['steps']} steps; noisy "
+        f"{result['noisy']['psnr_db']:.2f} dB",
+        f"{'trained on':<26}{'PSNR dB':>9}{'over pg [90 %]':>26}{'gap':>7}{'SSIM':>8}{'over pg [90 %]':>28}",
+    ]
+    for name, row in sorted(result["psnr_db"].items(), key=lambda item: item[1]["mean"]["value"]):
+        other = result["ssim"][name]
+        gap = f"{row['gap_closed']:.0%}" if "gap_closed" in row else "-"
+        lines.append(
+            f"{name:<26}{row['mean']['value']:>9.2f}{_gain(row, 2):>26}{gap:>7}"
+            f"{other['mean']['value']:>8.4f}{_gain(other, 4):>28}"
+        )
+    for step in result["psnr_db_order"]:
+        lines.append(f"  {step['upper']} against {step['lower']}: {step['outcome']}")
+    return "\n".join(lines) + "\n"
+
+
+def _gain(row: dict[str, Any], digits: int) -> str:
+    if "over_pg" not in row:
+        return "-"
+    value, low, high = (row["over_pg"][k] for k in ("value", "low", "high"))
+    return f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
+
+
+def _apply(arguments, argv) -> None:
+    """Denoises every frame of a recording of any size, tile by tile; writes a floating-point NPY, DN above
+    black over full scale."""
+    import numpy as np
+    from tqdm import tqdm
+
+    from cannoise_jax.recordings.load import load_recording
+    from cannoise_jax.tiles import filter_mosaic
+    from cannoise_jax.training.denoise import applied, load_denoiser
+
+    if arguments.out.suffix != ".npy":
+        raise BadInput(f"{arguments.out}: --out names a .npy file")
+    if arguments.out.exists() and not arguments.overwrite:
+        raise BadInput(f"{arguments.out}: exists: name another file, or replace it with --overwrite")
+    denoiser = load_denoiser(arguments.denoiser)
+    recording = load_recording(arguments.recording)
+    span = np.float32(denoiser.about["gain_dn_per_e"] * denoiser.about["full_scale_e"])
+    try:
+        made = np.lib.format.open_memmap(arguments.out, "w+", np.float32, (recording.count, *recording.size))
+    except OSError as error:
+        raise BadInput(f"{arguments.out}: cannot be written: {error.strerror}") from error
+    network = applied(denoiser.recipe)
+    pixels = recording.count * recording.size[0] * recording.size[1]
+    with tqdm(total=pixels, unit="px", unit_scale=True) as bar:
+        for t in range(recording.count):
+            frame = np.asarray(recording.frames[t : t + 1])[0].astype(np.float32)
+            frame = (frame - recording.black_map()) / span
+            made[t] = filter_mosaic(
+                partial(network, denoiser.variables), denoiser.recipe.module.reach, frame, recording.cfa,
+                progress=bar.update,
+            )  # fmt: skip
+    made.flush()
+    print(arguments.out)
+
+
+def _labels(names: str) -> dict[str, str]:
+    """Noise models by the name that their files get."""
+    out: dict[str, str] = {}
+    for name in (n.strip() for n in names.split(",") if n.strip()):
+        base, plus, more = name.partition("+")
+        path = Path(base)
+        stem = path.parent.name + "_" + path.stem if path.suffix and path.exists() else path.name
+        out[f"{stem.strip('_')}{plus}{more}"] = name
+    return out
+
+
+def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
+    """Camera models of the training part that are asked for, kept in the workdir once fitted."""
+    import jax
+
+    from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+    from cannoise_jax.training.denoise_data import training_part
+
+    wanted = {name.partition("+")[0] for name in labels.values()} & {"calibrated", "discovered"}
+    out = {}
+    for name in sorted(wanted):
+        folder = workdir / "sensors" / _slug(capture.camera)
+        path = folder / f"{name}.json"
+        if not path.exists():
+            _make(folder)
+            print(f"{path}: fitting to the training part of {capture.camera}", flush=True)
+            if name == "calibrated":
+                from cannoise_jax.commands.calibrate import calibrate
+                from cannoise_jax.physics.transfer.model import sensor_model
+
+                model = sensor_model(*calibrate(training_part(capture)))
+            else:
+                from cannoise_jax.discovery.diagnose import diagnose
+
+                model = diagnose(
+                    training_part(capture), key=jax.random.key(0), compare=False,
+                    tell=lambda text: print(f"  {text}", flush=True),
+                ).model  # fmt: skip
+            write_sensor(path, model)
+        out[name] = read_sensor(path)
+    return out
+
+
+def _slug(name: str) -> str:
+    """A camera's name as that of a file."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_")
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            partial.write_text(text)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _exposures(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or min(values) < 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: give seconds, as 0.1,10,100")
+    return values
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}: give a positive number")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = OneLineParser(
+        prog="bin/denoise",
+        description="Trains denoisers on noise models and tests them on real darks under computed light. "
+        "Training and test share no pixel, frame or scene; camera models are fitted to the training part.",
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    train = verbs.add_parser("train", help="one denoiser for each exposure, noise model and seed")
+    test = verbs.add_parser("test", help="PSNR and SSIM of all denoisers of a workdir")
+    for verb in (train, test):
+        verb.add_argument("--recordings", required=True, type=Path, metavar="DIR", help="flats and darks")
+        verb.add_argument("--workdir", required=True, type=Path, metavar="RUN")
+    add = train.add_argument
+    add(
+        "--noise", default=_DEFAULT, metavar="NAME,...",
+        help="gaussian, gaussian_pooled, pg, pg_at_exposure, pg_estimated, random_phase, calibrated, "
+        "discovered, real_darks, a sensor.json, or a trained model; A+real_darks: five to one "
+        f"(default {_DEFAULT})",
+    )  # fmt: skip
+    add("--exposure", type=_exposures, default=(0.1, 10.0, 100.0), metavar="S,...", help="0.1,10,100")
+    add("--full-scale", type=_positive, default=100.0, metavar="E", help="electrons of full scale (100)")
+    add("--seeds", type=count, default=3)
+    add("--steps", type=count, default=600)
+    add("--batch", type=count, default=8)
+    add("--features", type=count, default=32, help="of every layer; the paper: 64")
+    add("--scenes", type=count, default=32, help="clean training images")
+    test.add_argument("--scenes", type=count, default=_TEST_SCENES, help="clean test images")
+    apply = verbs.add_parser("apply", help="denoises a recording of any size, tile by tile")
+    apply.add_argument("--denoiser", required=True, type=Path, metavar="FILE")
+    apply.add_argument("--recording", required=True, type=Path, metavar="FILE")
+    apply.add_argument("--out", required=True, type=Path, metavar="FILE.npy")
+    apply.add_argument("--overwrite", action="store_true")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""Whole images in tiles without seams, in memory that does not grow with the image.
+
+A network of finite reach gives on a tile that is wider by that reach what it gives on the whole image. Three
+things of the generator reach further, and are made for the whole image first: the initial noise, drawn in
+blocks with keys of their places; the summary of the setting; and the sizes of the offsets that rows share,
+which are means over whole rows and are added last. The latent of the references is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.networks.generator import row_draws, setting_summary
+from cannoise_jax.physics.initial_noise import INITIAL_NOISE, initial_noise
+from cannoise_jax.physics.single_image import estimate_nlf
+from cannoise_jax.recordings.packing import pack, unpack
+from cannoise_jax.sampling import _MARGIN, _MULTIPLE, SMALLEST, Model, _latent, check_level, repeated
+
+TILE = 512
+"""Side of a tile in packed pixels, without its surroundings."""
+REACH = 384
+"""Packed pixels, a multiple of 32, that G's output depends on beyond its place on every side: 382. From
+full resolution (3x3: 1) down five levels no more than 2 remain, eight 3x3 convolutions add 8, and each level
+back up doubles and adds 2: 10, 22, 46, 94, 190, 382."""
+_BLOCK = 32
+Progress = Callable[[int], Any]
+Window = tuple[slice, slice]
+
+
+def sample_image(
+    model: Model,
+    key: Key[Array, ""],
+    clean: Float[np.ndarray, "h w 4"],
+    noisy_ref: Float[Array | np.ndarray, "*n y x 4"],
+    nlf: tuple[Any, Any] | None = None,
+    *,
+    tile: int = TILE,
+    progress: Progress = lambda pixels: None,
+) -> Float[np.ndarray, "h w 4"]:
+    """`sampling.sample_noise` for one packed image of any size from 16x16 on: the size of the tiles moves the
+    result by rounding only.
+
+    tile: a multiple of 32. progress: called with the mosaic pixels just done. A model with the paper's
+    literal networks, whose norms reach over whole images, and a sensor model as initial noise, whose rows
+    and columns do, need memory in proportion to the image. Raises ValueError as `sample_noise`.
+    """
+    check_level(model.level, nlf is not None)
+    if clean.ndim != 3 or clean.shape[-1] != 4 or min(clean.shape[:2]) < SMALLEST:
+        raise ValueError(f"clean must be packed, [h, w, 4], from {SMALLEST}x{SMALLEST}, got {clean.shape}")
+    if tile % _BLOCK or tile <= 0:
+        raise ValueError(f"tile must be a multiple of {_BLOCK}, got {tile}")
+    height, width = clean.shape[:2]
+    shown = repeated(jnp.asarray(noisy_ref, jnp.float32))
+    shot, read = estimate_nlf(shown) if nlf is None else nlf
+    level = jnp.stack([jnp.broadcast_to(jnp.asarray(v, jnp.float32), (4,)) for v in (shot, read)])
+    latent = _latent(model, shown)
+    noise_key, row_key = jax.random.split(key)
+    rows, columns = (_mirrored(n) for n in (height, width))
+    size = (rows.size, columns.size)
+    drawn = _init_drawer(model, noise_key, clean, rows, columns, level)
+    module = model.generator_module
+    if module.literal:
+        tile = max(size)
+    summary = _summary(drawn, clean, rows, columns, tile)
+    generate = partial(_program(module), known=jnp.full(1, float(nlf is not None)))
+    made = np.empty(clean.shape, np.float32)
+    strips: dict[int, Any] = {}
+    for place in _grid(size, tile):
+        own, wide, inner = _windows(place, size, tile, REACH)
+        image = clean[np.ix_(rows[wide[0]], columns[wide[1]])].astype(np.float32)
+        noise, lines = generate(model.generator, image[None], *drawn(wide), latent, summary)
+        _put(made, np.asarray(noise[0])[inner], own)
+        strips[place[0]] = strips.get(place[0], 0) + np.asarray(lines[0])[inner].sum(1, dtype=np.float64)
+        progress(_pixels(own, (height, width)))
+    if module.row_noise and not module.literal:
+        draws = np.asarray(row_draws(row_key, 1, size[0]))[0, :, 0]
+        gains = np.concatenate([strips[y] for y in sorted(strips)]) / size[1]
+        made += (gains * draws)[_MARGIN : _MARGIN + height, None].astype(np.float32)
+    return made
+
+
+def sample_mosaic(
+    model: Model,
+    key: Key[Array, ""],
+    clean: Float[np.ndarray, "H W"],
+    cfa: str,
+    noisy_ref: Float[Array | np.ndarray, "*n y x 4"],
+    nlf: tuple[Any, Any] | None = None,
+    **more: Any,
+) -> Float[np.ndarray, "H W"]:
+    """`sample_image` for a mosaic with sides of any length from 32 on; what a side lacks to an even one is
+    mirrored and cut off again."""
+    height, width = clean.shape
+    packed = pack(_even(clean), cfa)
+    return np.asarray(unpack(sample_image(model, key, packed, noisy_ref, nlf, **more), cfa))[:height, :width]
+
+
+def filter_mosaic(
+    run: Callable[[Float[np.ndarray, "b h w 4"]], Float[Array, "b h w 4"]],
+    reach: int,
+    mosaic: Float[np.ndarray, "H W"],
+    cfa: str,
+    *,
+    tile: int = TILE,
+    progress: Progress = lambda pixels: None,
+) -> Float[np.ndarray, "H W"]:
+    """What a network on packed images, as `networks.denoiser.DnCNN`, makes of a mosaic with sides of any
+    length from 2 on. reach: packed pixels beyond its place that an output pixel depends on."""
+    height, width = mosaic.shape
+    packed = pack(_even(np.asarray(mosaic, np.float32)), cfa)
+    made, size = np.empty_like(packed), packed.shape[:2]
+    for place in _grid(size, tile):
+        own, wide, inner = _windows(place, size, tile, reach)
+        made[own] = np.asarray(run(packed[wide][None]))[0][inner]
+        progress(4 * made[own].shape[0] * made[own].shape[1])
+    return np.asarray(unpack(made, cfa))[:height, :width]
+
+
+def _even(mosaic: np.ndarray) -> np.ndarray:
+    """Odd sides longer by one, mirrored so that colours stay in order."""
+    return np.pad(mosaic, [(0, n % 2) for n in mosaic.shape], mode="reflect")
+
+
+def _mirrored(size: int) -> np.ndarray:
+    """The pixel that stands at every place of the padded image, as `sampling` pads it."""
+    rest = -(size + 2 * _MARGIN) % _MULTIPLE
+    return np.pad(np.arange(size), (_MARGIN, _MARGIN + rest), mode="symmetric")
+
+
+def _grid(size: tuple[int, int], tile: int) -> Iterator[tuple[int, int]]:
+    return ((y, x) for y in range(0, size[0], tile) for x in range(0, size[1], tile))
+
+
+def _windows(place, size, tile: int, reach: int) -> tuple[Window, Window, Window]:
+    """The tile in the image, the tile with its surroundings, and the tile within those. All tiles have
+    surroundings of one size, so that one program serves them."""
+    own = [slice(p, min(p + tile, n)) for p, n in zip(place, size, strict=True)]
+    whole = [min(tile + 2 * reach, n) for n in size]
+    first = [min(max(o.start - reach, 0), n - w) for o, n, w in zip(own, size, whole, strict=True)]
+    wide = [slice(f, f + w) for f, w in zip(first, whole, strict=True)]
+    inner = [slice(o.start - f, o.stop - f) for o, f in zip(own, first, strict=True)]
+    return (own[0], own[1]), (wide[0], wide[1]), (inner[0], inner[1])
+
+
+def _within(part: slice, size: int) -> slice:
+    """A part of the padded image in coordinates of the image."""
+    start, stop = (min(max(p - _MARGIN, 0), size) for p in (part.start, part.stop))
+    return slice(start, stop)
+
+
+def _pixels(own: Window, size: tuple[int, int]) -> int:
+    """Mosaic pixels of the image that a tile holds."""
+    height, width = (_within(part, n) for part, n in zip(own, size, strict=True))
+    return 4 * (height.stop - height.start) * (width.stop - width.start)
+
+
+def _put(made: np.ndarray, noise: np.ndarray, own: Window) -> None:
+    """The part of a tile that lies within the image, without the margin."""
+    to = [_within(part, n) for part, n in zip(own, made.shape[:2], strict=True)]
+    if all(t.stop > t.start for t in to):
+        shifts = [_MARGIN - part.start for part in own]
+        take = [slice(t.start + shift, t.stop + shift) for t, shift in zip(to, shifts, strict=True)]
+        made[tuple(to)] = noise[tuple(take)]
+
+
+def _init_drawer(model, key, clean, rows, columns, level):
+    """A function from a window of the padded image to its initial noise and sigma, `[1, h, w, 4]` each."""
+    draw = initial_noise(model.initial_noise)
+    if model.initial_noise not in tuple(INITIAL_NOISE):
+        # Rows and columns run through the whole image: so does what is drawn.
+        whole = clean[np.ix_(rows, columns)].astype(np.float32)[None]
+        noise, sigma = jax.jit(draw)(key, whole, level[0][None], level[1][None])
+        return lambda window: (noise[(0, *window)][None], sigma[(0, *window)][None])
+    across = columns.size // _BLOCK
+
+    def of_window(window):
+        image = clean[np.ix_(rows[window[0]], columns[window[1]])].astype(np.float32)
+        y, x = (np.arange(w.start // _BLOCK, w.stop // _BLOCK) for w in window)
+        return _blocks(model.initial_noise, key, image, jnp.asarray(y[:, None] * across + x), level)
+
+    return of_window
+
+
+@partial(jax.jit, static_argnames="choice")
+def _blocks(choice, key, image, numbers, level):
+    """Initial noise block by block, each with the key of its place: white noise does not see the seams."""
+    ny, nx = numbers.shape
+    cells = image.reshape(ny, _BLOCK, nx, _BLOCK, 4).swapaxes(1, 2).reshape(ny * nx, _BLOCK, _BLOCK, 4)
+    keys = jax.vmap(partial(jax.random.fold_in, key))(numbers.ravel())
+    both = jax.vmap(lambda k, c: initial_noise(choice)(k, c, level[0], level[1]))(keys, cells)
+
+    def joined(v):
+        return v.reshape(ny, nx, _BLOCK, _BLOCK, 4).swapaxes(1, 2).reshape(1, ny * _BLOCK, nx * _BLOCK, 4)
+
+    return tuple(joined(v) for v in both)
+
+
+def _summary(drawn, clean, rows, columns, tile: int) -> Float[Array, "1 s"]:
+    """The setting of the whole padded image: means over its tiles, weighted by their pixels."""
+    total: Any = 0.0
+    size, measure = (rows.size, columns.size), jax.jit(setting_summary)
+    for place in _grid(size, tile):
+        own, _, _ = _windows(place, size, tile, 0)
+        image = clean[np.ix_(rows[own[0]], columns[own[1]])].astype(np.float32)[None]
+        share = image.shape[1] * image.shape[2] / (size[0] * size[1])
+        total = total + share * np.asarray(measure(image, drawn(own)[1]), np.float64)
+    return jnp.asarray(total, jnp.float32)
+
+
+@lru_cache(maxsize=4)
+def _program(module):
+    def run(variables, image, n_init, sigma, latent, summary, known):
+        return module.apply(
+            variables, image, n_init, latent, sigma, train=False, known=known, summary=summary, lines=False
+        )
+
+    return jax.jit(run)

@@ -1,0 +1,253 @@
+"""Cases: one number gives one folder of inputs, one call, and what must come of it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from astropy.io import fits
+
+from tests.fuzz.damage import ODD_NUMBERS, ODD_VALUES, damaged_bytes, damaged_json
+from tests.fuzz.samples import FIELDS, frames, native
+from tests.fuzz.wrong_calls import WRONG
+
+LEVELS = ("--black-level", "64", "--white-level", "1023")
+
+
+class Case(NamedTuple):
+    """kind: for the count. must: "refuse", or "either" where both one line and a result are sound."""
+
+    kind: str
+    target: str
+    argv: list[str]
+    must: str = "either"
+
+
+class Kit(NamedTuple):
+    """The sound files: recordings by name, a sensor.json with maps, a model.npz, a published result."""
+
+    recordings: dict[str, Path]
+    sensor: Path
+    model: Path
+    result: Path
+
+
+def make_case(kit: Kit, seed: int, folder: Path) -> Case:
+    """Fills `folder`, which is empty, and says what to call there."""
+    rng = random.Random(seed)
+    maker = rng.choices([m for m, _ in MAKERS], [weight for _, weight in MAKERS])[0]
+    return maker(kit, rng, folder)
+
+
+def _convert(kind: str, name: str, must: str = "either") -> Case:
+    levels = LEVELS if Path(name).suffix in (".fits", ".fit") else ()
+    return Case(kind, "convert", [f"in/{name}", "out/made.h5", *levels], must)
+
+
+def _put(kit: Kit, folder: Path, name: str) -> Path:
+    """A sound recording, with its side-car, in in/."""
+    source, place = kit.recordings[name], folder / "in"
+    for path in {source, source.with_suffix(".json")}:
+        if path.is_dir():
+            shutil.copytree(path, place / path.name)
+        elif path.exists():
+            shutil.copy(path, place)
+    return place / source.name
+
+
+def broken_file(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """Bytes of a recording's file damaged. One cut short by a tenth or more holds less than it says."""
+    name = rng.choice(list(kit.recordings))
+    path = _put(kit, folder, name)
+    victim = rng.choice(sorted(p for p in path.rglob("*") if p.is_file())) if path.is_dir() else path
+    content = victim.read_bytes()
+    data, how = damaged_bytes(rng, content)
+    victim.write_bytes(data)
+    # SIDD states the same twice: the second description is not read.
+    needed = "METADATA_RAW_011" not in victim.name
+    lost = needed and how in ("cut", "none") and len(data) < 0.9 * len(content)
+    return _convert(f"file {name}", path.name, "refuse" if lost else "either")
+
+
+def odd_attribute(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A field of a native recording holds something else, or is not there."""
+    fields: dict[str, Any] = dict(FIELDS)
+    for name in rng.sample(list(fields), rng.choice((1, 1, 2))):
+        fields[name] = rng.choice(ODD_VALUES)
+    path = folder / "in" / "odd.h5"
+    try:
+        native(path, frames(), fields)
+    except (TypeError, ValueError, OverflowError, RuntimeError, UnicodeError):  # no attribute of HDF5
+        native(path, frames(), {**FIELDS, "cfa": np.arange(12).reshape(3, 4)})
+    return _convert("attribute", path.name)
+
+
+def odd_frames(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """Frames of another type, shape or content."""
+    path, stack = folder / "in" / "odd.h5", frames()
+    odd: dict[str, Callable[[], np.ndarray]] = {
+        "float": lambda: stack.astype(np.float32),
+        "signed": lambda: stack.astype(np.int16) - 500,
+        "complex": lambda: stack.astype(np.complex64),
+        "text": lambda: np.array([b"a", b"b"]),
+        "empty": lambda: stack[:0],
+        "thin": lambda: stack[:, :0],
+        "flat": lambda: stack[0, 0],
+        "four": lambda: stack[None],
+        "scalar": lambda: np.array(7),
+        "wide": lambda: stack.astype(np.uint64) << 40,
+        "bool": lambda: stack > 200,
+        "compound": lambda: np.zeros(3, [("a", "f4"), ("b", "i4")]),
+    }
+    name = rng.choice(list(odd))
+    native(path, odd[name](), FIELDS)
+    return _convert("frames", path.name, "refuse" if name not in ("float", "signed") else "either")
+
+
+def odd_header(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A keyword of a FITS file holds something else."""
+    path = _put(kit, folder, rng.choice(("stack.fits", "packed.fits")))
+    keys = ("BAYERPAT", "EXPTIME", "GAIN", "ISO", "CCD-TEMP", "IMAGETYP", "XBAYROFF", "ROWORDER", "BSCALE")
+    keys += ("BZERO", "NAXIS1", "NAXIS2", "BITPIX", "SATURATE", "INSTRUME", "BUNIT", "DATASEC", "BIASSEC")
+    card = fits.Card(
+        rng.choice(keys), rng.choice([v for v in ODD_NUMBERS if v == v and abs(v) < 1e300] + ["", "x"])
+    )
+    data = bytearray(path.read_bytes())
+    with contextlib.suppress(Exception):  # not every value makes a card
+        line, key = str(card)[:80].encode().ljust(80), card.keyword.encode().ljust(8)
+        starts = range(0, len(data) - 80, 80)
+        stated = [at for at in starts if data[at : at + 8] == key]
+        if stated:
+            data[stated[-1] : stated[-1] + 80] = line
+        else:
+            end = next(at for at in reversed(starts) if data[at : at + 80] == b"END".ljust(80))
+            data[end : end + 160] = line + b"END".ljust(80)
+    path.write_bytes(bytes(data))
+    return _convert("header", path.name)
+
+
+def broken_side_car(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """The JSON file beside a stack damaged, or holding something else."""
+    path = _put(kit, folder, rng.choice(("stack.tif", "stack.npy")))
+    path.with_suffix(".json").write_text(damaged_json(rng, json.dumps(FIELDS)), errors="surrogatepass")
+    return _convert("side-car", path.name)
+
+
+def odd_thing(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """What is no file, or claims to be far larger than it is. None of it can be used."""
+    name = rng.choice(
+        ("fifo", "link", "loop", "folder", "npy", "npz", "h5", "tif", "png", "fits", "pickle", "absent")
+    )
+    suffix = {"npy": "npy", "pickle": "npy", "npz": "npz", "h5": "h5", "tif": "tif", "png": "png"}.get(
+        name, rng.choice(("h5", "npy", "fits", "tif", "dng"))
+    )
+    path = folder / "in" / f"odd.{suffix}"
+    side_car = path.with_suffix(".json")
+    if suffix in ("npy", "npz", "tif", "png"):
+        side_car.write_text(json.dumps(FIELDS))
+    if name == "fifo":
+        os.mkfifo(path)
+    elif name == "link":
+        path.symlink_to(folder / "in" / "nowhere")
+    elif name == "loop":
+        path.symlink_to(path.name)
+    elif name == "folder":
+        path.mkdir()
+    elif name == "npy":
+        head = "{'descr': '<u2', 'fortran_order': False, 'shape': (1000000, 100000, 100000), }"
+        path.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head) + 1) + head.encode() + b"\n")
+    elif name == "npz":
+        import zipfile
+
+        head = "{'descr': '<u2', 'fortran_order': False, 'shape': (1000000, 100000, 100000), }"
+        with zipfile.ZipFile(path, "w") as file:
+            file.writestr(
+                "frames.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head) + 1) + head.encode() + b"\n"
+            )
+    elif name == "h5":
+        with h5py.File(path, "w") as file:  # chunks that were never written read as zeros
+            file.create_dataset("frames", shape=(100, 1_000_000, 1_000_000), dtype="u2", chunks=(1, 64, 64))
+            for key, value in FIELDS.items():
+                file.attrs[key] = value
+    elif name == "tif":  # the directory is its own successor
+        entry = struct.pack("<HHII", 256, 3, 1, 4) + struct.pack("<HHII", 257, 3, 1, 4)
+        path.write_bytes(
+            b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", 2) + entry + struct.pack("<I", 8)
+        )
+    elif name == "png":
+        head = struct.pack(">IIBBBBB", 2_000_000_000, 2_000_000_000, 16, 0, 0, 0, 0)
+        chunk = b"IHDR" + head
+        path.write_bytes(
+            b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        )
+    elif name == "fits":
+        header = {"SIMPLE": "T", "BITPIX": "16", "NAXIS": "2", "NAXIS1": "2000000000", "NAXIS2": "2000000000"}
+        cards = [*(f"{key:<8}= {value:>20}" for key, value in header.items()), "END"]
+        path = path.with_suffix(".fits")
+        path.write_bytes("".join(card.ljust(80) for card in cards).encode().ljust(2880))
+    elif name == "pickle":
+        np.save(path, np.array([{"a": 1}, None], object), allow_pickle=True)
+    return _convert(f"thing {name}", path.name, "refuse")
+
+
+def broken_sensor(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A sensor.json, or the maps beside it, damaged."""
+    for path in (kit.sensor, kit.sensor.with_suffix(".npz")):
+        shutil.copy(path, folder / "in")
+    path, must = folder / "in" / kit.sensor.name, "either"
+    if rng.random() < 0.25:
+        maps = path.with_suffix(".npz")
+        data, _ = damaged_bytes(rng, maps.read_bytes())
+        must = "refuse" if data != maps.read_bytes() else "either"  # they have a checksum
+        maps.write_bytes(data)
+    else:
+        path.write_text(damaged_json(rng, path.read_text()), errors="surrogatepass")
+    target = "read:cannoise_jax.physics.core.sensor_json.read_sensor"
+    return Case("sensor", target, [f"in/{path.name}"], must)
+
+
+def broken_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A model.npz damaged."""
+    content = kit.model.read_bytes()
+    data, how = damaged_bytes(rng, content)
+    (folder / "in" / "model.npz").write_bytes(data)
+    lost = how in ("cut", "none") and len(data) < 0.9 * len(content)
+    target = "read:cannoise_jax.sampling.load_model"
+    return Case("model", target, ["in/model.npz"], "refuse" if lost else "either")
+
+
+def broken_result(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A published result damaged."""
+    text = damaged_json(rng, kit.result.read_text())
+    (folder / "in" / "r.json").write_text(text, errors="surrogatepass")
+    home = "tests.fuzz.cases.read_published"
+    return Case("result", f"read:{home}", ["in/r.json"])
+
+
+def read_published(path: str) -> None:
+    from cannoise_jax.commands.published import read_result
+
+    read_result(Path(path))
+
+
+def wrong_call(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A command line that has to be refused."""
+    native(folder / "in" / "a.h5", frames(), FIELDS)
+    command = rng.choice(list(WRONG))
+    return Case(f"call {command}", command, list(rng.choice(WRONG[command])), "refuse")
+
+
+MAKERS: tuple[tuple[Callable[[Kit, random.Random, Path], Case], float], ...] = (
+    (broken_file, 6), (odd_attribute, 2), (odd_frames, 1), (odd_header, 1.5), (broken_side_car, 2),
+    (odd_thing, 1.5), (broken_sensor, 3), (broken_model, 1), (broken_result, 1), (wrong_call, 3),
+)  # fmt: skip

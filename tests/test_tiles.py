@@ -1,0 +1,99 @@
+"""Whole images: tiles give what the whole gives, at sides of any length."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax import tiles
+from cannoise_jax.networks import Generator
+from cannoise_jax.networks.denoiser import DnCNN
+from cannoise_jax.physics.initial_noise import poisson_gaussian
+from cannoise_jax.sampling import make_model
+
+NLF = (2e-3, 1e-5)
+KEY = jax.random.key(5)
+
+
+def drawn(shapes, size):
+    rng = np.random.default_rng(0)
+    return jax.tree.map(lambda leaf: jnp.asarray(size * rng.normal(size=leaf.shape), jnp.float32), shapes)
+
+
+@pytest.fixture(scope="module")
+def model():
+    """As after some training, rows and all; no encoder, which tiles do not concern."""
+    generator = Generator(1 / 64, hidden=4, spectral=False)
+    image, key = jnp.ones((1, 32, 32, 4)), jax.random.key(0)
+    shapes = jax.eval_shape(
+        lambda: generator.init(
+            {"params": key, "noise": key}, image, image, jnp.zeros((1, 1)), image, train=False
+        )
+    )
+    return make_model(generator, drawn(shapes, 0.15), None, {})
+
+
+def scene(height, width):
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    return 0.2 + 0.15 * np.sin(x / 9 + y / 15) * np.cos(x / 70)
+
+
+REFERENCE = np.full((16, 16, 4), 0.1, np.float32)
+
+
+def test_tiles_give_what_the_whole_gives(model, monkeypatch):
+    """The image is wider than a tile with its surroundings, so that inner tiles lose real surroundings; with
+    less than the reach the seams show."""
+    clean = np.repeat(scene(32, 1100)[..., None], 4, -1)
+    whole, tiled = (tiles.sample_image(model, KEY, clean, REFERENCE, NLF, tile=size) for size in (2048, 128))
+    assert whole.std() > 0.01
+    np.testing.assert_allclose(tiled, whole, atol=2e-5 * whole.std())
+    monkeypatch.setattr(tiles, "REACH", 32)
+    near = tiles.sample_image(model, KEY, clean, REFERENCE, NLF, tile=128)
+    assert np.abs(near - whole).max() > 1e-3 * whole.std()
+
+
+def test_noise_is_not_repeated_from_block_to_block(model):
+    clean = np.full((64, 128, 4), 0.2, np.float32)
+    noise = tiles.sample_image(model, KEY, clean, REFERENCE, NLF)
+    blocks = noise.reshape(2, 32, 4, 32, 4).swapaxes(1, 2).reshape(8, -1)
+    correlation = np.corrcoef(blocks) - np.eye(8)
+    assert np.abs(correlation).max() < 0.3  # the rows that they share; a repeated draw: 1
+
+
+def test_initial_noise_of_a_function_is_drawn_for_the_whole(model):
+    clean = np.repeat(scene(64, 96)[..., None], 4, -1)
+    own = model.replace(initial_noise=poisson_gaussian)
+    a, b = (tiles.sample_image(own, KEY, clean, REFERENCE, NLF, tile=size) for size in (64, 512))
+    np.testing.assert_allclose(a, b, atol=2e-5 * a.std())
+
+
+@pytest.mark.parametrize("size", [(33, 57), (64, 65), (38, 46)])
+def test_mosaics_of_any_size(model, size):
+    counted = []
+    noise = tiles.sample_mosaic(model, KEY, scene(*size), "GRBG", REFERENCE, NLF, progress=counted.append)
+    assert noise.shape == size and np.isfinite(noise).all() and noise.std() > 0
+    assert size[0] * size[1] <= sum(counted) <= (size[0] + 1) * (size[1] + 1)
+
+
+def test_wrong_shapes_are_refused(model):
+    with pytest.raises(ValueError, match="packed"):
+        tiles.sample_image(model, KEY, np.zeros((64, 64), np.float32), REFERENCE, NLF)
+    with pytest.raises(ValueError, match="multiple of 32"):
+        tiles.sample_image(model, KEY, np.zeros((64, 64, 4), np.float32), REFERENCE, NLF, tile=100)
+
+
+@pytest.mark.parametrize("size", [(61, 90), (64, 64), (3, 130)])
+def test_a_denoiser_in_tiles_gives_what_it_gives_on_the_whole(size):
+    module = DnCNN(depth=4, features=6)
+    variables = module.init(jax.random.key(1), jnp.ones((1, 8, 8, 4)), train=False)
+    variables = {**variables, "params": drawn(variables["params"], 0.3)}  # its last layer starts at zero
+    run = partial(jax.jit(partial(module.apply, train=False)), variables)
+    image = np.random.default_rng(0).normal(size=size).astype(np.float32)
+    whole, tiled = (tiles.filter_mosaic(run, module.reach, image, "BGGR", tile=t) for t in (512, 16))
+    assert whole.shape == size and np.abs(whole - image).max() > 0.1
+    np.testing.assert_allclose(tiled, whole, atol=1e-5)
