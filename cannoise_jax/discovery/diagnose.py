@@ -16,7 +16,7 @@ from jaxtyping import Array, Key
 
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
-from cannoise_jax.discovery.fit import SPENT, Fitted, Step, part_of, stepwise
+from cannoise_jax.discovery.fit import Fitted, Step, part_of, stepwise
 from cannoise_jax.discovery.locate import locate
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
@@ -28,6 +28,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.signatures import generic
 from cannoise_jax.signatures.fields import refit
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
 from cannoise_jax.vocabulary import Term
 
@@ -271,7 +272,7 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     mine = [s for s in mine if s.decides][:1] or mine
     log_p = float(np.log(diagnosis.alpha / diagnosis.fitted.first.tests))
     looks = tuple(p.fields for p in (diagnosis.first, diagnosis.second) if p is not None)
-    share = SPENT[1] if diagnosis.second else 1.0
+    share = SHARED.together if diagnosis.second else 1.0
     found = [
         s.detectable(Asked(looks, log_p, share, s.weight), scores[s.name], mechanism)
         for s in mine

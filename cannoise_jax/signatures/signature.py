@@ -21,11 +21,8 @@ from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.physics.core.mechanism import Mechanism, Scaling
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import Law, Seen
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score
-
-RARE = 0.3
-"""Weight of a test whose p is 1 unless something is far off, against 1 of the others: it takes that much less
-of the common error rate, and rejects with so little when it does."""
 
 Many = tuple[Fields, ...]
 Scales = Literal["additive", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
@@ -198,7 +195,7 @@ class Signature:
     @property
     def weight(self) -> float:
         """Share of the common error rate that it takes, against 1 of most."""
-        return RARE if self.rare else 1.0
+        return SHARED.rare if self.rare else 1.0
 
     @property
     def frozen(self) -> bool:
