@@ -26,7 +26,7 @@ _ROWS = (
     ("temporal dark noise", "DN", "sigma_y.dark, temporal dark noise"),
     ("temporal dark noise", "e-", "sigma_d, temporal dark noise"),
     ("sensitivity threshold", "e-", "mu_e.min, absolute sensitivity threshold"),
-    ("saturation", "e-", "mu_e.sat, saturation capacity"),
+    ("saturation level", "e-", "mu_e.sat, saturation capacity"),
     ("SNR max", "", "SNR max"),
     ("SNR max", "dB", "SNR max"),
     ("dynamic range", "dB", "DR, dynamic range"),
@@ -203,7 +203,7 @@ def _derived(
     t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None, name: str, unit: str
 ) -> list[Outcome]:
     """Quantities that follow from others, by the standard's own equations."""
-    saturation = t.outcomes("saturation", "e-")
+    saturation = t.outcomes("saturation level", "e-")
     noise = t.outcomes("temporal dark noise", "e-")
     if name == "linearity error":
         if straight is None:
