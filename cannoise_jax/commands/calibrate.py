@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.entry import cache_folder, command, counted, progress
 from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
 from cannoise_jax.recordings.recording import BadInput
@@ -130,13 +130,20 @@ def calibrate(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[Fi
     """
     from cannoise_jax.mechanisms import LISTED
     from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
-    from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+    from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 
-    transfers = photon_transfer(capture)
+    # As `photon_transfer`, which does not say how far it is.
+    every: dict[float | None, list[FrameStatistics]] = {}
+    for recording in counted(capture.recordings, "photon transfer: recordings"):
+        every.setdefault(recording.iso, []).append(frame_statistics(recording))
+    order = sorted(every, key=lambda iso: (iso is not None, iso))
+    transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            return transfers, find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+            entries = counted(LISTED, "mechanisms: estimators")
+            return transfers, find_mechanisms(transfer.statistics, transfer.baseline, entries)
     return transfers, ()
 
 

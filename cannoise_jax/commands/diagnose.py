@@ -12,6 +12,8 @@ from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
 from cannoise_jax.recordings.recording import BadInput
 
+_PREPARED, _FIRST_LOOK = 400_000, 160_000
+"""Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
 _FILES = ("report.json", "report.html", "sensor.json")
 
 
@@ -56,7 +58,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
     check_usable(capture)
-    capture, size = central(capture, arguments.most_pixels)
+    most = arguments.most_pixels or (_FIRST_LOOK if plan else _PREPARED)
+    capture, size = central(capture, most)
     if size is not None:
         tell("frames cut to their middle, {} x {}: --most-pixels sets how much is used".format(*size))
 
@@ -107,9 +110,9 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--most-pixels",
         type=count,
-        default=400_000,
         metavar="N",
-        help="use no more of each frame, about its middle: a megapixel takes minutes more",
+        help="use no more of each frame, about its middle: a megapixel takes many minutes "
+        f"(default {_PREPARED}, and {_FIRST_LOOK} for a first look at a folder of single files)",
     )
     add("--key", type=int, default=0, help="seed of everything random")
     add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
