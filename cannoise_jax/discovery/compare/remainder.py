@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 from scipy import fft, ndimage, stats
@@ -67,7 +68,7 @@ def with_remainder(
     maps = _fixed(parts)
     maps["spread"] = _spread(darks)
     maps["spectrum"] = _spectrum(darks)
-    return model.with_mechanism(RESIDUAL, maps={k: np.asarray(v, np.float32) for k, v in maps.items()})
+    return model.with_mechanism(RESIDUAL, maps={k: jnp.asarray(v, jnp.float32) for k, v in maps.items()})
 
 
 def _part(
