@@ -114,7 +114,7 @@ def _one(
     light = light_for(r, raw.mean, raw.usable, dark)
     known = light if light is not None else _scene(raw)
     fitted = known.fit(raw.mean, raw.usable)
-    clean = _clean(r, fitted, source, dark)
+    clean = asked_signal(r, fitted, source, dark)
     settings = Settings(iso, r.exposure_s if r.exposure_s is not None else 0.01, r.temperature_c, len(frames))
     drawn = [source.frames(m, number, clean, settings) for m in range(sets)]
     if any(d is None for d in drawn):
@@ -147,7 +147,7 @@ def _scene(raw: Raw) -> Light:
     return Light(0, raw.mean)
 
 
-def _clean(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -> np.ndarray:
+def asked_signal(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -> np.ndarray:
     """The normalised signal to ask for."""
     if dark:
         return np.zeros(r.size, np.float32)

@@ -181,15 +181,14 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> Vie
 
 
 def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
-    """How much noisier the bulk of every site is than the simulator; at least a quarter, for noise below a
-    code leaves most pixels still."""
+    """How much noisier the bulk of every site is than the simulator; noise below a code leaves most pixels
+    still, whose median then says nothing: it counts as the simulator's."""
     out = np.ones(steadiness.shape, np.float32)
     for y, x in SITES:
         mine = steadiness[y::2, x::2][usable[y::2, x::2]]
         if mine.size:
             own = np.median(mine) / (stats.chi2.median(n) / n)
-            own = own if own > 0.3 else 0.5 * min(mine.mean(), 1.0)
-            out[y::2, x::2] = max(float(own), 0.25)
+            out[y::2, x::2] = float(own) if own > 0.3 else 1.0
     return out
 
 
