@@ -200,14 +200,19 @@ def _without_late_callbacks() -> None:
     """From here on tasks of a failed transfer end in silence: Python would print their tracebacks, and that
     their event loop is gone, whenever it comes upon them, around the line that says what is wrong."""
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
-    before = sys.unraisablehook
+    before, uncaught = sys.unraisablehook, sys.excepthook
+    if getattr(before, "__name__", "") == "quiet_unraisable":
+        return
 
-    def hook(dropped):
+    def quiet_unraisable(dropped):
         if not (inspect.iscoroutine(dropped.object) or "Event loop is closed" in str(dropped.exc_value)):
             before(dropped)
 
-    if getattr(before, "__name__", "") != hook.__name__:
-        sys.unraisablehook = hook
+    def quiet_uncaught(kind, error, trace):  # the storage layer prints those of its own threads through it
+        if "Event loop is closed" not in str(error):
+            uncaught(kind, error, trace)
+
+    sys.unraisablehook, sys.excepthook = quiet_unraisable, quiet_uncaught
 
 
 def _is_disk_error(error: BaseException) -> bool:

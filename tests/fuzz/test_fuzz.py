@@ -46,9 +46,10 @@ class Worker:
             text=True,
         )
 
-    def run(self, case: Case, folder: Path) -> dict:
-        job = {"target": case.target, "argv": case.argv, "cwd": str(folder)}
-        self.process.stdin.write(json.dumps({**job, "seconds": SECONDS, "gigabytes": GIGABYTES}) + "\n")
+    def run(self, case: Case, folder: Path, seconds: float = SECONDS, ready: Path | None = None) -> dict:
+        """seconds: until it is killed, counted from when `ready` is there, if named."""
+        job = {"target": case.target, "argv": case.argv, "cwd": str(folder), "ready": str(ready or "")}
+        self.process.stdin.write(json.dumps({**job, "seconds": seconds, "gigabytes": GIGABYTES}) + "\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 

@@ -1,6 +1,6 @@
 """Runs cases one by one, each in a fork with limits on time and memory: python -m tests.fuzz.worker
 
-Reads one JSON job a line, {"target", "argv", "cwd", "seconds", "gigabytes"}, and answers with one line,
+Reads one JSON job a line, {"target", "argv", "cwd", "seconds", "gigabytes", "ready"}, and answers with one,
 {"status": exit status, or minus the signal, "out", "err", "seconds", "megabytes"}. The modules are loaded
 once, before any fork, and JAX computes nothing here.
 """
@@ -41,6 +41,11 @@ def run(job: dict) -> dict:
         pid = os.fork()
         if pid == 0:
             child(job, out.fileno(), err.fileno())
+        began = time.monotonic()
+        while job.get("ready") and not os.path.exists(job["ready"]) and time.monotonic() - began < 60:
+            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                break
+            time.sleep(0.002)
         status, used, hung = wait(pid, job["seconds"])
         texts = []
         for stream in (out, err):
