@@ -12,6 +12,7 @@ import inspect
 import json
 import logging
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -184,16 +185,20 @@ def _damaged(folder: Path, reason: str) -> BadInput:
 
 @contextmanager
 def _without_logs() -> Iterator[None]:
-    """Orbax's threads log the traceback of an error that is raised here as well."""
-    logger, hook = logging.getLogger("absl"), sys.excepthook
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    sys.excepthook = lambda *_: None  # a late callback of its storage layer is printed through this one
+    """Orbax and its storage layer print the traceback of an error that is raised here as well: through logs,
+    from threads, and from callbacks that come late."""
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    hooks = sys.excepthook, sys.unraisablehook, threading.excepthook
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    sys.excepthook, sys.unraisablehook, threading.excepthook = (lambda *_: None,) * 3
     try:
         yield
     finally:
-        logger.setLevel(level)
-        sys.excepthook = hook
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+        sys.excepthook, sys.unraisablehook, threading.excepthook = hooks
 
 
 def _without_late_callbacks() -> None:

@@ -62,7 +62,7 @@ def test_a_camera_model_is_one_of_the_two_that_were_written(worker, tmp_path, re
         assert number in (1, 2) and next(iter(fitted.maps.values())).shape[-1] == 6 * number
         seen.add(number)
     write_sensor(path, killed.versions(2))
-    assert leftovers(tmp_path) == [] and len(seen) == 2
+    assert leftovers(tmp_path) == [] and (len(seen) == 2 or counts(request) == FEW)
 
 
 def test_a_recording_is_whole(worker, tmp_path, request):

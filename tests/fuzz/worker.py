@@ -1,8 +1,8 @@
 """Runs cases one by one, each in a fork with limits on time and memory: python -m tests.fuzz.worker
 
-Reads one JSON job a line, {"target", "argv", "cwd", "seconds", "gigabytes", "ready"}, and answers with one,
-{"status": exit status, or minus the signal, "out", "err", "seconds", "megabytes"}. The modules are loaded
-once, before any fork, and JAX computes nothing here.
+Reads one JSON job a line, {"target", "argv", "cwd", "seconds", "cpu", "gigabytes", "ready"}, and answers
+with one, {"status": exit status, or minus the signal, "out", "err", "seconds", "megabytes"}. The modules are
+loaded once, before any fork, and JAX computes nothing here.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import math
 import os
 import resource
 import select
@@ -84,6 +85,8 @@ def child(job: dict, out: int, err: int) -> None:
             now = int(statm.read().split()[0]) * resource.getpagesize()
         most = now + int(job["gigabytes"] * 2**30)
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        spent = math.ceil(time.process_time() + job["cpu"])
+        resource.setrlimit(resource.RLIMIT_CPU, (spent, spent))
         os.chdir(job["cwd"])
         status = call(job["target"], job["argv"])
     except BaseException:
