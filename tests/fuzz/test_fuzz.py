@@ -29,7 +29,7 @@ from tests.fuzz.cases import Case, Kit, make_case
 from tests.fuzz.samples import write_samples
 
 SECONDS, GIGABYTES = 20.0, 4.0
-"""What one case may take. A call that loads JAX needs a second and some 3 GB of addresses."""
+"""What one case may take, in time of a core. Loading JAX takes a second and some 3 GB of addresses."""
 
 
 class Worker:
@@ -46,9 +46,11 @@ class Worker:
             text=True,
         )
 
-    def run(self, case: Case, folder: Path) -> dict:
-        job = {"target": case.target, "argv": case.argv, "cwd": str(folder)}
-        self.process.stdin.write(json.dumps({**job, "seconds": SECONDS, "gigabytes": GIGABYTES}) + "\n")
+    def run(self, case: Case, folder: Path, seconds: float = 8 * SECONDS, ready: Path | None = None) -> dict:
+        """seconds: until it is killed, counted from when `ready` is there, if named."""
+        job = {"target": case.target, "argv": case.argv, "cwd": str(folder), "ready": str(ready or "")}
+        job |= {"seconds": seconds, "cpu": SECONDS, "gigabytes": GIGABYTES}
+        self.process.stdin.write(json.dumps(job) + "\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
