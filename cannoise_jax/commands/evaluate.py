@@ -44,6 +44,7 @@ def _run(arguments, argv: list[str]) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from error
+    from cannoise_jax.discovery.patch_area import two_sample_area
     from cannoise_jax.evaluation.noise_models import baselines, make_bench, sensors
     from cannoise_jax.evaluation.results_page import results_page
     from cannoise_jax.evaluation.suites import SUITES as RUNS
@@ -71,7 +72,9 @@ def _run(arguments, argv: list[str]) -> None:
         raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(draws)}")
     needed = {"truth", "pg", "pg_estimated", "pg_recalibrated"}
     draws = {n: d for n, d in draws.items() if not arguments.noise or n in needed | set(arguments.noise)}
-    request = Request(bench, draws, models, arguments.seeds, arguments.references, ablations, tell)
+    request = Request(
+        bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, tell
+    )
     for name in chosen:
         started = time.monotonic()
         tell(f"suite {name}")

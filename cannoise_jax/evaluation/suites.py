@@ -20,7 +20,7 @@ from cannoise_jax.evaluation import kl
 from cannoise_jax.evaluation.denoising import paired_interval
 from cannoise_jax.evaluation.evaluators import Samples, scale, structure
 from cannoise_jax.evaluation.noise_models import KNOWS, Bench, Draw, draw_key, learned, references_of
-from cannoise_jax.evaluation.texture import TEXTURE, two_sample_area
+from cannoise_jax.evaluation.texture import TEXTURE
 
 
 class Cell(NamedTuple):
@@ -39,7 +39,11 @@ Table = dict[str, Any]
 
 @dataclass(frozen=True)
 class Request:
-    """What the suites are run on. models: of each seed of training one. draws: noise models by name."""
+    """What the suites are run on. models: of each seed of training one. draws: noise models by name.
+
+    area: (samples, group, scene, seed) -> area under the curve of a two-sample test, as
+    `discovery.patch_area.two_sample_area` gives it; None: not run.
+    """
 
     bench: Bench
     draws: Mapping[str, Draw]
@@ -47,6 +51,7 @@ class Request:
     seeds: int = 3
     references: int = 8
     ablations: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    area: Callable[..., float | None] | None = None
     tell: Callable[[str], None] = lambda text: None
 
 
@@ -123,7 +128,9 @@ def samples_of(bench: Bench, noise: np.ndarray, only: np.ndarray | None = None) 
     return Samples(real, noise[chosen], clean, np.sqrt(shot * np.maximum(clean, 0) + np.maximum(read, 1e-9)))
 
 
-def every_number(bench: Bench, made: Drawn, truth: Drawn) -> dict[str, Cell]:
+def every_number(
+    bench: Bench, made: Drawn, truth: Drawn, area: Callable[..., float | None] | None = None
+) -> dict[str, Cell]:
     """The row of a noise model: divergences over their floor, level, and what histograms do not see."""
     values, floor = (kl_by_unit(bench, d.noise) for d in (made, truth))
     row = {"KL": cell(bench, values), "excess KL": cell(bench, values, floor)}
@@ -134,9 +141,9 @@ def every_number(bench: Bench, made: Drawn, truth: Drawn) -> dict[str, Cell]:
         found = scale(samples) | structure(samples)
         for evaluator in TEXTURE:
             found |= evaluator.run(samples)
-        told = two_sample_area(samples, bench.group, np.asarray(bench.test.scene), seed)
+        told = area and area(samples, bench.group, np.asarray(bench.test.scene), seed)
         if told is not None:
-            found["area"] = told.area
+            found["area"] = told
         for name, number in found.items():
             numbers.setdefault(name, []).append(number)
     wanted = {
@@ -161,7 +168,9 @@ def noise_suite(request: Request) -> Outcome:
     cameras: dict[str, dict[str, Any]] = {}
     for name, d in {**made, "truth": truth}.items():
         request.tell(f"measuring {name}")
-        rows[name] = {"is told": KNOWS.get(name.split("+")[0], "")} | every_number(bench, d, truth)
+        rows[name] = {"is told": KNOWS.get(name.split("+")[0], "")} | every_number(
+            bench, d, truth, request.area
+        )
         cameras[name] = {}
         for c, camera in enumerate(bench.cameras):
             own = np.asarray(bench.test.camera) == c
