@@ -13,7 +13,7 @@ from cannoise_jax.vocabulary import CLASSES
 PACKAGE = Path(cannoise_jax.__file__).parent
 NAMED = ("mechanisms", "blind", "physics/core/presets.py", "physics/synthetic/virtual.py")
 """Where the name of a mechanism may stand: its own room, the injectors, and cameras made of named parts."""
-LEFT = ("signatures/levels.py", "trials/real.py")
+LEFT = ("trials/real.py",)
 """Where names still stand: to be emptied."""
 NAMES = frozenset(MECHANISMS) - frozenset(CLASSES)  # a class of mechanisms is called as one of them is
 LATE = {
