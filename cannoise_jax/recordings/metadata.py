@@ -47,10 +47,12 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 """What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
-_CHUNK_BYTES, _LARGEST_CODE = 64 << 20, 65535
+_CHUNK_BYTES = 64 << 20
 _LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
-_HIGHEST = 65536.0
+_HIGHEST = 2.0**20
+"""DN, sixteen times what the stored codes reach: a wrong level is a mistake that can be found, not a reason to
+refuse the frames; beyond that it is damage."""
 _log = logging.getLogger(__name__)
 
 
@@ -86,16 +88,14 @@ def make_recording(
     white = _number(path, "white_level", _required(path, stated, "white_level"))
     if white > _HIGHEST or min(black) < -_HIGHEST:
         raise BadInput(
-            f"{path}: black level {min(black):g}, white level {white:g}: stored values have 16 bits, so "
-            "levels end at 65536: set them with --black-level and --white-level"
+            f"{path}: black level {min(black):g}, white level {white:g}: far beyond codes of 16 bits: "
+            "set them with --black-level and --white-level"
         )
     if max(black) >= white:
         raise BadInput(
             f"{path}: black level {max(black):g} is not below white level {white:g}: "
             "set them with --black-level and --white-level"
         )
-    if white > _LARGEST_CODE:
-        raise BadInput(f"{path}: white level {white:g}: codes have 16 bits: set it with --white-level")
     recording = Recording(
         frames=frames,
         cfa=cfa,
