@@ -92,7 +92,6 @@ def addition(step: Step, prepared: Prepared, rng: np.random.Generator) -> Additi
         longest=max(e or 0.0 for e in exposures),
         span=prepared.span,
         size=prepared.fields[0].mean.shape,
-        rng=rng,
     )
     return signature.place(found) if step.named.mechanism == UNKNOWN else signature.simulate(found)
 

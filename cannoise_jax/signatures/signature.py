@@ -88,7 +88,6 @@ class Found(NamedTuple):
     longest: float
     span: float
     size: tuple[int, int]
-    rng: np.random.Generator
 
     @property
     def by_exposure(self) -> Scaling:

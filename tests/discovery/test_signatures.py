@@ -235,7 +235,6 @@ def found_by(signature: Signature, fields, score, mechanism):
         longest=0.4,
         span=1000.0,
         size=SIZE,
-        rng=rng,
     )
 
 
