@@ -51,7 +51,7 @@ _CHUNK_BYTES = 64 << 20
 _LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
 _HIGHEST = 2.0**20
-"""DN, sixteen times what the stored codes reach: a wrong level is a mistake that can be found, not a reason to
+"""DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
 refuse the frames; beyond that it is damage."""
 _log = logging.getLogger(__name__)
 
