@@ -28,6 +28,7 @@ from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.networks.layers import fold_spectral_norm
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
 from cannoise_jax.physics.single_image import estimate_nlf
+from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.recording import BadInput
 
 SMALLEST = 16
@@ -270,6 +271,7 @@ def save_model(path: str | Path, model: Model) -> None:
         try:
             partial.write_bytes(content.getbuffer())
             os.replace(partial, path)
+            remove_leftovers(path)
         finally:
             partial.unlink(missing_ok=True)
     except OSError as error:

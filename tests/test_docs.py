@@ -195,7 +195,7 @@ def test_commands_on_the_pages_have_the_flags_they_are_shown_with(capsys):
     for page, name, arguments in shown_commands():
         if name == "test":  # hands what it does not know on to pytest
             continue
-        call = (name, *arguments[:1]) if name in ("bench", "blind") else (name,)
+        call = (name, *arguments[:1]) if name in ("bench", "blind", "denoise") else (name,)
         if call not in helps:
             module = importlib.import_module(f"cannoise_jax.commands.{name}")
             try:

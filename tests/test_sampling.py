@@ -231,3 +231,16 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
 def test_other_shapes_are_refused(model, clean, reference, message):
     with pytest.raises(ValueError, match=message):
         sample_noise(model, jax.random.key(0), jnp.zeros(clean), jnp.zeros(reference), NLF)
+
+
+@pytest.mark.parametrize(("shot", "read"), [(-1e-3, 1e-5), (1e-3, -1e-5), (np.nan, 1e-5)])
+def test_a_noise_level_that_no_camera_has_is_refused(model, shot, read):
+    with pytest.raises(ValueError, match="nlf: (shot|read) must be finite and 0 or more"):
+        sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (shot, read))
+
+
+def test_a_clean_image_in_dn_is_refused(model):
+    with pytest.raises(ValueError, match="so it is not normalised"):
+        sample_noise(
+            model, jax.random.key(0), 1000 * scene(32, 32) + 64, noisy(jax.random.key(1)), (1e-3, 1e-5)
+        )

@@ -15,6 +15,8 @@ from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 INJECTED = ("column_noise", "row_noise", "banding", "amplifier_mismatch", "column_fpn", "dsnu", "column_gain")
 """Effects that can be added to stored codes: their light and charge need not be drawn again."""
+LIT, STEPS = ("column_gain",), ("amplifier_mismatch",)
+"""Of these: what shows in light alone, and whose strengths add as such instead of as their squares."""
 
 
 def crop(capture: CaptureSet, size: tuple[int, int], longest: float = np.inf) -> CaptureSet:

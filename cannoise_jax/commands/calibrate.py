@@ -1,17 +1,21 @@
 """bin/calibrate --recordings DIR --out sensor.json: photon transfer and mechanisms of one camera.
 
-Prints the tables; writes a camera model that bin/simulate and bin/train take.
+Prints the tables; writes a camera model that bin/simulate and bin/train take and, beside it, the EMVA 1288
+sheet and the noise profiles.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
+import json
 import logging
+import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.entry import cache_folder, command, counted, progress
 from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
 from cannoise_jax.recordings.recording import BadInput
@@ -36,6 +40,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     check_file(arguments.out, ".json", arguments.force)
+    beside = _beside(arguments.out)
+    for path in beside.values():
+        check_file(path, path.suffix, arguments.force)
     from cannoise_jax.recordings.folders.store import capture_of
     from cannoise_jax.recordings.usable import check_usable
 
@@ -48,6 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model
     from cannoise_jax.physics.transfer.table import format_transfer
+    from cannoise_jax.recordings.atomic import texts_in_place
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture)
@@ -56,10 +64,63 @@ def _run(arguments: argparse.Namespace) -> int:
     if findings:
         print(format_findings(findings), end="\n\n")
     model = sensor_model(transfers, findings)
-    write_sensor(arguments.out, model)
+    with texts_in_place(_texts(beside, model.camera, transfers, capture)):
+        write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")
+    print(f"{beside['sheet']}: EMVA 1288 sheet")
+    print(f"{beside['csv']}, {beside['profile'].name}, {beside['darktable'].name}: noise profiles")
     return 0
+
+
+def _beside(out: Path) -> dict[str, Path]:
+    """What is written beside the camera model, by what it is."""
+    names = {
+        "sheet": "emva1288.html",
+        "data": "emva1288.json",
+        "csv": "profile.csv",
+        "profile": "profile.json",
+        "darktable": "darktable.json",
+    }
+    return {what: out.with_name(f"{out.stem}_{name}") for what, name in names.items()}
+
+
+def _texts(
+    beside: dict[str, Path], camera: str, transfers: tuple[PhotonTransfer, ...], capture: CaptureSet
+) -> dict[Path, str]:
+    from cannoise_jax.evaluation.sheet import sheet_page
+    from cannoise_jax.evaluation.sheet_data import sheet_data
+    from cannoise_jax.physics.transfer.noise_profile import darktable_profiles, profile_csv, profile_rows
+
+    settings, rows = sheet_data(transfers), profile_rows(transfers)
+    frames = sum(r.count for r in capture.recordings)
+    made_by = f"{frames} frames of {len(capture.recordings)} recordings; cannoise-jax {_version()}."
+    return {
+        beside["sheet"]: sheet_page(camera, settings, made_by),
+        beside["data"]: _json({"camera": camera, "settings": settings}),
+        beside["csv"]: profile_csv(rows),
+        beside["profile"]: _json({"camera": camera, "variance": "shot * x + read", "profiles": rows}),
+        beside["darktable"]: _json(darktable_profiles(camera, rows)),
+    }
+
+
+def _json(document: dict) -> str:
+    return json.dumps(_plain(document), indent=1, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """Values as JSON has them: what is not finite is null."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def _version() -> str:
+    return importlib.metadata.version("cannoise-jax")
 
 
 def calibrate(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[Finding, ...]]:
@@ -69,13 +130,20 @@ def calibrate(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[Fi
     """
     from cannoise_jax.mechanisms import LISTED
     from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
-    from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+    from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 
-    transfers = photon_transfer(capture)
+    # As `photon_transfer`, which does not say how far it is.
+    every: dict[float | None, list[FrameStatistics]] = {}
+    for recording in counted(capture.recordings, "photon transfer: recordings"):
+        every.setdefault(recording.iso, []).append(frame_statistics(recording))
+    order = sorted(every, key=lambda iso: (iso is not None, iso))
+    transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            return transfers, find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+            entries = counted(LISTED, "mechanisms: estimators")
+            return transfers, find_mechanisms(transfer.statistics, transfer.baseline, entries)
     return transfers, ()
 
 
@@ -84,13 +152,20 @@ def _parser() -> argparse.ArgumentParser:
         prog="bin/calibrate",
         description="Measures the noise of a camera from a folder of its recordings: flats and darks, or "
         "scenes with repeated frames. Prints photon transfer (EMVA 1288 definitions) and the mechanisms "
-        "beyond it, each with a 90 %% interval, and writes a camera model.",
+        "beyond it, each with a 90 %% interval; writes a camera model, an EMVA 1288 sheet that prints, "
+        "and noise profiles (CSV, JSON, and darktable's).",
         epilog="A folder of single files (FITS, camera raw, TIFF ...) is sorted as bin/convert does; its "
         "--dry-run shows how.",
     )
     add = parser.add_argument
     add("--recordings", required=True, type=folder, metavar="DIR", help="recordings of one camera")
-    add("--out", required=True, type=Path, metavar="FILE", help="the sensor.json to write")
+    add(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="the sensor.json to write; STEM_emva1288.html and others beside it",
+    )
     add_recording_flags(parser)
     add("--force", action="store_true", help="replace results that exist")
     return parser

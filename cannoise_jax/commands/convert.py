@@ -49,6 +49,9 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
 
+    missing = next((path for path in inputs if not path.exists() and not path.is_symlink()), None)
+    if missing is not None:
+        raise BadInput(f"{missing}: no such file or folder")
     if output.suffix.lower() not in _NATIVE:
         raise BadInput(f"{output}: the output comes last and ends in .h5 (or is a folder, for one folder)")
     if output.exists() and not force:

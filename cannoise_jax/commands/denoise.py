@@ -199,8 +199,8 @@ def _apply(arguments, argv) -> None:
 
     if arguments.out.suffix != ".npy":
         raise BadInput(f"{arguments.out}: --out names a .npy file")
-    if arguments.out.exists() and not arguments.overwrite:
-        raise BadInput(f"{arguments.out}: exists: name another file, or replace it with --overwrite")
+    if arguments.out.exists() and not arguments.force:
+        raise BadInput(f"{arguments.out}: exists: name another file, or replace it with --force")
     denoiser = load_denoiser(arguments.denoiser)
     recording = load_recording(arguments.recording)
     span = np.float32(denoiser.about["gain_dn_per_e"] * denoiser.about["full_scale_e"])
@@ -340,7 +340,7 @@ def _parser() -> argparse.ArgumentParser:
     apply.add_argument("--denoiser", required=True, type=Path, metavar="FILE")
     apply.add_argument("--recording", required=True, type=Path, metavar="FILE")
     apply.add_argument("--out", required=True, type=Path, metavar="FILE.npy")
-    apply.add_argument("--overwrite", action="store_true")
+    apply.add_argument("--force", action="store_true")
     return parser
 
 

@@ -12,6 +12,8 @@ from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
 from cannoise_jax.recordings.recording import BadInput
 
+_PREPARED, _FIRST_LOOK = 400_000, 160_000
+"""Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
 _FILES = ("report.json", "report.html", "sensor.json")
 
 
@@ -56,7 +58,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
     check_usable(capture)
-    capture, size = central(capture, arguments.most_pixels)
+    most = arguments.most_pixels or (_FIRST_LOOK if plan else _PREPARED)
+    capture, size = central(capture, most)
     if size is not None:
         tell("frames cut to their middle, {} x {}: --most-pixels sets how much is used".format(*size))
 
@@ -64,6 +67,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
 
     from cannoise_jax.discovery.diagnose import diagnose
     from cannoise_jax.discovery.save import save
+    from cannoise_jax.mechanisms import ENTRIES
+    from cannoise_jax.mechanisms.outside import entries_at
 
     found = diagnose(
         capture,
@@ -71,6 +76,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         jax.random.key(arguments.key),
         alpha=arguments.alpha,
         without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
+        mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
         tell=tell,
     )
     report = save(
@@ -104,12 +110,19 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--most-pixels",
         type=count,
-        default=400_000,
         metavar="N",
-        help="use no more of each frame, about its middle: a megapixel takes minutes more",
+        help="use no more of each frame, about its middle: a megapixel takes many minutes "
+        f"(default {_PREPARED}, and {_FIRST_LOOK} for a first look at a folder of single files)",
     )
     add("--key", type=int, default=0, help="seed of everything random")
     add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
+    add(
+        "--mechanisms",
+        metavar="MODULE:NAME",
+        action="append",
+        default=[],
+        help="entries of your own to look for too (docs/adding_a_mechanism.md); may be repeated",
+    )
     add_recording_flags(parser)
     add("--force", action="store_true", help="replace results that exist")
     return parser

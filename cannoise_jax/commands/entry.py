@@ -8,7 +8,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,14 @@ def progress(doing: str) -> Callable[[int, int], None]:
         print(f"\r{text}  " if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
 
     return tell
+
+
+def counted(items: Sequence[Any], doing: str) -> Iterator[Any]:
+    """The items one by one, with word of how far it is."""
+    tell = progress(doing)
+    for number, item in enumerate(items):
+        yield item
+        tell(number + 1, len(items))
 
 
 def _duration(seconds: float) -> str:

@@ -110,6 +110,9 @@ def _picture(path: Path, suffix: str) -> np.ndarray:
     else:
         import tifffile
 
+        from cannoise_jax.recordings.tiff_chain import check_chain
+
+        check_chain(path)
         with tifffile.TiffFile(path) as file:
             for page in file.pages:
                 check_claim(path, page.shape[:2], page.dtype.itemsize if page.dtype else 1)

@@ -16,7 +16,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with _interruptible() as check:
             config, workdir = _read_flags(arguments)
-            return _run(config, workdir, started, check)
+            with _no_empty_folder(workdir):
+                return _run(config, workdir, started, check)
     except BadInput as error:
         print(f"bin/train: {error}", file=sys.stderr)
         return 2
@@ -101,6 +102,19 @@ def _interruptible() -> Iterator[Callable[[], None]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _no_empty_folder(folder: Path) -> Iterator[None]:
+    """A folder that a refused run has made and not filled is taken away again."""
+    there = folder.exists()
+    try:
+        yield
+    except BadInput:
+        if not there:
+            with suppress(OSError):
+                folder.rmdir()  # only where it is empty
+        raise
 
 
 def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:

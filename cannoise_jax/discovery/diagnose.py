@@ -3,6 +3,7 @@ came out."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +16,7 @@ from jaxtyping import Array, Key
 
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
-from cannoise_jax.discovery.fit import SPENT, Fitted, Step, part_of, stepwise
+from cannoise_jax.discovery.fit import Fitted, Step, part_of, stepwise
 from cannoise_jax.discovery.locate import locate
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
@@ -25,7 +26,9 @@ from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.signatures import generic
 from cannoise_jax.signatures.fields import refit
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
 from cannoise_jax.vocabulary import Term
 
@@ -158,8 +161,17 @@ def diagnose(
 
 
 def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
-    """What recordings are searched for: every mechanism of the package, and those from outside."""
-    return (*ENTRIES, *(entry for entry in entries if entry not in ENTRIES))
+    """What recordings are searched for: every mechanism of the package, and those from outside, which are
+    looked for by their samplers where they bring no signature of their own."""
+    return (*ENTRIES, *(_searchable(entry) for entry in entries if entry not in ENTRIES))
+
+
+def _searchable(entry: Entry) -> Entry:
+    if entry.looked_for:
+        return entry
+    unit = next(p.unit for p in entry.record.parameters if p.name == generic.strength_of(entry.record))
+    by_sampling = generic.by_sampling(entry.record, name=entry.id, unit=unit, known={})
+    return dataclasses.replace(entry, signatures=by_sampling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +272,7 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     mine = [s for s in mine if s.decides][:1] or mine
     log_p = float(np.log(diagnosis.alpha / diagnosis.fitted.first.tests))
     looks = tuple(p.fields for p in (diagnosis.first, diagnosis.second) if p is not None)
-    share = SPENT[1] if diagnosis.second else 1.0
+    share = SHARED.together if diagnosis.second else 1.0
     found = [
         s.detectable(Asked(looks, log_p, share, s.weight), scores[s.name], mechanism)
         for s in mine

@@ -15,19 +15,13 @@ import numpy as np
 from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import Named, name
 from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
-SPENT = (0.6, 0.4)
-"""Shares of alpha: of the frames that look, and of all frames together. They add up to one, so that the error
-rate of the whole is kept whatever the two looks have in common."""
-SUSPECT = 0.3
-"""Family-wise p of the frames that look from which on a second look is worth its time."""
 _Z90 = 1.645
 """Standard errors on each side of a 90 % interval."""
-_CANDIDATE = 0.05
-"""p of a single signature, of the frames that look, from which on it takes part in the second."""
 
 
 class Step(NamedTuple):
@@ -77,8 +71,8 @@ def stepwise(
     of all frames, for a second look at what is suspected; without it all of alpha is spent on the first.
     located: the first pass of the battery, where it was run already.
     """
-    shares = SPENT if every else (1.0, 0.0)
-    level = log_alpha + float(np.log(shares[0]))
+    share = SHARED.looking if every else 1.0
+    level = log_alpha + float(np.log(share))
     first = last = located or locate(fields, signatures)
     start = fields
     steps: list[Step] = []
@@ -95,7 +89,7 @@ def stepwise(
                 active = _active(signatures, steps, given_up)
                 late = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
             if late is None:
-                charged = (s if s.late else s._replace(log_p=charge(s.log_p, shares[0])) for s in final)
+                charged = (s if s.late else s._replace(log_p=charge(s.log_p, share)) for s in final)
                 return Fitted(tuple(charged), fields, last, first)
             named, log_p = late
             tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.signature.name})")
@@ -126,17 +120,19 @@ def second_look(
 ) -> tuple[Named, float] | None:
     """What all frames together reject of that which the frames that look suspect, with the score of the
     latter and the family-wise log p of the former; None where there is no suspicion or it does not hold."""
-    if not last.log_p or min(last.log_p.values()) > np.log(SUSPECT):
+    if not last.log_p or min(last.log_p.values()) > np.log(SHARED.suspect):
         return None
     doubtful = tuple(
-        p for p in signatures if p.name in last.scores and last.scores[p.name].log_p < np.log(_CANDIDATE)
+        p
+        for p in signatures
+        if p.name in last.scores and last.scores[p.name].log_p < np.log(SHARED.candidate)
     )
     fields = _again(steps, every())[1]
     together = locate(fields, doubtful, tests)
-    named = name(together, doubtful, allowed, log_alpha + float(np.log(SPENT[1])))
+    named = name(together, doubtful, allowed, log_alpha + float(np.log(SHARED.together)))
     if named is None:
         return None
-    log_p = charge(together.log_p[named.signature.name], SPENT[1])
+    log_p = charge(together.log_p[named.signature.name], SHARED.together)
     return named._replace(score=last.scores[named.signature.name]), log_p
 
 

@@ -5,13 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import Signature
-
-EFFECTIVE = 0.8
-"""Independent tests for each one of the battery: several look at the same frames through like templates. The
-upper end of the 90 % interval, 0.66 to 0.81, of the r that makes 1 - (1 - p)^r uniform over 240 sets without
-an effect (capture sets of the blind proof)."""
 
 
 class Located(NamedTuple):
@@ -35,13 +31,13 @@ def locate(
 ) -> Located:
     """Runs the battery. Every signature's p-value is calibrated for the search inside it; the smallest is
     judged by Sidak's bound with weights (Genovese, Roeder & Wasserman 2006) over `tests`, the sum of the
-    weights times `EFFECTIVE`. known: scores that need not be computed again.
+    weights times `Multiplicity.effective`. known: scores that need not be computed again.
     """
     scores = {}
     for signature in signatures:
         score = known[signature.name] if known and signature.name in known else signature.score(fields)
         if score is not None:
             scores[signature.name] = score
-    number = tests or EFFECTIVE * sum(p.weight for p in signatures if p.name in scores)
+    number = tests or SHARED.effective * sum(p.weight for p in signatures if p.name in scores)
     share = {p.name: p.weight for p in signatures}
     return Located(scores, {n: sidak(s.log_p, number / share[n]) for n, s in scores.items()}, number)

@@ -16,7 +16,8 @@ from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.physics.core import registry
-from cannoise_jax.physics.core.grammar import mechanism_from_grammar
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
@@ -91,9 +92,12 @@ def addition(step: Step, prepared: Prepared, rng: np.random.Generator) -> Additi
         longest=max(e or 0.0 for e in exposures),
         span=prepared.span,
         size=prepared.fields[0].mean.shape,
-        rng=rng,
     )
     return signature.place(found) if step.named.mechanism == UNKNOWN else signature.simulate(found)
+
+
+def _record(id: str, point: Point | None) -> Mechanism:
+    return registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
 
 
 def with_addition(model: SensorModel, step: Step, more: Addition) -> SensorModel:
@@ -107,8 +111,9 @@ def with_addition(model: SensorModel, step: Step, more: Addition) -> SensorModel
     unnamed = step.named.mechanism == UNKNOWN
     id = f"{UNKNOWN}_{step.named.signature.name}" if unnamed else step.named.mechanism
     point = more.point
-    record = registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
-    values: dict = clipped(record, more.values)
+    values: dict = clipped(more.record or _record(id, point), more.values)
     if not np.isfinite(list(values.values())).all():
         return model
-    return model.with_mechanism(id, point=point, scaling=more.scaling, maps=more.maps, **values)
+    return model.with_mechanism(
+        more.record or id, point=point, scaling=more.scaling, maps=more.maps, **values
+    )

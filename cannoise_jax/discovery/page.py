@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import jinja2
@@ -62,6 +63,8 @@ def place(where: dict[str, Any]) -> str:
     for name, value in where.items():
         if name == "axis" or value in (None, [], ""):
             continue
+        if name == "recordings":  # by their names: where they lie is in the table of recordings
+            value = [Path(str(path)).name for path in value] if isinstance(value, list) else value
         more.append(f"{name.replace('_', ' ')}: {_listed(value)}")
     axis = words[where["axis"]]
     if where["axis"] == "frequency" and not where.get("period_px"):

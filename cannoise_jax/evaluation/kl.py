@@ -90,8 +90,3 @@ def kl_floor_of_counts(
     first = rng.multinomial(count, share, size=trials)
     second = rng.multinomial(fake_count or count, share, size=trials)
     return float(np.mean([kl_of_counts(a, b) for a, b in zip(first, second, strict=True)]))
-
-
-def kl_floor_analytic(occupied: int, real_count: int, fake_count: int) -> float:
-    """The leading term of the floor: (occupied bins - 1) / 2 * (1/real_count + 1/fake_count), nats."""
-    return (occupied - 1) / 2 * (1 / real_count + 1 / fake_count)

@@ -196,8 +196,8 @@ ENTRIES: tuple[Entry, ...] = (
         DARK_CURRENT,
         needs="darks at two exposures or more, exposure_s stated",
         signatures=lambda recorded: (
-            looks.levels.by_exposure(recorded, name="dark_level", parameter="e_per_s",
-        covers=("dark_level",)), ),
+            looks.levels.by_exposure(recorded, name="dark_level", quantity="dark_current",
+        parameter="e_per_s", covers=("dark_level",)), ),
         estimator=Estimator(charge.dark_current),
         examples=Examples("mean", shown={"e_per_s": 30.0}, strong={"e_per_s": 60.0},
                           cases=(Case({"e_per_s": 2.0}, SERIES),)),

@@ -14,6 +14,7 @@ from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Para
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import maps
+from cannoise_jax.recordings.packing import green_sites
 from cannoise_jax.vocabulary import FRACTION, Term
 
 _EMVA = "EMVA 1288 release 4.0, section 4.2 (PRNU1288)"
@@ -40,14 +41,6 @@ COLUMN_GAIN = mechanism_from_grammar(
     needs=("flat", "pair_independent"),
     confused_with=("column_fpn", "prnu", "smear"),
 )
-
-
-def green_sites(cfa: str) -> tuple[int, int] | None:
-    """Mosaic sites (0 to 3) of the green pixels beside red and beside blue; None without colours."""
-    if cfa == "MONO":
-        return None
-    red = cfa.index("R")
-    return red ^ 1, red ^ 2
 
 
 def _green_maps(key, values, context: Context):

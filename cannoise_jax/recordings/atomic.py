@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import glob
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -17,6 +18,8 @@ def remove_leftovers(path: Path) -> None:
         number = left.name.removesuffix(".partial").rpartition(".")[2]
         if not number.isdigit() or int(number) == os.getpid() or _runs(int(number)):
             continue
+        if left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
         with contextlib.suppress(OSError):
             left.unlink()
 

@@ -12,6 +12,7 @@ import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.opened import Opened
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
+from cannoise_jax.recordings.tiff_chain import check_chain
 
 SUFFIXES = (
     *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".srf", ".raf", ".orf", ".rw2", ".pef"),
@@ -34,6 +36,7 @@ SUFFIXES = (
 _NOISE_PROFILE, _CFA_PLANE_COLOUR, _ACTIVE_AREA, _MASKED_AREAS = 51041, 50710, 50829, 50830
 _BLACK_REPEAT, _BLACK, _BLACK_DELTAS = 50713, 50714, (50715, 50716)
 _UNIQUE_CAMERA, _EXPOSURE, _ISO = 50708, 33434, (34855, 34867)
+_MOST_DIRECTORIES = 1000
 _CFA_IMAGE = 32803  # PhotometricInterpretation of a mosaic
 _log = logging.getLogger(__name__)
 
@@ -211,7 +214,10 @@ def _mosaic(path: str | Path, raw: Any) -> tuple[str, np.ndarray]:
     letters = "".join(chr(raw.color_desc[c]) for c in pattern.ravel())
     if pattern.shape != (2, 2) or letters not in ("RGGB", "GRBG", "GBRG", "BGGR"):
         kind = "X-Trans" if pattern.shape == (6, 6) else letters
-        raise BadInput(f"{path}: {kind} mosaic: only Bayer mosaics (and monochrome sensors) are supported")
+        raise BadInput(
+            f"{path}: {kind} mosaic: only Bayer mosaics and monochrome sensors are supported: all "
+            "that is measured and simulated goes by the four sites of a 2x2 cell"
+        )
     return letters, pattern.ravel().astype(int)
 
 
@@ -225,6 +231,7 @@ def _directories(path: str | Path) -> list[_Directory]:
 
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
+    check_chain(path)
     try:
         with quiet("tifffile"), tifffile.TiffFile(path) as file:
             found = [
@@ -233,7 +240,7 @@ def _directories(path: str | Path) -> list[_Directory]:
                     page.photometric == _CFA_IMAGE,
                     max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=False)), default=0),
                 )
-                for page in below(file.pages)
+                for page in islice(below(file.pages), _MOST_DIRECTORIES)
                 if isinstance(page, tifffile.TiffPage)
             ]
     except Exception:  # not a TIFF, or one that only LibRaw understands

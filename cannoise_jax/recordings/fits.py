@@ -71,9 +71,10 @@ def open_fits(path: str | Path) -> Opened:
         native = (header["BITPIX"], header.get("BZERO", 0)) in ((8, 0), (16, 32768))
         if not native:
             whole_numbers(path, np.asarray(hdu.data))
-    upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
-    known, about = known_of(header), about_of(header)
-    kept, black = _sections(path, number, header, shape)
+    with reading(path, "not a readable FITS header"):  # cards are parsed when they are looked at
+        upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+        known, about = known_of(header), about_of(header)
+        kept, black = _sections(path, number, header, shape)
     if known["cfa"] is not None:
         rows = shape[1] - kept[0].stop if upside_down else kept[0].start
         known["cfa"] = to_shifted_cfa(known["cfa"], rows, kept[1].start)

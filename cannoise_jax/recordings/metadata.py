@@ -48,8 +48,11 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
 _CHUNK_BYTES = 64 << 20
-_LONGEST = 200
-"""Characters of a camera's name."""
+_LONGEST, _MOST_COUNTED = 200, 10**9
+"""Characters of a camera's name; frames that one may say were averaged."""
+_HIGHEST = 2.0**20
+"""DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
+refuse the frames; beyond that it is damage."""
 _log = logging.getLogger(__name__)
 
 
@@ -83,6 +86,11 @@ def make_recording(
         )
     black = _channels(path, "black_level", _required(path, stated, "black_level"))
     white = _number(path, "white_level", _required(path, stated, "white_level"))
+    if white > _HIGHEST or min(black) < -_HIGHEST:
+        raise BadInput(
+            f"{path}: black level {min(black):g}, white level {white:g}: far beyond codes of 16 bits: "
+            "set them with --black-level and --white-level"
+        )
     if max(black) >= white:
         raise BadInput(
             f"{path}: black level {max(black):g} is not below white level {white:g}: "
@@ -102,7 +110,7 @@ def make_recording(
         temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
         shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
-        code_step=_optional(path, stated, "code_step", least=0),
+        code_step=_optional(path, stated, "code_step", least=0, most=65536),
         reference=_one_of(path, stated, "reference", REFERENCES),
         reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
@@ -205,6 +213,8 @@ def _text(path: str | Path, name: str, value: Any) -> str:
     """A stated name or word. Raises BadInput for lists, tables, and text that no line can show."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
+    if value is None:
+        return ""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     if isinstance(text, (bool, int, float)):
         text = str(text)
@@ -245,7 +255,7 @@ def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tup
 def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     try:
         values = per_channel(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
     if not all(map(math.isfinite, values)):
         raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
@@ -268,7 +278,7 @@ def _optional_channels(
 def _number(path: str | Path, name: str, value: Any) -> float:
     try:
         number = float(np.asarray(value).reshape(()))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
     if not math.isfinite(number):
         raise BadInput(f"{path}: {name} is not finite: {number}")
@@ -276,16 +286,20 @@ def _number(path: str | Path, name: str, value: Any) -> float:
 
 
 def _optional(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
 ) -> float | None:
     if name not in stated:
         return None
     number = _number(path, name, stated[name])
     if number < least:
         raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
+    if number > most:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
     return number
 
 
 def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
     number = _optional(path, stated, name, least=1)
+    if number is not None and number > _MOST_COUNTED:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")
     return None if number is None else round(number)

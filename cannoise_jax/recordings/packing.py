@@ -21,6 +21,14 @@ PACKED_CHANNELS = ("R", "Gr", "Gb", "B")
 _CELL_STEPS = {"RGGB": (1, 1), "GRBG": (1, -1), "GBRG": (-1, 1), "BGGR": (-1, -1), "MONO": (1, 1)}
 
 
+def green_sites(cfa: str) -> tuple[int, int] | None:
+    """Mosaic sites (0 to 3) of the green beside red and of the green beside blue; None without colours."""
+    if cfa == "MONO":
+        return None
+    red = cfa.index("R")
+    return red ^ 1, red ^ 2
+
+
 def pack(mosaic: Shaped[Any, "... H W"], cfa: str) -> Shaped[Any, "... h w 4"]:
     """Mosaic `[..., H, W]` to packed `[..., H/2, W/2, 4]`, channels R, Gr, Gb, B (MONO: the four positions).
 

@@ -22,6 +22,7 @@ import numpy as np
 from array_record.python.array_record_module import ArrayRecordWriter
 from jaxtyping import Float, Int
 
+from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.packing import pack, to_packed_order
 from cannoise_jax.recordings.pipeline import Subset
 from cannoise_jax.recordings.recording import BadInput, Recording
@@ -58,6 +59,7 @@ def write_patches(
     scenes = tuple(sorted({scene for _, scene in recordings}))
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     try:
+        remove_leftovers(folder)
         partial.mkdir(parents=True)
         writer = ArrayRecordWriter(str(partial / _RECORDS), "group_size:1,uncompressed")
         entries = []

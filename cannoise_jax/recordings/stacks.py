@@ -22,6 +22,7 @@ from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
+from cannoise_jax.recordings.tiff_chain import check_chain
 
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
 _log = logging.getLogger(__name__)
@@ -64,10 +65,12 @@ def open_tiff(path: str | Path) -> Opened:
     """The pages of a TIFF file, and what its side-car states. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
+    check_chain(path)
     with reading(path, "not a readable TIFF file"), quiet("tifffile"), tifffile.TiffFile(path) as file:
-        shapes = {page.shape for page in file.pages}
-        types = {page.dtype for page in file.pages}
-        count = len(file.pages)
+        pages = _pages(file)
+        shapes = {page.shape for page in pages}
+        types = {page.dtype for page in pages}
+        count = len(pages)
         whole = _is_whole(file, Path(path).stat().st_size)
     if not whole:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
@@ -122,6 +125,17 @@ def _read_npz(path: str, name: str) -> np.ndarray:
 def _read_page(number: int, *, path: str) -> np.ndarray:
     with reading(path, f"cannot read page {number}"):
         return tifffile.imread(path, key=number)
+
+
+def _pages(file: tifffile.TiffFile) -> list[Any]:
+    """The pages, in order. Raises ValueError where the directories of a damaged file lead back to an earlier
+    one, which tifffile would follow for ever."""
+    found: dict[int, Any] = {}
+    for page in file.pages:
+        if page.offset in found:
+            raise ValueError(f"directory {len(found)} leads back to an earlier one")
+        found[page.offset] = page
+    return list(found.values())
 
 
 def _is_whole(file: tifffile.TiffFile, size: int) -> bool:

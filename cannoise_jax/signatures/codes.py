@@ -39,6 +39,10 @@ _MOVED = 0.01
 """Share of all values that a comb moves to other codes from which it changes the shape of narrow noise."""
 
 
+_CERTAIN = 1e6
+"""Nats of what is no estimate: a code that no value has, of all that were counted."""
+
+
 def comb_score(fields, *, codes: Codes) -> Score | None:
     """Every so-manieth code missing or favoured: power of the histogram at the harmonics of one period.
 
@@ -126,7 +130,7 @@ def step_score(fields, *, codes: Codes) -> Score | None:
     found = ratio > 1.5
     return Score(
         log_p=-700.0 if found else 0.0,
-        gain=1e6 if found else 0.0,
+        gain=_CERTAIN if found else 0.0,
         penalty=0.0,
         amplitude=codes.detected,
         error=0.0,

@@ -118,7 +118,7 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: boo
     )
 
 
-def dark_current_score(fields: tuple[Fields, ...], *, jitter: float) -> Score | None:
+def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: str) -> Score | None:
     """Level of the darks against their exposure."""
     levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
     if len({f.exposure_s for f, _, _ in levels}) < 2:
@@ -143,7 +143,7 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float) -> Score | 
         error=error,
         shift=error,
         power=1,
-        parameters={"dark_current": (slope / gain, "e-/s", error)},
+        parameters={quantity: (slope / gain, "e-/s", error)},
         where={"axis": "frame", "recordings": [f.name for f, _, _ in levels]},
         payload=slope,
     )
@@ -206,13 +206,15 @@ def black_of_channels(
     )
 
 
-def by_exposure(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
-    """A level of the darks that rises with the exposure."""
+def by_exposure(
+    recorded: Recorded, *, name: str, parameter: str, quantity: str, covers: tuple[str, ...] = ()
+) -> Signature:
+    """A level of the darks that rises with the exposure. quantity: what its slope is called."""
     return Signature(
         name=name,
         axes=Axes("pixel", "frame", "frozen", "exposure", "mean"),
         reads=_READS,
-        score=partial(dark_current_score, jitter=recorded.jitter),
+        score=partial(dark_current_score, jitter=recorded.jitter, quantity=quantity),
         absorb=unchanged,
         covers=covers,
         predict=NO_LAW,

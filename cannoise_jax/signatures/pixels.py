@@ -240,12 +240,17 @@ def own_noise(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Sig
     """A read noise of its own for every pixel."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
-        factors = noise_factors(fields, score.amplitude, rng)
-        return _dark_sigma(fields) * np.sqrt(np.maximum(factors**2 - np.quantile(factors, 0.05) ** 2, 0))
+        return noise_factors(fields, score.amplitude, rng)
 
     def simulate(found: Found) -> Addition:
-        value = found.score.amplitude
-        return Addition({parameter: value}, {"factor": as_map(noise_factors(found.fields, value, found.rng))})
+        maps = {} if found.pattern is None else {"factor": as_map(found.pattern)}
+        return Addition({parameter: found.score.amplitude}, maps)
+
+    def place(found: Found) -> Addition:
+        """Noise beyond that of the quietest, DN."""
+        assert found.pattern is not None
+        beyond = np.maximum(found.pattern**2 - np.quantile(found.pattern, 0.05) ** 2, 0)
+        return placed(BLINKING)(found._replace(pattern=_dark_sigma(found.fields) * np.sqrt(beyond)))
 
     return Signature(
         name=name,
@@ -257,7 +262,7 @@ def own_noise(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Sig
         predict=NO_LAW,
         pattern=pattern,
         simulate=simulate,
-        place=placed(BLINKING),
+        place=place,
         detectable=BY_SHIFT,
         least=read_map,
     )

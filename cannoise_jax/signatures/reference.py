@@ -30,6 +30,11 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
+_DOUBT = 1.0
+"""Nats by which a camera that blurs is thought likelier than a reference that is blurred, where all else is
+equal.
+"""
+
 
 def scale_score(fields: tuple[Fields, ...], *, span: float, common: bool) -> Score | None:
     """Slope of every scene's mean against its reference: what all scenes share is an error of the description
@@ -228,7 +233,7 @@ def blurred(
 
     def readings(score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
         """The noise correlation that goes with the fitted blur decides who did it."""
-        out: list[tuple[str | None, float]] = [(error, score.evidence - 1.0)]
+        out: list[tuple[str | None, float]] = [(error, score.evidence - _DOUBT)]
         other = scores.get(partner)
         if other is not None:
             measured, doubt = next(iter(other.parameters.values()))[0], other.error

@@ -35,6 +35,10 @@ from cannoise_jax.signatures.signature import (
 _FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0)
 
 
+_HE4_SKEWNESS = 14.7
+"""Third moment of the Hermite polynomial He4 of a normal value over the 3/2th power of its second: 1728 /
+24^1.5.
+"""
 _EDGES = np.linspace(-40, 40, 4001)
 
 
@@ -136,7 +140,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
     amplitude = 6 / (nu - 4) if kappa > 1 and 4 < nu < np.inf else max(kappa, 0.0)
     error = float(np.sqrt(max(24 * squares, scatter) + doubt) / squares)
     return Score(
-        log_p=skewed_log_p(z, 14.7 * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
+        log_p=skewed_log_p(z, _HE4_SKEWNESS * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
         gain=gain,
         penalty=0.5 * float(np.log(squares)),
         amplitude=float(amplitude),

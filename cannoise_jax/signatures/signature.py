@@ -18,14 +18,11 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
-from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.mechanism import Mechanism, Scaling
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import Law, Seen
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score
-
-RARE = 0.3
-"""Weight of a test whose p is 1 unless something is far off, against 1 of the others: it takes that much less
-of the common error rate, and rejects with so little when it does."""
 
 Many = tuple[Fields, ...]
 Scales = Literal["additive", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
@@ -91,7 +88,6 @@ class Found(NamedTuple):
     longest: float
     span: float
     size: tuple[int, int]
-    rng: np.random.Generator
 
     @property
     def by_exposure(self) -> Scaling:
@@ -102,7 +98,8 @@ class Found(NamedTuple):
 class Addition(NamedTuple):
     """What a finding adds to a camera model: strengths of a mechanism, measured maps, another place or
     scaling than its own where given. black_shift: DN per channel taken from the black level; fitted_black:
-    whether the model takes the black level that was fitted. bare: nothing but these."""
+    whether the model takes the black level that was fitted. bare: nothing but these. record: of a mechanism
+    from outside."""
 
     values: dict[str, float] = {}
     maps: dict[str, Any] = {}
@@ -111,6 +108,7 @@ class Addition(NamedTuple):
     black_shift: np.ndarray | None = None
     fitted_black: bool = False
     bare: bool = False
+    record: Mechanism | None = None
 
 
 class Asked(NamedTuple):
@@ -196,7 +194,7 @@ class Signature:
     @property
     def weight(self) -> float:
         """Share of the common error rate that it takes, against 1 of most."""
-        return RARE if self.rare else 1.0
+        return SHARED.rare if self.rare else 1.0
 
     @property
     def frozen(self) -> bool:

@@ -12,6 +12,7 @@ import inspect
 import json
 import logging
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -184,30 +185,39 @@ def _damaged(folder: Path, reason: str) -> BadInput:
 
 @contextmanager
 def _without_logs() -> Iterator[None]:
-    """Orbax's threads log the traceback of an error that is raised here as well."""
-    logger, hook = logging.getLogger("absl"), sys.excepthook
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    sys.excepthook = lambda *_: None  # a late callback of its storage layer is printed through this one
+    """Orbax and its storage layer print the traceback of an error that is raised here as well: through logs,
+    from threads, and from callbacks that come late."""
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    hooks = sys.excepthook, sys.unraisablehook, threading.excepthook
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    sys.excepthook, sys.unraisablehook, threading.excepthook = (lambda *_: None,) * 3
     try:
         yield
     finally:
-        logger.setLevel(level)
-        sys.excepthook = hook
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+        sys.excepthook, sys.unraisablehook, threading.excepthook = hooks
 
 
 def _without_late_callbacks() -> None:
     """From here on tasks of a failed transfer end in silence: Python would print their tracebacks, and that
     their event loop is gone, whenever it comes upon them, around the line that says what is wrong."""
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
-    before = sys.unraisablehook
+    before, uncaught = sys.unraisablehook, sys.excepthook
+    if getattr(before, "__name__", "") == "quiet_unraisable":
+        return
 
-    def hook(dropped):
+    def quiet_unraisable(dropped):
         if not (inspect.iscoroutine(dropped.object) or "Event loop is closed" in str(dropped.exc_value)):
             before(dropped)
 
-    if getattr(before, "__name__", "") != hook.__name__:
-        sys.unraisablehook = hook
+    def quiet_uncaught(kind, error, trace):  # the storage layer prints those of its own threads through it
+        if "Event loop is closed" not in str(error):
+            uncaught(kind, error, trace)
+
+    sys.unraisablehook, sys.excepthook = quiet_unraisable, quiet_uncaught
 
 
 def _is_disk_error(error: BaseException) -> bool:

@@ -15,7 +15,7 @@ import cannoise_jax
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import prepare_split, split_recordings, splits_of
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.fit import SPENT, charge, second_look
+from cannoise_jax.discovery.fit import charge, second_look
 from cannoise_jax.discovery.heldout import score_frames
 from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import UNKNOWN, mechanism_of
@@ -25,6 +25,7 @@ from cannoise_jax.discovery.stacks import Stack
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.multiplicity import SHARED
 
 ALPHA = 0.01
 
@@ -47,8 +48,8 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
     first = locate(prepared.fields, prepared.signatures)
     mechanism = {s.name: mechanism_of(s, allowed) for s in prepared.signatures}
     rejected = [
-        (mechanism[n], n, charge(first.log_p[n], SPENT[0]))
-        for n in first.significant(math.log(ALPHA * SPENT[0]))
+        (mechanism[n], n, charge(first.log_p[n], SHARED.looking))
+        for n in first.significant(math.log(ALPHA * SHARED.looking))
     ]
     if not rejected:
         late = second_look(

@@ -24,6 +24,7 @@ from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document, plain
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.signatures.signature import Signature
 
 MULTIPLES = (4.0, 16.0)
 """Strengths of what is injected; the second has twice the amplitude where the shift grows as its square."""
@@ -31,9 +32,9 @@ WITHHELD = 3
 """How many of the properties that a camera shows are withheld, the strongest first."""
 LONGEST_S = 10.0
 """Longer exposures are left out: hot pixels fill them, and they cost as much as all others together."""
-TEMPORAL = ("row_noise", "column_noise", "row_pink_noise", "pink_noise", "banding", "flicker", "offset_drift",
-            "illumination_drift", "crosstalk", "in_camera_denoising", "demosaicing", "image_lag")  # fmt: skip
-"""Mechanisms whose signature is what rows, columns, frames or neighbours share in time."""
+SHARED = ("white", "1/f", "sinusoid", "neighbours")
+SCALES = ("additive", "signal", "all noise")
+"""Laws and scalings of what rows, columns, frames or neighbours share in time."""
 Tell = Callable[[int, int], None]
 
 
@@ -80,7 +81,7 @@ def inject(capture: CaptureSet, alpha: float, tell: Tell) -> dict[str, Any]:
     gain = float(np.mean(baseline.gain)) if np.all(np.isfinite(baseline.gain)) else 1.0
     camera = real.described(capture, gain or 1.0, float(np.mean(baseline.read_dn)), prepared.step, unit=1)
     before = amplitudes(capture, alpha)
-    names = [n for n in real.INJECTED if capture.of_kind("scene", "flat") or n != "column_gain"]
+    names = [n for n in real.INJECTED if capture.of_kind("scene", "flat") or n not in real.LIT]
     rows: list[dict[str, Any]] = []
     asked = [(name, multiple) for name in names for multiple in MULTIPLES]
     for n, (name, multiple) in enumerate(asked):
@@ -91,7 +92,7 @@ def inject(capture: CaptureSet, alpha: float, tell: Tell) -> dict[str, Any]:
             continue
         rng = np.random.default_rng([1, n])
         after = amplitudes(real.injected(capture, camera, effect(name, amplitude), rng), alpha)
-        power = 1 if name == "amplifier_mismatch" else 2
+        power = 1 if name in real.STEPS else 2
         old, new = before.get(name, 0.0), after.get(name, 0.0)
         gained = math.copysign(abs(new**power - old**power) ** (1 / power), new**power - old**power)
         right = name in after and abs(gained / amplitude - 1) < 0.2
@@ -158,6 +159,12 @@ def withhold(capture: CaptureSet, alpha: float, tell: Tell) -> dict[str, Any]:
     }
 
 
+def shared_in_time(signature: Signature) -> bool:
+    """Whether it looks for what rows, columns, frames or neighbours share, new in every frame."""
+    axes = signature.axes
+    return axes.time == "redrawn" and axes.law in SHARED and axes.scales in SCALES
+
+
 def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell, kept: Path) -> dict[str, Any]:
     """Permuted frames as nulls with the sensor's own noise: false alarms of the families of time.
 
@@ -166,7 +173,7 @@ def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell, ke
 
     def look(changed: CaptureSet) -> tuple[dict[str, float], float]:
         prepared = whole(changed)
-        timed = tuple(s for s in prepared.signatures if s.mechanism in TEMPORAL and not s.frozen)
+        timed = tuple(s for s in prepared.signatures if s.mechanism and shared_in_time(s))
         found = locate(prepared.fields, timed)
         names = {p.name: str(p.mechanism) for p in timed}
         rejected = {names[n]: math.exp(max(p, -700.0)) for n, p in found.log_p.items() if p < math.log(alpha)}

@@ -44,6 +44,13 @@ def test_writes_a_model_with_what_it_found(folder, tmp_path, capsys):
     assert np.allclose(model.gain_dn_per_e, GAIN, rtol=0.03)
     assert np.allclose(model.read_noise_e, READ, rtol=0.05)
     assert np.allclose(model.black_level, BLACK, atol=0.5)
+    sheet = (tmp_path / "sensor_emva1288.html").read_text()
+    assert "Photon transfer" in sheet and "made" in sheet
+    assert json.loads((tmp_path / "sensor_emva1288.json").read_text())["camera"] == "made"
+    assert len((tmp_path / "sensor_profile.csv").read_text().splitlines()) == 5
+    profiles = json.loads((tmp_path / "sensor_profile.json").read_text())["profiles"]
+    assert abs(profiles[0]["shot"] * (16383 - BLACK) / GAIN - 1) < 0.03
+    assert "noiseprofiles" in json.loads((tmp_path / "sensor_darktable.json").read_text())
     strengths = {f.mechanism: f.parameters for f in model.mechanisms}
     assert abs(strengths["row_noise"]["sigma_dn"] - 2.0) < 0.2
     assert set(strengths) <= {"row_noise", "offset_drift"}, "only row noise was put in"
@@ -103,3 +110,36 @@ def test_flats_and_darks_that_state_their_light_are_taken(folder, tmp_path, caps
     write(folder / "dark.h5", 0.0, "dark", rows=2.0, clean=np.zeros((64, 96), np.float32))
     assert main(["--recordings", str(folder), "--out", str(tmp_path / "sensor.json")]) == 0
     assert "row_noise" in [f.mechanism for f in read_sensor(tmp_path / "sensor.json").mechanisms]
+
+
+def test_results_are_replaced_only_when_asked(folder, tmp_path, capsys):
+    out = tmp_path / "sensor.json"
+    (tmp_path / "sensor_profile.csv").write_text("precious")
+    assert main(["--recordings", str(folder), "--out", str(out)]) == 2
+    assert (
+        "sensor_profile.csv: exists: name another file, or replace it with --force" in capsys.readouterr().err
+    )
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("trouble", ["tiny", "zero", "copies", "white", "constant"])
+def test_frames_without_noise_are_refused_in_one_line(trouble, folder, tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    frames = rng.integers(300, 400, (4, 16, 16)).astype(np.uint16)
+    frames = {
+        "tiny": frames[:, :2, :2],
+        "zero": frames * 0,
+        "copies": frames[[0, 1, 0, 2]],
+        "white": frames + 5000,
+        "constant": np.where(np.arange(4)[:, None, None] == 2, 700, frames),
+    }[trouble].astype(np.uint16)
+    levels = (BLACK,) * 4, 4000.0
+    write_recording(folder / "flat.h5", Recording(frames, "RGGB", *levels, kind="flat", camera="made"))
+    assert main(["--recordings", str(folder), "--out", str(tmp_path / "sensor.json")]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    words = {"tiny": "at least 8 x 8", "zero": "raise its offset", "copies": "is a copy of frame 1"}
+    assert (
+        words.get(trouble, {"white": "above the white level", "constant": "frame 3 is 700"}.get(trouble))
+        in error
+    )
+    assert not (tmp_path / "sensor.json").exists()

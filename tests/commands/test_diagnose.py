@@ -6,18 +6,22 @@ import dataclasses
 import errno
 import importlib
 import json
+import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cannoise_jax.commands import outputs
 from cannoise_jax.commands.diagnose import main
 from cannoise_jax.discovery import save as saving
+from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.recording import BadInput
 from tests.discovery.capture import capture_set, row_offsets
 
 
@@ -53,6 +57,35 @@ def test_unknown_simulator_and_mechanism_are_refused(tmp_path, capsys):
     for more in (["--simulator", "x"], ["--without", "nonsense"]):
         assert main(["--recordings", str(folder), "--out", str(tmp_path / "out"), *more]) == 2
         assert "bin/diagnose: " in capsys.readouterr().err
+
+
+def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypatch, capsys):
+    """That of docs/adding_a_mechanism.md, in recordings to which NumPy added what it says."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "adding_a_mechanism.md").read_text()
+    (tmp_path / "droop.py").write_text(
+        re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def sagging(rng):
+        ramp = np.linspace(-(3**0.5), 3**0.5, 48)[:, None]
+        return lambda dn, signal, kind, exposure: dn + 2.0 * rng.standard_normal() * ramp
+
+    folder = write(tmp_path / "in", capture_set(5, sagging, kinds="df", size=(48, 64)))
+    arguments = ["--recordings", str(folder), "--out", str(tmp_path / "out"), "--mechanisms", "droop:DROOP"]
+    assert main(arguments) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    first = report["findings"][0]
+    assert first["mechanism"] == "droop"
+    assert first["amplitude"]["ci90"][0] < 2.0 < first["amplitude"]["ci90"][1]
+    assert "droop" in (tmp_path / "out" / "report.html").read_text()
+    with pytest.raises(BadInput, match="needs the mechanism droop"):
+        read_sensor(tmp_path / "out" / "sensor.json")
+    entries = entries_at("droop:DROOP")
+    assert "droop" in [m.mechanism for m in read_sensor(tmp_path / "out" / "sensor.json", entries).mechanisms]
+    sys.modules.pop("droop", None)
+    assert main([*arguments[:-1], "droop", "--force"]) == 2
+    assert "names no entries" in capsys.readouterr().err
 
 
 def never(*given, **more):

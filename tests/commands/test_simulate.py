@@ -181,9 +181,8 @@ def test_catalogue_needs_a_place(tmp_path, capsys):
 
 
 def test_catalogue_entry_has_its_pictures_and_words():
-    from cannoise_jax.physics import catalogue
-    from cannoise_jax.physics.core.registry import mechanism
+    from cannoise_jax.mechanisms import MECHANISMS, catalogue
 
-    entry = catalogue.entry(mechanism("row_noise"))
+    entry = catalogue.said_of(MECHANISMS["row_noise"])
     assert all(len(entry[name]) > 2000 for name in ("picture", "signature")) and entry["equation"]
     assert "darks" in entry["needs"] and "readout" in entry["place"] and "gain^1" in entry["scales"]

@@ -10,9 +10,8 @@ import pytest
 
 from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.diagnose import detectable, diagnose
-from cannoise_jax.discovery.fit import SPENT
 from cannoise_jax.discovery.limits import mde
-from cannoise_jax.signatures.signature import RARE
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
 from tests.discovery.capture import capture_set
 from tests.discovery.naive_limits import (
@@ -186,8 +185,8 @@ def test_the_smallest_detectable_effect_is_found_half_of_the_time(mechanism, eff
     found = detectable(quiet, mechanism)
     assert found is not None
     # All frames together, at the share of the error rate that they have.
-    rare = 1.0 if mechanism == "banding" else RARE
-    level = np.log(quiet.alpha * SPENT[1] * rare / quiet.fitted.first.tests)
+    rare = 1.0 if mechanism == "banding" else SHARED.rare
+    level = np.log(quiet.alpha * SHARED.together * rare / quiet.fitted.first.tests)
 
     def share(amplitude, sets=12):
         seen = 0

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 from cannoise_jax.discovery.page import place, verdict
 from cannoise_jax.discovery.prove import Proof
 from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.signatures.codes import combed
 
 
 def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
@@ -17,9 +19,9 @@ def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
         "amplitude": {"value": 2.0, "unit": "code steps", "ci90": [2.0, 2.0]},
         "parameters": {"shortfall": {"value": 0.02, "unit": "1", "ci90": [0.01, 0.04]}},
     }
-    probe = SimpleNamespace(axes={"time": "frozen"})
-    step = SimpleNamespace(named=SimpleNamespace(probe=probe), late=False)
-    said = sentence(entry, step, Proof(None, None, math.nan, math.nan, 0))
+    signature = combed(MagicMock(), name="comb", parameter="period", covers=("comb",), shapes=())
+    step = SimpleNamespace(named=SimpleNamespace(signature=signature), late=False)
+    said = sentence(entry, step, Proof(None, None, math.nan, math.nan, 0), "Some codes never occur.")
     assert "Every 2 codes one is rarer" in said and "holds 0.98" in said and "(90 %: 0.96 to 0.99)" in said
     assert "never" not in said
 

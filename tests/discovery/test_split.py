@@ -9,11 +9,11 @@ import pytest
 
 from cannoise_jax.discovery.battery import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.blocks import leave_out
-from cannoise_jax.discovery.locate import EFFECTIVE, locate
+from cannoise_jax.discovery.locate import locate
 from cannoise_jax.discovery.prove import strength_beyond
 from cannoise_jax.signatures.fields import contrast_matrix, frame_fields
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
-from cannoise_jax.signatures.signature import RARE
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES
 
@@ -111,9 +111,9 @@ def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
 
     found = locate((), (signature("a", -9.0), signature("b", -9.0), signature("c", -9.0, rare=True)))
     assert found.log_p["a"] == pytest.approx(sidak(-9.0, found.tests))
-    assert found.log_p["c"] == pytest.approx(sidak(-9.0, found.tests / RARE))
+    assert found.log_p["c"] == pytest.approx(sidak(-9.0, found.tests / SHARED.rare))
     rng = np.random.default_rng(54)
     p = rng.uniform(size=(20000, 3))
     p[:, 2] = 1.0
     rejected = np.mean([min(sidak(np.log(v), found.tests) for v in row[:2]) < np.log(0.05) for row in p])
-    assert rejected < 0.055 / EFFECTIVE  # independent ones, which the battery's are not
+    assert rejected < 0.055 / SHARED.effective  # independent ones, which the battery's are not

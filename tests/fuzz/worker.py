@@ -1,8 +1,8 @@
 """Runs cases one by one, each in a fork with limits on time and memory: python -m tests.fuzz.worker
 
-Reads one JSON job a line, {"target", "argv", "cwd", "seconds", "gigabytes"}, and answers with one line,
-{"status": exit status, or minus the signal, "out", "err", "seconds", "megabytes"}. The modules are loaded
-once, before any fork, and JAX computes nothing here.
+Reads one JSON job a line, {"target", "argv", "cwd", "seconds", "cpu", "gigabytes", "ready"}, and answers
+with one, {"status": exit status, or minus the signal, "out", "err", "seconds", "megabytes"}. The modules are
+loaded once, before any fork, and JAX computes nothing here.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import math
 import os
 import resource
 import select
@@ -41,6 +42,11 @@ def run(job: dict) -> dict:
         pid = os.fork()
         if pid == 0:
             child(job, out.fileno(), err.fileno())
+        began = time.monotonic()
+        while job.get("ready") and not os.path.exists(job["ready"]) and time.monotonic() - began < 60:
+            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                break
+            time.sleep(0.002)
         status, used, hung = wait(pid, job["seconds"])
         texts = []
         for stream in (out, err):
@@ -79,6 +85,8 @@ def child(job: dict, out: int, err: int) -> None:
             now = int(statm.read().split()[0]) * resource.getpagesize()
         most = now + int(job["gigabytes"] * 2**30)
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        spent = math.ceil(time.process_time() + job["cpu"])
+        resource.setrlimit(resource.RLIMIT_CPU, (spent, spent))
         os.chdir(job["cwd"])
         status = call(job["target"], job["argv"])
     except BaseException:

@@ -172,3 +172,18 @@ def test_rows_say_when_they_are_not_calibrated():
     row = Row("row_noise", "sigma_dn", 1.0, 1.0, 0.1, 0.1, 0.5, 100, False)
     assert not row.calibrated and "OUTSIDE" in format_rows([row])
     assert row._replace(coverage=0.9).calibrated
+
+
+def test_white_rows_are_not_pink_and_pink_rows_are():
+    rng, entry = np.random.default_rng(12), MECHANISMS["row_pink_noise"]
+    frequency = np.maximum(np.fft.rfftfreq(128), 1 / 128)
+    said = {0.0: [], 1.0: []}
+    for exponent, against in said.items():
+        for _ in range(6):
+            rows = np.fft.irfft(np.fft.rfft(rng.normal(size=(8, 128))) * frequency ** (-exponent / 2), 128)[
+                :, :64
+            ]
+            rows *= 2 / rows.std()
+            s = darks(rng.normal(200, 6, (8, 64, 96)) + rows[:, :, None])
+            against.append(entry.estimator.against(estimated(entry.id, [s]), [s]))
+    assert all(said[0.0]) and said[1.0].count("") >= 4

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
@@ -39,7 +39,8 @@ def statistics(ids, seed=3, frames=8, size=(64, 96), offsets=0.0, student=0.0):
 
 
 def causes(stats):
-    found = {f.mechanism: f for f in find_mechanisms(stats, assumed_baseline(), LISTED)}
+    entries = [MECHANISMS[id] for id in TRUTH]
+    found = {f.mechanism: f for f in find_mechanisms(stats, assumed_baseline(), entries)}
     return {id: found[id].estimates for id in TRUTH if found[id].verdict == "in the model"}
 
 

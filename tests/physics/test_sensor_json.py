@@ -288,3 +288,14 @@ def test_a_disk_that_fills_up_leaves_both_files_as_they_were(tmp_path, monkeypat
     with pytest.raises(BadInput, match="No space left"):
         write_sensor(path, model.with_mechanism("prnu", maps={"field": np.full((4, 6), 0.01, np.float32)}))
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_a_model_saves_and_loads_itself(tmp_path):
+    path = tmp_path / "sensor.json"
+    SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 4095.0).with_mechanism("row_noise", sigma_dn=2.0).save(path)
+    model = SensorModel.load(path)
+    assert float(np.asarray(model.white_level)) == 4095 and len(model.mechanisms) == 1
+    with pytest.raises(BadInput, match="exists: name another file, or replace it with force=True"):
+        model.save(path)
+    model.without("row_noise").save(path, force=True)
+    assert not SensorModel.load(path).mechanisms

@@ -134,17 +134,6 @@ def test_splits_have_no_scene_number_in_common(patches):
     assert not set(patches.scene) & set(other.scene)
 
 
-def test_capture_set_carries_the_published_function():
-    camera = CAMERAS["GP"]
-    pictures = scenes.draw_scenes(jax.random.key(1), "train", 2, SIZE)
-    made = virtual.virtual_capture_set(camera, jax.random.key(0), pictures, isos=(100, 800), frames=2)
-    assert [r.iso for r in made.recordings] == [100, 800, 100, 800]
-    first = made.recordings[0]
-    assert first.frames.shape == (2, *SIZE) and first.frames.dtype == np.uint16
-    assert first.shot == pytest.approx((camera.published[100].shot,) * 4)
-    assert not np.array_equal(first.frames[0], first.frames[1])
-
-
 @pytest.fixture
 def dark():
     rng = np.random.default_rng(0)
@@ -167,17 +156,6 @@ def test_half_real_frames_are_the_dark_plus_counted_photons(dark):
 def test_a_scene_without_light_gives_the_dark_back(dark):
     made = half_real.half_real_recording(jax.random.key(0), np.zeros(SIZE, np.float32), dark, 2.0)
     assert np.array_equal(made.frames, dark.frames)
-
-
-def test_virtual_camera_on_real_darks_takes_over_their_camera(dark):
-    pictures = scenes.draw_scenes(jax.random.key(1), "train", 1, SIZE)
-    darks = CaptureSet("real", (dark,))
-    made = virtual.virtual_capture_set(
-        CAMERAS["IP"], jax.random.key(0), pictures, isos=(100,), real_darks=darks
-    )
-    recording = made.recordings[0]
-    assert recording.cfa == "GRBG" and recording.white_level == 65532
-    assert recording.shot == pytest.approx((CAMERAS["IP"].true[100].shot,) * 4)
 
 
 def test_half_real_on_a_real_floor_keeps_its_hot_pixels(real_data):

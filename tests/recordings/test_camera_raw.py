@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import rawpy
 
+from cannoise_jax.recordings import camera_raw
 from cannoise_jax.recordings.camera_raw import optical_black, optical_black_level, read_camera_raw
 from cannoise_jax.recordings.load import load_recording
 from cannoise_jax.recordings.packing import pack
@@ -165,3 +166,13 @@ def test_the_callers_word_wins_over_the_tags(tmp_path):
     assert (recording.cfa, recording.iso, recording.kind, recording.camera) == ("MONO", 100, "flat", "mine")
     assert recording.black_level == (10,) * 4
     assert recording.size == (104, 160)  # orientation is for viewing: the sensor's own rows are kept
+
+
+def test_masked_pixels_give_the_black_level_that_no_tag_states(tmp_path):
+    raw = np.full((68, 96), 900, np.uint16)
+    raw[:4] = 70 + np.arange(96) % 2  # a masked border, its columns one code apart
+    path = write_dng(tmp_path / "a.dng", raw, black=(0, 0, 0, 0), active=(4, 0, 68, 96))
+    opened = camera_raw.open_camera_raw(path)
+    assert opened.known["black_level"] == (70, 71, 70, 71) and opened.about["black_from"] == "masked pixels"
+    stated = write_dng(tmp_path / "b.dng", raw, black=(64, 64, 64, 64), active=(4, 0, 68, 96))
+    assert camera_raw.open_camera_raw(stated).known["black_level"] == (64,) * 4

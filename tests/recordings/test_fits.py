@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from cannoise_jax.recordings.fits import open_fits
 from cannoise_jax.recordings.load import load_recording
 from cannoise_jax.recordings.recording import BadInput
 
@@ -137,3 +138,69 @@ def test_broken_files(tmp_path):
     fits.PrimaryHDU().writeto(path, overwrite=True)
     with pytest.raises(BadInput, match="holds no image"):
         load_recording(path)
+
+
+def test_overscan_is_cut_and_becomes_the_black_level(tmp_path):
+    data = np.random.default_rng(1).normal(500, 3, (12, 20)).round().astype(np.uint16)
+    data[:, 16:] = 101
+    more = {"BIASSEC": "[17:20,1:12]", "TRIMSEC": "[2:16,1:12]", "BAYERPAT": "RGGB"}
+    recording = load_recording(write(tmp_path / "a.fits", data, **more), white_level=65535, cfa="MONO")
+    np.testing.assert_array_equal(recording.frames[0], data[:, 1:16])
+    assert recording.black_level == (101,) * 4
+    even = write(tmp_path / "b.fits", data, **{**more, "TRIMSEC": "[2:15,1:12]"})
+    assert load_recording(even, white_level=65535).cfa == "GRBG"  # one column further into the mosaic
+    del more["TRIMSEC"]
+    with pytest.raises(BadInput, match="no TRIMSEC or DATASEC"):
+        load_recording(write(tmp_path / "c.fits", data, **more), white_level=65535)
+
+
+def amplifiers(path, whole, detsec=True, gap=0):
+    """Two amplifiers side by side, the right one read from its far end, each with two columns of overscan."""
+    hdus = [fits.PrimaryHDU()]
+    hdus[0].header["INSTRUME"] = "Acme Twin"
+    for n, (columns, place) in enumerate(((slice(0, 6), "[1:6,1:8]"), (slice(6, 12), "[12:7,1:8]"))):
+        data = whole[:, columns][:, :: -1 if n else 1]
+        data = np.concatenate([data, np.full((8, 2), 90 + 4 * n)], 1).astype(np.uint16)
+        hdu = fits.ImageHDU(data, name=f"AMP{n}")
+        hdu.header["DATASEC"], hdu.header["BIASSEC"] = "[1:6,1:8]", "[7:8,1:8]"
+        if detsec:
+            hdu.header["DETSEC"] = place.replace("12:7", f"{12 + gap}:{7 + gap}")
+        hdus.append(hdu)
+    fits.HDUList(hdus).writeto(path)
+    return path
+
+
+def test_amplifiers_are_put_where_they_lie(tmp_path):
+    whole = np.random.default_rng(2).integers(100, 60000, (8, 12)).astype(np.uint16)
+    recording = load_recording(amplifiers(tmp_path / "a.fits", whole), cfa="MONO", white_level=65535)
+    np.testing.assert_array_equal(recording.frames[:], whole[None])
+    np.testing.assert_array_equal(recording.frames[0, 2:4, 5:9], whole[2:4, 5:9])
+    assert recording.camera == "Acme Twin" and recording.black_level == (92,) * 4
+    with pytest.raises(BadInput, match="holds 2 images .AMP0, AMP1. and no DETSEC"):
+        load_recording(amplifiers(tmp_path / "b.fits", whole, detsec=False), cfa="MONO", white_level=65535)
+    with pytest.raises(BadInput, match="overlap or leave gaps"):
+        load_recording(amplifiers(tmp_path / "c.fits", whole, gap=2), cfa="MONO", white_level=65535)
+
+
+@pytest.mark.parametrize(
+    ("camera", "gain", "expected"),
+    [
+        ("ZWO ASI294MC Pro", 0, (100, 0, None, None)),
+        ("ZWO ASI294MC Pro", 200, (1000, 20, None, None)),
+        ("Poseidon-C (Player One)", 60, (10**0.3 * 100, 6, None, None)),
+        ("QHY268M", 56, (None, None, 56, None)),
+        ("SBIG STL-1001", 1.6, (None, None, None, 1.6)),
+    ],
+)
+def test_a_gain_is_no_iso(tmp_path, camera, gain, expected):
+    opened = open_fits(write(tmp_path / "a.fits", FRAMES[0], INSTRUME=camera, GAIN=gain))
+    said = (opened.known["iso"], opened.known["gain_db"], opened.about["gain_setting"], opened.about["egain"])
+    assert said == (None if expected[0] is None else pytest.approx(expected[0]), *expected[1:])
+
+
+def test_three_planes_of_a_developed_picture(tmp_path):
+    colours = np.stack([np.full((6, 10), v) for v in (900, 1800, 1200)]).astype(np.uint16)
+    with pytest.raises(BadInput, match="the colours of a developed picture"):
+        load_recording(write(tmp_path / "a.fits", colours), cfa="MONO", **LEVELS)
+    frames = np.random.default_rng(0).normal(900, 5, (3, 6, 10)).astype(np.uint16)
+    assert load_recording(write(tmp_path / "b.fits", frames), cfa="MONO", **LEVELS).count == 3

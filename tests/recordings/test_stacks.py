@@ -1,5 +1,7 @@
 import json
+import os
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -181,3 +183,41 @@ def test_real_single_frames(real_data):
     assert (canon.iso, canon.exposure_s, canon.temperature_c) == (100, 120.4, 11)
     with pytest.raises(BadInput, match="holds 2 cameras"):
         load_capture_set(folder, cfa="RGGB")
+
+
+def test_pages_that_lead_back_to_themselves_are_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", FRAMES, photometric="minisblack", metadata=None)
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        first, last = file.pages[0].offset, file.pages[len(file.pages) - 1].offset
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    tags = int.from_bytes(data[last : last + 2], "little")
+    at = last + 2 + 12 * tags
+    assert data[at : at + 4] == b"\0\0\0\0"
+    data[at : at + 4] = first.to_bytes(4, "little")
+    for name in ("loop.tif", "loop.dng"):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(BadInput, match=f"{name}: not a readable TIFF file: page 3 leads back"):
+            load_recording(tmp_path / name, cfa="MONO", black_level=0, white_level=1)
+
+
+def test_claims_that_no_file_holds_are_refused_before_they_are_read(tmp_path):
+    levels = {"cfa": "MONO", "black_level": 0, "white_level": 1023}
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("frames", (9, 1 << 20, 1 << 20), np.uint16, chunks=(1, 1024, 1024))
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("frames", (10**7, 1024, 1024), np.uint16, chunks=(1, 1024, 1024))
+    (tmp_path / "c.pgm").write_bytes(b"P5\n99999 99999\n65535\n")
+    (tmp_path / "d.pgm").write_bytes(b"P5\n9999 9999\n65535\n")
+    for name in ("a.h5", "b.h5", "c.pgm", "d.pgm"):
+        with pytest.raises(BadInput, match=f"{name}: claims .*(no sensor|damaged)"):
+            load_recording(tmp_path / name, **levels)
+
+
+def test_pipes_and_links_to_nothing_are_no_files(tmp_path):
+    os.mkfifo(tmp_path / "a.fits")
+    (tmp_path / "b.tif").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(BadInput, match="a.fits: no plain file"):
+        load_recording(tmp_path / "a.fits")
+    for call in (lambda: load_recording(tmp_path / "b.tif"), lambda: load_capture_set(tmp_path)):
+        with pytest.raises(BadInput, match="b.tif: a link to nothing"):
+            call()

@@ -59,7 +59,8 @@ def judged(recorded: Family, simulated: list[Family]) -> laws.Judged:
     return laws.compare_means(real, drawn, recorded.size)
 
 
-_SEEN = 3.0
+_SEEN = 5.0
+"""Standard deviations from which a difference of the noise is taken out of the static map."""
 
 
 def without_noise(family: str, recorded: Family, moving: laws.Judged, simulated: list[Family]) -> Family:
@@ -70,7 +71,7 @@ def without_noise(family: str, recorded: Family, moving: laws.Judged, simulated:
         return recorded
     if recorded.law == "energy":
         drawn = np.mean([s.values for s in simulated], (0, 1))
-        expected = np.maximum(drawn + shift, 0.05 * np.maximum(drawn, moving.simulated))
+        expected = np.where(shift == 0, drawn, np.maximum(drawn + shift, moving.recorded))
         return recorded._replace(values=recorded.values * drawn / np.maximum(expected, 1e-9))
     if recorded.law != "mean":
         return recorded

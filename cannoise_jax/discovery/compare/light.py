@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.recordings.recording import Recording
+
 _CELL = 8
 _FEWEST = 16
 _DEGREES = (2, 4, 6, 8, 10, 12)
@@ -47,6 +49,20 @@ class Light:
         return mean - fitted, np.array([float(fitted[y::2, x::2].mean()) for y, x in SITES])
 
 
+def light_for(r: Recording, mean: np.ndarray, usable: np.ndarray, dark: bool) -> Light | None:
+    """How the mean of a recording is modelled; None where it is not known: scenes without a reference, or
+    with one made of the camera's own frames."""
+    if dark:
+        return Light(0)
+    if r.clean is not None and r.reference != "burst_mean":
+        clean = np.asarray(r.clean, np.float32)
+        clean = clean.mean(0) if clean.ndim == 3 else clean
+        return Light(0, clean)
+    if r.kind == "flat":
+        return light_of(mean, usable)
+    return None
+
+
 class Cells(NamedTuple):
     """Means of cells of 8 x 8 pixels of one site (of fewer in small frames), pixels that stand out left
     aside, and their numbers; size: of the site."""
@@ -57,19 +73,21 @@ class Cells(NamedTuple):
 
 
 def light_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> Light:
-    """The light of a flat: the degree that a Bayesian information criterion of its cells asks for."""
-    best, chosen = np.inf, _DEGREES[0]
+    """The light of a flat: the degree that Akaike's criterion of its cells asks for, and one step more, for
+    what a criterion of one flat lets pass shows in several together."""
+    best, chosen, fitting = np.inf, 0, 0
     sites = [cells_of(mean[y::2, x::2], usable[y::2, x::2]) for y, x in SITES]
-    for degree in _DEGREES:
+    for step, degree in enumerate(_DEGREES):
         score = 0.0
         for cells in sites:
             _, rest, count, terms = _fit(cells, degree)
             if count < 3 * terms:
-                return Light(chosen)
-            score += count * np.log(max(rest, 1e-12)) + terms * np.log(count)
+                return Light(_DEGREES[min(chosen + 1, fitting)])
+            score += count * np.log(max(rest, 1e-12)) + 2 * terms
+        fitting = step
         if score < best - 6:
-            best, chosen = score, degree
-    return Light(chosen)
+            best, chosen = score, step
+    return Light(_DEGREES[min(chosen + 1, fitting)])
 
 
 def surface(mean: Float[np.ndarray, "a b"], usable: Bool[np.ndarray, "a b"], degree: int) -> np.ndarray:

@@ -82,7 +82,7 @@ def picture(found: Comparison) -> str:
     parts = []
     for i, r in enumerate(rows):
         y = top + cell * i
-        label = "whole" if r.whole else f"{max(r.length // 2, 1)}"
+        label = "whole" if r.whole else f"{r.length}"
         parts.append(f'<text x="{left - 8}" y="{y + 26}" text-anchor="end">{label}</text>')
         for k in range(len(columns)):
             strength = float(np.clip(abs(ratio[i, k]) / 4, 0, 1))
@@ -94,7 +94,7 @@ def picture(found: Comparison) -> str:
                 f'<text x="{left + cell * k + 20}" y="{y + 26}" text-anchor="middle">{text}</text>'
             )
     for k, c in enumerate(columns):
-        label = "whole" if c.whole else f"{max(c.length // 2, 1)}"
+        label = "whole" if c.whole else f"{c.length}"
         parts.append(f'<text x="{left + cell * k + 20}" y="{top - 8}" text-anchor="middle">{label}</text>')
     wide, tall = left + cell * len(columns), top + cell * len(rows) + 8
     caption = (

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.calibrate import gain_groups
 from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
-from cannoise_jax.discovery.compare.light import Light, light_of
+from cannoise_jax.discovery.compare.light import Light, light_for
 from cannoise_jax.discovery.compare.measure import Family, Measured, measure, shared
 from cannoise_jax.discovery.compare.sources import Source, open_source
-from cannoise_jax.discovery.compare.view import SITES, Raw, noise_of, reduce, view
+from cannoise_jax.discovery.compare.view import SITES, Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.simulate import Draw
 from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, iso_numbers
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
@@ -103,11 +103,6 @@ def compare_bank(
     )
 
 
-def chosen_frames(r: Recording) -> np.ndarray:
-    """Numbers of the frames that are looked at: at most `MOST_FRAMES`, spread evenly."""
-    return np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
-
-
 def _one(
     source: Source, number: int, r: Recording, sets: int, step: float, iso: float
 ) -> tuple[Seen, Measured, list[Measured]] | None:
@@ -116,10 +111,10 @@ def _one(
     dark = r.kind in ("dark", "bias")
     high = min(float(r.white_level), 65535.0)
     raw = reduce(frames, high, dark, step)
-    light = light_for(r, raw, dark)
+    light = light_for(r, raw.mean, raw.usable, dark)
     known = light if light is not None else _scene(raw)
     fitted = known.fit(raw.mean, raw.usable)
-    clean = _clean(r, fitted, source, dark)
+    clean = asked_signal(r, fitted, source, dark)
     settings = Settings(iso, r.exposure_s if r.exposure_s is not None else 0.01, r.temperature_c, len(frames))
     drawn = [source.frames(m, number, clean, settings) for m in range(sets)]
     if any(d is None for d in drawn):
@@ -147,26 +142,12 @@ def _one(
     )
 
 
-def light_for(r: Recording, raw: Raw, dark: bool) -> Light | None:
-    """How the mean of a recording is modelled; None where it is not known: scenes without a reference, or
-    with one made of the camera's own frames."""
-    if dark:
-        return Light(0)
-    if r.clean is not None and r.reference != "burst_mean":
-        clean = np.asarray(r.clean, np.float32)
-        clean = clean.mean(0) if clean.ndim == 3 else clean
-        return Light(0, clean)
-    if r.kind == "flat":
-        return light_of(raw.mean, raw.usable)
-    return None
-
-
 def _scene(raw: Raw) -> Light:
     """The scene by itself: its own mean."""
     return Light(0, raw.mean)
 
 
-def _clean(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -> np.ndarray:
+def asked_signal(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -> np.ndarray:
     """The normalised signal to ask for."""
     if dark:
         return np.zeros(r.size, np.float32)

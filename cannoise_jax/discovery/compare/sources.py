@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
 from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.compare.baseline import fitted_baseline
 from cannoise_jax.discovery.draws import drawing
 from cannoise_jax.discovery.model import baseline_model
 from cannoise_jax.discovery.simulate import Draw, codes_of, open_simulator
@@ -55,17 +56,20 @@ def open_source(
     if isinstance(simulator, CaptureSet):
         return _recorded(simulator, capture)
     if isinstance(simulator, SensorModel):
-        return _modelled(simulator, key)
+        return modelled(simulator, key)
     if isinstance(simulator, str) and simulator == "poisson-gaussian":
-        prepared = prepare(capture, all_frames(split_recordings(capture)), False)
-        return _modelled(baseline_model(capture, prepared), key)._replace(label=simulator)
+        fitted = fitted_baseline(capture)
+        if fitted is None:
+            prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+            fitted = baseline_model(capture, prepared)
+        return modelled(fitted, key)._replace(label=simulator)
     if isinstance(simulator, str) and ":" in simulator and not Path(simulator).exists():
         simulator = _imported(simulator)
     elif isinstance(simulator, (str, Path)) and Path(simulator).is_dir() and _holds_frames(Path(simulator)):
         return _recorded(load_capture_set(simulator), capture)._replace(label=str(simulator))
     opened = open_simulator(simulator, capture)
     if opened.model is not None:
-        return _modelled(opened.model, key)._replace(label=opened.label)
+        return modelled(opened.model, key)._replace(label=opened.label)
     step = code_step(capture)
 
     def frames(number_of_set: int, number: int, clean, settings: Settings):
@@ -104,7 +108,9 @@ def _imported(name: str) -> Draw:
         ) from error
 
 
-def _modelled(model: SensorModel, key: Key[Array, ""]) -> Source:
+def modelled(model: SensorModel, key: Key[Array, ""]) -> Source:
+    """Draws of a sensor model; of every set those of another unit, where its maps were not measured."""
+
     def frames(number_of_set: int, number: int, clean, settings: Settings):
         own = dataclasses.replace(model, unit_key=jax.random.fold_in(model.unit_key, number_of_set))
         return drawing(own, jax.random.fold_in(key, number_of_set))(number, clean, settings)

@@ -13,6 +13,8 @@ from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
+from cannoise_jax.discovery.stacks import MOST_FRAMES
+from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import helmert
 
 FAR = 1e-5
@@ -74,6 +76,11 @@ class View(NamedTuple):
     level: Float[np.ndarray, "t 4"]
     rails: Float[np.ndarray, "t 2"]
     codes: Float[np.ndarray, "k"]
+
+
+def chosen_frames(r: Recording) -> np.ndarray:
+    """Numbers of the frames that are looked at: at most `MOST_FRAMES`, spread evenly."""
+    return np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
 
 
 def reduce(frames: UInt16[np.ndarray, "t h w"], high: float, dark: bool, step: float) -> Raw:
@@ -174,15 +181,14 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> Vie
 
 
 def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
-    """How much noisier the bulk of every site is than the simulator; at least a quarter, for noise below a
-    code leaves most pixels still."""
+    """How much noisier the bulk of every site is than the simulator; noise below a code leaves most pixels
+    still, whose median then says nothing: it counts as the simulator's."""
     out = np.ones(steadiness.shape, np.float32)
     for y, x in SITES:
         mine = steadiness[y::2, x::2][usable[y::2, x::2]]
         if mine.size:
             own = np.median(mine) / (stats.chi2.median(n) / n)
-            own = own if own > 0.3 else 0.5 * min(mine.mean(), 1.0)
-            out[y::2, x::2] = max(float(own), 0.25)
+            out[y::2, x::2] = float(own) if own > 0.3 else 1.0
     return out
 
 

@@ -33,8 +33,8 @@ def structure(band: int, row: Scale, column: Scale, size: tuple[int, int]) -> st
 
 def block(row: Scale, column: Scale) -> str:
     """The shape in which an energy is strongest."""
-    tall = "whole columns" if row.whole else f"{max(row.length // 2, 1)} rows"
-    wide = "whole rows" if column.whole else f"{max(column.length // 2, 1)} columns"
+    tall = "whole columns" if row.whole else f"{row.length} rows"
+    wide = "whole rows" if column.whole else f"{column.length} columns"
     if row.whole and column.whole:
         return "the frame as a whole"
     return f"strongest by {tall} x {wide}"

@@ -136,12 +136,3 @@ def nlf_sigma(
 ) -> Float[Array, "..."]:
     """Standard deviation of the noise level function, normalised units; negative signal counts as zero."""
     return jnp.sqrt(shot * jnp.maximum(clean, 0.0) + read)
-
-
-def sample_nlf(
-    key: Key[Array, ""], clean: Float[Array, "..."], shot: Float[Array, "..."], read: Float[Array, "..."]
-) -> Float[Array, "..."]:
-    """Poisson-Gaussian noise (noisy minus clean) in normalised units; shot and read broadcast to `clean`."""
-    clean = jnp.maximum(clean, 0.0)
-    gain, read_noise_e = electrons_from_nlf(shot, read)
-    return sample_poisson_gaussian(key, clean / gain, gain, read_noise_e) - clean

@@ -8,7 +8,9 @@ unpickled.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import glob
 import hashlib
 import io
 import json
@@ -26,6 +28,7 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
 from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
+from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/sensor/1"
@@ -83,18 +86,33 @@ def _owns(path: Path, npz: Path) -> bool:
 
 
 def _replace(files: dict[Path, bytes]) -> None:
-    """Writes all files beside their places first, so that a full disk leaves what was there as it was."""
-    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in files}
+    """Writes all files beside their places first, so that a full disk leaves what was there as it was.
+
+    The JSON file, which is last, goes in place first: should the maps not follow, `_read_maps` finds them.
+    """
+    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.partial") for path in files}
     try:
         for path, content in files.items():
             temporary[path].write_bytes(content)
-        for path in files:
+        for path in reversed(files):
             os.replace(temporary[path], path)
+        for path in files:
+            remove_leftovers(path)
     except OSError as error:
         for path in temporary.values():
             path.unlink(missing_ok=True)
         name = list(files)[-1]
         raise BadInput(f"{name}: cannot be written ({error.strerror}): choose another place") from error
+
+
+def _not_in_place(npz: Path, wanted: str) -> bytes:
+    """The maps of a writer that was killed before they were in place; nothing where there are none."""
+    for left in sorted(npz.parent.glob(f".{glob.escape(npz.name)}.*.partial")):
+        with contextlib.suppress(OSError):
+            content = left.read_bytes()
+            if hashlib.sha256(content).hexdigest() == wanted:
+                return content
+    return b""
 
 
 def sensor_document(model: SensorModel) -> dict[str, Any]:
@@ -182,11 +200,17 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
     entry = entry_of(document, "maps", dict)
     # Beside the JSON file, wherever both were moved.
     npz = path.with_name(Path(entry_of(entry, "file", str, "maps: ")).name or path.stem)
+    wanted = entry_of(entry, "sha256", str, "maps: ")
     try:
         content = npz.read_bytes()
     except OSError as error:
-        raise BadInput(f"{npz}: cannot be read ({error.strerror}): keep it beside {path.name}") from error
-    if hashlib.sha256(content).hexdigest() != entry_of(entry, "sha256", str, "maps: "):
+        content = _not_in_place(npz, wanted)
+        if not content:
+            message = f"{npz}: cannot be read ({error.strerror}): keep it beside {path.name}"
+            raise BadInput(message) from error
+    if hashlib.sha256(content).hexdigest() != wanted:
+        content = _not_in_place(npz, wanted)
+    if not content:
         raise BadInput(
             f"{npz}: is not the file that {path.name} was written with: restore it, or calibrate anew"
         )

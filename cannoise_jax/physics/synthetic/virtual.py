@@ -30,10 +30,9 @@ from jaxtyping import Array, Float, Int32, Key, UInt16
 
 from cannoise_jax.physics.core.presets import by_iso, read_table
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.synthetic.half_real import half_real_recording
-from cannoise_jax.physics.synthetic.scenes import SPLITS, Scene, Split, draw_scenes, mosaic, numpy_generator
+from cannoise_jax.physics.synthetic.scenes import SPLITS, Split, draw_scenes, mosaic, numpy_generator
 from cannoise_jax.recordings.packing import pack
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording, per_channel
+from cannoise_jax.recordings.recording import BadInput
 
 PATCH = 64
 """Side of a training patch in packed pixels; 128 on the mosaic."""
@@ -122,37 +121,6 @@ def record(
     taken = camera.sensor.sample(key, jnp.asarray(clean, jnp.float32), Settings(iso=iso, frames=frames))
     expected = _denoised(camera.sensor, jnp.asarray(clean)) if camera.denoises else clean
     return np.asarray(taken), np.asarray(expected, np.float32)
-
-
-def virtual_capture_set(
-    camera: VirtualCamera,
-    key: Key[Array, ""],
-    scenes: tuple[Scene, ...],
-    isos: tuple[int, ...] | None = None,
-    frames: int = 1,
-    real_darks: CaptureSet | None = None,
-) -> CaptureSet:
-    """Every scene recorded at every ISO, `frames` frames each, with the published noise level function.
-
-    real_darks: dark frames of a real camera to stand in for the floor, taken in turn. Then levels, colour
-    pattern, code step and number of frames are the real camera's, the virtual one lends its true shot noise,
-    and shot and read are those that are known of it: see `half_real`.
-    """
-    floors = real_darks.of_kind("dark", "bias") if real_darks else ()
-    if real_darks and not floors:
-        raise BadInput(f"{real_darks.path or real_darks.camera}: no dark or bias frames to lend their floor")
-    recordings: list[Recording] = []
-    for s, scene in enumerate(scenes):
-        for iso in isos or camera.isos:
-            draw = jax.random.fold_in(jax.random.fold_in(key, s), iso)
-            if floors:
-                dark = floors[len(recordings) % len(floors)]
-                gain = camera.true[iso].shot * (dark.white_level - float(np.mean(dark.black_level)))
-                recordings.append(half_real_recording(draw, mosaic(scene.image, dark.cfa), dark, gain))
-            else:
-                taken, expected = record(camera, draw, mosaic(scene.image, camera.cfa), iso, frames)
-                recordings.append(_recording(camera, iso, taken, expected))
-    return CaptureSet(camera.name, tuple(recordings))
 
 
 def virtual_patches(
@@ -248,23 +216,6 @@ def _denoised(sensor: SensorModel, clean: Float[Array, "h w"]) -> Float[Array, "
     alone = dataclasses.replace(sensor, mechanisms=kept)
     black = jnp.asarray(sensor.black_level)[0]
     return (alone.expected(clean) - black) / (sensor.white_level - black)
-
-
-def _recording(camera: VirtualCamera, iso: int, frames, clean) -> Recording:
-    nlf = camera.published[iso]
-    return Recording(
-        frames=frames,
-        cfa=camera.cfa,
-        black_level=per_channel(camera.black_level),
-        white_level=camera.white_level,
-        camera=camera.name,
-        clean=clean,
-        iso=float(iso),
-        shot=per_channel(nlf.shot),
-        read=per_channel(nlf.read),
-        code_step=1.0,
-        reference="independent",
-    )
 
 
 def _patches(camera: VirtualCamera, index: int, iso: int, scene: int, clean, noisy, side: int):

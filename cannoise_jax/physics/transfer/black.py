@@ -14,9 +14,8 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.physics.transfer.frames import FrameStatistics, site
-from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
+from cannoise_jax.recordings.recording import DARK, PerChannel, Recording, per_channel
 
-DARK_KINDS = ("dark", "bias")
 _SHORT_S = 0.1  # below it dark charge hardly matters
 _ALIKE = 2.0  # times as long or as short: exposures that count as one
 _KELVIN = 2.0  # by which darks and flats may differ
@@ -60,7 +59,7 @@ def black_at(
     """Black level at an exposure, from the darks among `statistics` (of one ISO), or as the recordings state
     it where there are none. temperature_c: of the flat; only darks about as warm count, where both are known.
     """
-    darks = [s for s in statistics if s.recording.kind in DARK_KINDS]
+    darks = [s for s in statistics if s.recording.kind in DARK]
     dark = _nearest(darks, seconds)
     if dark is None:
         return Black(statistics[0].recording.black_level, (0.0,) * 4, seconds, True, "")
@@ -106,7 +105,7 @@ def mean_error(s: FrameStatistics, channel: int) -> float:
 
 
 def _nearest(statistics: Sequence[FrameStatistics], aim: float | None) -> FrameStatistics | None:
-    repeated = [s for s in statistics if s.recording.kind in DARK_KINDS and s.recording.count > 1]
+    repeated = [s for s in statistics if s.recording.kind in DARK and s.recording.count > 1]
 
     def distance(s: FrameStatistics) -> tuple[float, int]:
         exposure = s.recording.exposure_s

@@ -27,7 +27,7 @@ _BLOCKS = 8
 _ROUNDS = 4
 
 
-class Level(NamedTuple):
+class ChannelMaps(NamedTuple):
     """One channel of one recording: signal above dark and temporal variance of every pixel, DN and DN^2.
 
     known_signal: the signal is known not to vary (darks: zero), so its map carries no error.
@@ -76,7 +76,7 @@ def median_quotient(dof: float) -> float:
     return float(stats.chi2.median(dof) / dof)
 
 
-def fit_line(levels: list[Level], rounding: float) -> Line | None:
+def fit_line(levels: list[ChannelMaps], rounding: float) -> Line | None:
     """The photon transfer line through all pixels of `levels` (all of one size). rounding: the variance that
     rounding to codes adds, DN^2. None when the levels do not span a slope.
     """
@@ -106,7 +106,7 @@ def fit_line(levels: list[Level], rounding: float) -> Line | None:
     )
 
 
-def _start(levels: list[Level]) -> tuple[float, float]:
+def _start(levels: list[ChannelMaps]) -> tuple[float, float]:
     """A first line through medians of sixteen classes of equal signal per level."""
     points = []
     for level in levels:
@@ -125,7 +125,7 @@ def _start(levels: list[Level]) -> tuple[float, float]:
     return max(float(slope), 1e-6), float(offset)
 
 
-def _block_sums(level: Level, slope: float, offset: float) -> tuple[np.ndarray, np.ndarray, int, int]:
+def _block_sums(level: ChannelMaps, slope: float, offset: float) -> tuple[np.ndarray, np.ndarray, int, int]:
     """Normal equations of each block of the image: [B, 2, 2] and [B, 2] for (offset, slope)."""
     cut, loss = cut_and_loss(level.dof)
     fitted = np.maximum(slope * level.signal + offset, 0.1 * offset)

@@ -14,7 +14,7 @@ baseline already, is reported but does not enter.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -79,7 +79,7 @@ class Finding(NamedTuple):
 
 
 def find_mechanisms(
-    statistics: Sequence[FrameStatistics], baseline: Baseline, entries: Sequence[Measurable]
+    statistics: Sequence[FrameStatistics], baseline: Baseline, entries: Iterable[Measurable]
 ) -> tuple[Finding, ...]:
     """What the estimators of all entries say of the recordings of one setting, in their order."""
     found: dict[str, Finding] = {}

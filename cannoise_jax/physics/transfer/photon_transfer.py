@@ -17,7 +17,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
-from cannoise_jax.physics.transfer.fit import Level, Line, fit_line
+from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance, site
 from cannoise_jax.physics.transfer.quantities import (
     RECORD_DARKS,
@@ -132,7 +132,7 @@ def _table_order(quantities: list[Quantity]):
 
 def _levels(
     lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, c: int
-) -> list[Level]:
+) -> list[ChannelMaps]:
     levels = []
     within = [
         s for s in lit
@@ -140,13 +140,15 @@ def _levels(
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal, variance = site(s.mean, c) - black[c], pixel_variance(s, c)
-        levels.append(Level(signal, variance, ~site(s.clipped, c), s.recording.count, s.dof, False))
+        levels.append(ChannelMaps(signal, variance, ~site(s.clipped, c), s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
         # Charge that a longer dark holds beyond black has shot noise like any other.
         charge = max(float(dark.frame_means[:, c].mean()) - black[c], 0.0)
         zero = np.full(site(dark.mean, c).shape, charge)
         usable = ~site(dark.clipped, c)
-        levels.append(Level(zero, pixel_variance(dark, c), usable, dark.recording.count, dark.dof, True))
+        levels.append(
+            ChannelMaps(zero, pixel_variance(dark, c), usable, dark.recording.count, dark.dof, True)
+        )
     return levels
 
 

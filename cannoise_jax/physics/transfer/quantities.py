@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cannoise_jax.physics.transfer.black import DARK_KINDS, Black
+from cannoise_jax.physics.transfer.black import Black
 from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
@@ -31,7 +31,7 @@ from cannoise_jax.physics.transfer.spatial import (
     temporal_mean_square,
     total_of,
 )
-from cannoise_jax.recordings.recording import PerChannel
+from cannoise_jax.recordings.recording import DARK, PerChannel
 
 _UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden
 
@@ -212,7 +212,7 @@ def dark_current_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics]
 ) -> list[Quantity]:
     """Dark current by both ways."""
-    darks = [s for s in statistics if s.recording.kind in DARK_KINDS]
+    darks = [s for s in statistics if s.recording.kind in DARK]
     names = ("dark current, by mean", "dark current, by variance")
     series = line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
     if isinstance(series, NotMeasurable):

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.physics.transfer.black import DARK_KINDS
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
     jackknife_estimate,
@@ -26,6 +25,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics, site
 from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.recording import DARK
 
 _LAGS = ((0, 1), (0, 2), (1, 0), (1, 1))
 _CLIP = 8.0
@@ -62,7 +62,7 @@ def shape_quantities(dark: FrameStatistics) -> list[Quantity]:
 def dark_lines(statistics: Sequence[FrameStatistics]) -> list[list[str]]:
     """Cells of a table of darks over exposure: level, noise and tail, DN, all channels together."""
     lines = [["exposure s", "frames", "median", "mean", "noise", "pixels > +200", "99.9 %", "frame jumps"]]
-    darks = [s for s in statistics if s.recording.kind in DARK_KINDS]
+    darks = [s for s in statistics if s.recording.kind in DARK]
     for s in sorted(darks, key=lambda s: s.recording.exposure_s or 0.0):
         level = float(np.median(s.mean))
         noise = "" if s.variance is None else f"{np.sqrt(np.median(s.variance)):.1f}"

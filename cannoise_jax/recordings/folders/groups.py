@@ -105,14 +105,15 @@ def _group(key: tuple, shots: list[Shot], overrides: dict[str, Any]) -> Group:
         "temperature_c": round(float(np.mean(temperatures)), 2) if temperatures else None,
     }
     settings |= {n: overrides[n] for n in ("temperature_c", "exposure_s") if n in overrides}
-    return Group(KINDS[kind], tuple(shots), settings, mode, name, _label(key, mode))
+    return Group(KINDS[kind], tuple(shots), settings, mode, name, _label(key, mode, settings["gain_db"]))
 
 
-def _label(key: tuple, mode: tuple) -> str:
+def _label(key: tuple, mode: tuple, gain_db: float | None) -> str:
     _, kind, iso, exposure, name, cluster, _ = key
     parts = [KINDS[kind]]
     parts += [seconds(exposure)] if exposure is not None and KINDS[kind] != "bias" else []
-    parts += [] if iso is None else [f"iso{iso:.4g}"]
+    decibels = gain_db if gain_db is None else f"gain{gain_db:g}dB"
+    parts += [decibels] if decibels else [] if iso is None else [f"iso{iso:.4g}"]
     parts += [] if mode[4] is None else [f"gain{mode[4]:g}"]
     parts += [] if name is None else ["".join(c if c.isalnum() else "-" for c in name)]
     parts += [] if cluster is None else [f"{cluster:.0f}C"]

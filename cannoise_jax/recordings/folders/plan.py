@@ -100,7 +100,8 @@ def text(plan: Plan) -> str:
             f"{where}{first.mode[0]}, {size}, {_cfa(one)}{f': apart, {one.reason}' if one.reason else ''}"
         )
         for group in one.groups:
-            from_ = _listed([s.name for s in group.shots])
+            names = [s.name for s in group.shots]
+            from_ = names[0] + (f" to {names[-1]}" if len(names) > 1 else "")
             words = f"{group.frames} frame{'s' * (group.frames > 1)}"
             lines.append(f"  {group.label + '.h5':<28} {words:<10} {_settings(group):<26} {from_}")
     lines += [f"note: {note}" for note in plan.notes]
@@ -173,6 +174,12 @@ def _kinds(
             continue
         kinds[shot.name] = header or shot.named or "scene"
     remedy = "put them in folders named bias, darks, flats or lights, or state --assign 'NAME*=KIND'"
+    if any(kind != "scene" for kind in kinds.values()):
+        # Beside files that say what they are the others are what calibration frames are made for.
+        for what, names in unknown.items():
+            kinds |= dict.fromkeys(names, "scene")
+            taken[f"{what}: taken as lights; --assign 'NAME*=KIND' says otherwise"] = names
+        unknown = {}
     notes = [f"{_listed(names)}: {what}" for what, names in taken.items()]
     problems = [f"{_listed(names)}: {what}: {remedy}" for what, names in unknown.items()]
     problems += [
@@ -199,14 +206,13 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
     out = []
     if scenes and any(g.kind == "flat" for g in main):
         main = [g for g in main if g not in scenes]
-        reason = "flats serve, and the sky of lights moves from frame to frame"
+        reason = "flats serve, and what lights show moves from frame to frame"
         out.append(("lights", scenes, reason))
     for mode in order[1:]:
         differs = [(n, a, b) for n, a, b in zip(MODE, mode, order[0], strict=True) if a != b]
-        reason = ", ".join(f"{n} is {_word(a)}, not {_word(b)}" for n, a, b in differs)
-        out.append(
-            ("_".join(f"{n}_{_word(a)}".replace(" ", "_") for n, a, _ in differs[:2]), by_mode[mode], reason)
-        )
+        reason = ", ".join(f"{n} is {_word(a, n)}, not {_word(b, n)}" for n, a, b in differs)
+        name = "_".join(f"{n}_{_word(a, n)}".replace(" ", "_") for n, a, _ in differs[:2])
+        out.append((name, by_mode[mode], reason))
     first = CaptureGroups("", _labelled(main), levels(main, overrides))
     rest = []
     for name, own, reason in out:
@@ -250,12 +256,14 @@ def _lacks(one: CaptureGroups) -> list[str]:
     return notes
 
 
-def _word(value: Any) -> str:
+def _word(value: Any, name: str) -> str:
+    if value is None:
+        return {"binning": "1x1", "origin": "0x0"}.get(name, "not stated")
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, tuple):
         return "x".join(f"{v:g}" for v in value)
-    return "not stated" if value is None else str(value)
+    return str(value)
 
 
 def _as_folder(name: str) -> str:

@@ -150,11 +150,12 @@ def test_everything_missing_is_said_at_once(tmp_path):
     shot(tmp_path / "flat_x.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0)
     (tmp_path / "broken.fits").write_bytes(b"SIMPLE")
     plan = plan_folder(tmp_path)
+    assert "other1.fits, other2.fits: IMAGETYP 'Focus' is unknown: taken as lights" in notes(plan)
     said = "\n".join(plan.problems)
-    for words in ("broken.fits: not a readable", "'Focus' is unknown", "--cfa", "--black-level", "--assign",
+    for words in ("broken.fits: not a readable", "--cfa", "--black-level", "--assign",
                   "headed 'Dark Frame' but named flat", "--leave-out"):  # fmt: skip
         assert words in said
-    with pytest.raises(BadInput, match="broken.fits.*other1.fits, other2.fits.*--black-level") as caught:
+    with pytest.raises(BadInput, match="broken.fits.*flat_x.fits.*--black-level") as caught:
         check(plan)
     assert "\n" not in str(caught.value)
     mended = plan_folder(
@@ -260,7 +261,7 @@ def test_text_names_every_file_and_note(tmp_path):
     night(tmp_path)
     plan = plan_folder(tmp_path)
     said = text(plan)
-    assert "Acme 100, 24 x 32, MONO" in said and "dark_1.fits, dark_2.fits" in said
+    assert "Acme 100, 24 x 32, MONO" in said and "dark_1.fits to dark_2.fits" in said
     assert said.count("note: ") == len(plan.notes)
 
 

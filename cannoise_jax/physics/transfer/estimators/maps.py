@@ -26,6 +26,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site, steady_frames
 from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
+from cannoise_jax.recordings.packing import green_sites
 
 _HOT = 6.0
 
@@ -177,7 +178,7 @@ def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
 def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma: half of the relative difference of the two greens, that beside red less that beside blue."""
     flat = brightest_flat(statistics)
-    greens = [] if flat is None else green_sites(flat.recording.cfa)
+    greens = None if flat is None else green_sites(flat.recording.cfa)
     if flat is None or not greens:
         return REPEATED_FLATS
     first, second = greens
@@ -190,11 +191,6 @@ def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Est
         gains = (site(flat.mean, c) - black[c]) / flat.level[c]
         spread += float(np.var(gains - shading(gains))) / gains.size
     return {"sigma": normal_estimate(float(np.tanh(logs.mean() / 2)), float(np.sqrt(spread)) / 2)}
-
-
-def green_sites(cfa: str) -> list[int]:
-    """Mosaic sites of the green beside red and of the green beside blue; none for a monochrome sensor."""
-    return {"RGGB": [1, 2], "BGGR": [2, 1], "GRBG": [0, 3], "GBRG": [3, 0]}.get(cfa, [])
 
 
 def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.recordings.recording import DARK
 
 REPEATED_DARKS = NotMeasurable("record at least 2 frames with the cap on, better 16")
 REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady light, better 16")
@@ -18,16 +19,14 @@ REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady ligh
 def darkest(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
     """The repeated darks with the most frames; among equals the shortest exposure."""
     darks = [
-        s for s in statistics if s.recording.kind in ("dark", "bias") and s.variance is not None
+        s for s in statistics if s.recording.kind in DARK and s.variance is not None
     ]  # fmt: skip
     return min(darks, key=lambda s: (-s.recording.count, s.recording.exposure_s or 0.0), default=None)
 
 
 def darks_by_exposure(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
     """Darks of known exposure, shortest first."""
-    darks = [
-        s for s in statistics if s.recording.kind in ("dark", "bias") and s.recording.exposure_s is not None
-    ]
+    darks = [s for s in statistics if s.recording.kind in DARK and s.recording.exposure_s is not None]
     return sorted(darks, key=lambda s: s.recording.exposure_s or 0.0)
 
 

@@ -136,12 +136,12 @@ def beside_rows(wave: Mapping[str, Estimate], place: Point, dark: FrameStatistic
 
 
 def reaches_no_further(rows: Mapping[str, Estimate], statistics: Sequence[FrameStatistics]) -> str:
-    """What speaks against 1/f noise from row to row: rows two to six apart that are not half as alike as it
-    would make them. (A correlation with the next row only, as some readouts have, also draws the exponent
-    away from zero.)"""
+    """What speaks against 1/f noise from row to row: an exponent that chance makes of white rows, or rows two
+    to six apart that are not half as alike as it would make them. (A correlation with the next row only, as
+    some readouts have, also draws the exponent away from zero.)"""
     dark, exponent = darkest(statistics), rows["exponent"]
     against = "(rows are not alike over distance, as 1/f would be)"
-    if dark is None or exponent.ci90[0] <= 0:
+    if dark is None or exponent.ci90[0] <= 0 or exponent.by_chance > _CHANCE:
         return against
     rest = row_offsets(dark)
     rest = rest - rest.mean(0)

@@ -1,0 +1,226 @@
+"""bin/evaluate --suite noise|ablation|encoder|cameras|iso|all --workdir RUN [--model RUN[,RUN...]]
+
+The experiments on the five virtual cameras; writes RUN/evaluation/SUITE.json and RUN/evaluation/results.html.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import math
+import os
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.parser import OneLineParser, count, folder
+from cannoise_jax.recordings.recording import BadInput
+
+SUITES = ("noise", "ablation", "encoder", "cameras", "iso")
+SCHEMA = "cannoise/evaluation/1"
+
+
+@command("evaluate")
+def main(argv: list[str] | None = None) -> int:
+    """Runs suites; returns 0, 1 for draws that are not finite, or 2 after one line when something cannot be
+    used."""
+    arguments = sys.argv[1:] if argv is None else argv
+    parsed = _parser().parse_args(arguments)
+    try:
+        _run(parsed, [str(a) for a in arguments])
+    except (BadInput, FloatingPointError) as error:
+        print(f"bin/evaluate: {error}", file=sys.stderr)
+        return 2 if isinstance(error, BadInput) else 1
+    return 0
+
+
+def _run(arguments, argv: list[str]) -> None:
+    out = arguments.workdir / "evaluation"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{out}: cannot be made: {error.strerror}") from error
+    from cannoise_jax.discovery.patch_area import two_sample_area
+    from cannoise_jax.evaluation.noise_models import baselines, make_bench, sensors
+    from cannoise_jax.evaluation.results_page import results_page
+    from cannoise_jax.evaluation.suites import SUITES as RUNS
+    from cannoise_jax.evaluation.suites import Request
+    from cannoise_jax.sampling import MODEL_FILE, load_model
+
+    begun = time.monotonic()
+
+    def tell(text: str) -> None:
+        print(f"[{time.monotonic() - begun:6.0f} s] {text}", file=sys.stderr, flush=True)
+
+    paths = arguments.model or ([arguments.workdir] if (arguments.workdir / MODEL_FILE).is_file() else [])
+    models = [load_model(path) for path in paths]
+    ablations = {name: [load_model(p) for p in runs] for name, runs in arguments.ablation}
+    tell("recording the virtual cameras")
+    bench = make_bench(arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes)
+    draws = baselines(bench)
+    fitted = {name: _sensor_files(path, bench.cameras) for name, path in arguments.sensors}
+    draws |= {name: sensors(bench, by_camera) for name, by_camera in fitted.items()}
+    chosen = SUITES if arguments.suite == "all" else (arguments.suite,)
+    if "noise" in chosen and arguments.flow_steps:
+        draws["noise_flow"] = _flow(bench, arguments, tell)
+    unknown = sorted(set(arguments.noise) - set(draws))
+    if unknown:
+        raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(draws)}")
+    needed = {"truth", "pg", "pg_estimated", "pg_recalibrated"}
+    draws = {n: d for n, d in draws.items() if not arguments.noise or n in needed | set(arguments.noise)}
+    request = Request(
+        bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, tell
+    )
+    for name in chosen:
+        started = time.monotonic()
+        tell(f"suite {name}")
+        outcome = RUNS[name](request)
+        record: dict[str, Any] = {
+            "schema": SCHEMA, "suite": name, "title": (RUNS[name].__doc__ or name).splitlines()[0],
+            "command": f"bin/evaluate {shlex.join(argv)}",
+            "version": importlib.metadata.version("cannoise-jax"),
+            "seeds": arguments.seeds, "patches": bench.size, "references": arguments.references,
+            "interval": "90 %, seeds and scenes drawn again",
+            "models": [str(p) for p in paths], "seconds": round(time.monotonic() - started, 1),
+            "tables": [_plain(t) for t in outcome.tables], "figures": [_plain(f) for f in outcome.figures],
+            "notes": outcome.notes,
+        }  # fmt: skip
+        _write(out / f"{name}.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+        for table in record["tables"]:
+            print(_text(table), flush=True)
+        for note in outcome.notes:
+            print(f"not run: {note}")
+    found = {n: json.loads((out / f"{n}.json").read_text()) for n in SUITES if (out / f"{n}.json").is_file()}
+    _write(out / "results.html", results_page(found))
+    print(out / "results.html")
+
+
+def _flow(bench, arguments, tell):
+    """Noise Flow, trained once for every seed on training patches, which hold the test's cameras and ISOs."""
+    import numpy as np
+
+    from cannoise_jax.evaluation.kl import clipped_noise
+    from cannoise_jax.training.flow import FlowRecipe, flow_noise, held_out_nats, train_flow
+
+    flows: dict[int, Any] = {}
+    test = bench.test
+
+    def draw(key, references):
+        seed = len(flows) % arguments.seeds
+        if len(flows) < arguments.seeds:
+            recipe = FlowRecipe(steps=arguments.flow_steps)
+            started = time.monotonic()
+            flows[seed] = train_flow(bench.train, len(bench.cameras), seed, recipe)
+            tell(
+                f"Noise Flow, seed {seed}: {held_out_nats(flows[seed], test):.3f} nats a value on the test, "
+                f"{time.monotonic() - started:.0f} s"
+            )
+        noise = flow_noise(flows[seed], key, test.clean, test.camera, test.iso)
+        return clipped_noise(np.asarray(noise), test.clean)
+
+    return draw
+
+
+def _sensor_files(path: Path, cameras) -> dict[str, Any]:
+    """One sensor.json a camera, named after it. Raises BadInput where one is missing."""
+    from cannoise_jax.physics.core.sensor_json import read_sensor
+
+    return {camera.name: read_sensor(path / f"{camera.name}.json") for camera in cameras}
+
+
+def _plain(value: Any) -> Any:
+    """As JSON holds it: cells by name, numbers that are not finite as null."""
+    if hasattr(value, "_asdict"):
+        return _plain(value._asdict())
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _text(table: dict[str, Any]) -> str:
+    """A table for a terminal: values with half the width of their intervals."""
+    from cannoise_jax.evaluation.results_page import number
+
+    columns = [
+        c for c in table["columns"] if not all(isinstance(r.get(c), str) for r in table["rows"].values())
+    ]
+    lines = [table["title"], f"{'':<20}" + "".join(f"{c:>22}" for c in columns)]
+    for name, row in table["rows"].items():
+        cells = []
+        for c in columns:
+            value = row.get(c)
+            if not isinstance(value, dict):
+                cells.append(str(value or "-"))
+                continue
+            about = f" [{number(value['low'])}, {number(value['high'])}]" if value["low"] is not None else ""
+            cells.append(number(value["value"]) + about)
+        lines.append(f"{name:<20}" + "".join(f"{c:>22}" for c in cells))
+    return "\n".join([*lines, table["note"], ""])
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            partial.write_text(text, encoding="utf-8")
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _paths(text: str) -> list[Path]:
+    return [Path(part) for part in text.split(",") if part]
+
+
+def _named(text: str) -> tuple[str, list[Path]]:
+    name, _, paths = text.partition("=")
+    if not name or not paths:
+        raise argparse.ArgumentTypeError(f"{text!r}: give NAME=RUN, or NAME=RUN,RUN of several seeds")
+    return name, _paths(paths)
+
+
+def _sensor_folder(text: str) -> tuple[str, Path]:
+    name, _, path = text.partition("=")
+    if not name or not path:
+        raise argparse.ArgumentTypeError(f"{text!r}: give NAME=FOLDER, with one CAMERA.json for each camera")
+    return name, Path(path)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = OneLineParser(
+        prog="bin/evaluate",
+        description="Sets noise models side by side on the five virtual cameras, and takes a trained one "
+        "apart.",
+    )
+    add = parser.add_argument
+    add("--suite", required=True, choices=(*SUITES, "all"))
+    add("--workdir", required=True, type=folder, metavar="RUN", help="results go to RUN/evaluation")
+    add("--model", type=_paths, metavar="RUN,...", help="trained model, one for each seed; else that of RUN")
+    add(
+        "--ablation", type=_named, action="append", default=[], metavar="NAME=RUN,...", help="may be repeated"
+    )
+    add("--sensors", type=_sensor_folder, action="append", default=[], metavar="NAME=FOLDER",
+        help="camera models as calibrated=DIR or discovered=DIR, one CAMERA.json each")  # fmt: skip
+    add("--noise", type=lambda t: t.split(","), default=[], metavar="NAME,...", help="only these baselines")
+    add("--seeds", type=count, default=3)
+    add("--references", type=count, default=8, help="noisy patches that a model is shown")
+    add("--scenes", type=count, default=20, help="test scenes, each taken by every camera")
+    add("--per-scene", type=count, default=4, help="patches of a scene: a square number")
+    add("--train-scenes", type=count, default=40, help="for what baselines are fitted to")
+    add("--flow-steps", type=int, default=1500, help="training steps of Noise Flow; 0: leave it out")
+    add("--seed", type=int, default=0, help="of the scenes")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

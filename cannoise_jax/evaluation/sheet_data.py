@@ -1,0 +1,243 @@
+"""What the EMVA 1288 sheet of a camera shows, as plain numbers: its table, and the points of its figures.
+
+Symbols and definitions follow EMVA 1288 release 4.0; whatever needs the number of photons stays in electrons,
+and what the recordings do not show says what to record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
+from cannoise_jax.physics.transfer.table import format_outcome
+
+_RANGE = (0.05, 0.95)
+"""Share of saturation between which linearity is judged (EMVA 1288, section 6.7)."""
+_ROWS = (
+    ("system gain", "DN/e-", "K, overall system gain"),
+    ("inverse gain", "e-/DN", "1/K, inverse of the gain"),
+    ("temporal dark noise", "DN", "sigma_y.dark, temporal dark noise"),
+    ("temporal dark noise", "e-", "sigma_d, temporal dark noise"),
+    ("sensitivity threshold", "e-", "mu_e.min, absolute sensitivity threshold"),
+    ("saturation level", "e-", "mu_e.sat, saturation capacity"),
+    ("SNR max", "", "SNR max"),
+    ("SNR max", "dB", "SNR max"),
+    ("dynamic range", "dB", "DR, dynamic range"),
+    ("DSNU1288", "e-", "DSNU1288, dark signal nonuniformity"),
+    ("PRNU1288", "%", "PRNU1288, photo response nonuniformity"),
+    ("linearity error", "%", "LE, linearity error"),
+    ("dark current, by mean", "e-/s", "mu_c.mean, dark current"),
+    ("dark current, by variance", "e-/s", "mu_c.var, dark current"),
+    ("quantum efficiency", "e-/photon", "eta, quantum efficiency"),
+)
+
+
+def sheet_data(transfers: Sequence[PhotonTransfer]) -> list[dict[str, Any]]:
+    """For each ISO: the table, outcome by channel, and the points of every figure, plain numbers."""
+    return [_setting(t) for t in transfers]
+
+
+def _setting(t: PhotonTransfer) -> dict[str, Any]:
+    names = channel_names(t.cfa)
+    first = t.statistics[0].recording
+    base = t.baseline if isinstance(t.baseline, Baseline) else None
+    # Without a baseline the level of the darks, where there are any, is still better than what was stated.
+    black = base.black_level if base else first.black_level
+    lit = [s for s in t.statistics if s.recording.kind == "flat"]
+    lit = lit or [s for s in t.statistics if s.recording.kind == "scene"]
+    dark = [s for s in t.statistics if s.recording.kind in ("dark", "bias")]
+    points = _points(lit, black)
+    straight = _linearity(lit, black, first.white_level)
+    return {
+        "iso": t.iso,
+        "gain_db": first.gain_db,
+        "channels": list(names),
+        "size": list(first.size),
+        "cfa": t.cfa,
+        "recordings": [_recording(s) for s in t.statistics],
+        "table": _table(t, base, straight),
+        "gain": list(base.gain) if base else None,
+        "read_noise_dn": list(base.read_noise) if base else None,
+        "transfer": points,
+        "linearity": straight,
+        "dark": _dark_points(dark),
+        "spectra": _spectra(lit, dark, black, first.white_level),
+    }
+
+
+def _recording(s: FrameStatistics) -> dict[str, Any]:
+    r = s.recording
+    return {
+        "kind": r.kind,
+        "frames": r.count,
+        "exposure_s": r.exposure_s,
+        "temperature_c": r.temperature_c,
+        "level_dn": [float(v) for v in s.level],
+    }
+
+
+def _points(lit: Sequence[FrameStatistics], black: Sequence[float]) -> dict[str, list[list[float]]]:
+    """Mean above black and temporal variance of every lit recording, DN and DN^2, by channel."""
+    mean: list[list[float]] = [[], [], [], []]
+    variance: list[list[float]] = [[], [], [], []]
+    for s in (s for s in lit if s.variance is not None):
+        for c in range(4):
+            usable = ~site(s.clipped, c)
+            if not usable.any():
+                continue
+            square, _ = robust_mean_square(pixel_variance(s, c)[usable], s.dof)
+            mean[c].append(float(site(s.mean, c)[usable].mean() - black[c]))
+            variance[c].append(float(square))
+    return {"mean": mean, "variance": variance}
+
+
+def _linearity(lit: Sequence[FrameStatistics], black: Sequence[float], white: float) -> dict[str, Any] | None:
+    """Signal over exposure of flats under one light, with a line of least relative deviations, by channel;
+    None for fewer than three exposures. error: mean absolute deviation, %, between `_RANGE` of saturation."""
+    flats = [s for s in lit if s.recording.kind == "flat" and s.recording.exposure_s]
+    if len({s.recording.exposure_s for s in flats}) < 3:
+        return None
+    seconds = np.array([s.recording.exposure_s for s in flats], float)
+    out: dict[str, Any] = {"seconds": seconds.tolist(), "signal": [], "fit": [], "deviation": [], "error": []}
+    for c in range(4):
+        signal = np.array([s.frame_means[:, c].mean() - black[c] for s in flats])
+        # Saturation is where codes pile up, which may be below the white level.
+        top = min([white, *(s.high[c] for s in flats if np.isfinite(s.high[c]))]) - black[c]
+        judged = (signal > _RANGE[0] * top) & (signal < _RANGE[1] * top)
+        judged = judged if judged.sum() >= 3 else signal > 0
+        design = np.stack([np.ones_like(seconds), seconds], -1)[judged] / signal[judged, None]
+        line = np.linalg.lstsq(design, np.ones(judged.sum()), rcond=None)[0]
+        fitted = line[0] + line[1] * seconds
+        deviation = 100 * (signal - fitted) / np.where(fitted == 0, np.nan, fitted)
+        out["signal"].append(signal.tolist())
+        shown = np.where(judged, deviation, np.nan)
+        out["deviation"].append([float(v) if np.isfinite(v) else None for v in shown])
+        out["fit"].append([float(v) for v in line])
+        out["error"].append(float(np.nanmean(np.abs(deviation[judged]))))
+    return out
+
+
+def _dark_points(dark: Sequence[FrameStatistics]) -> dict[str, Any]:
+    known = sorted(
+        (s for s in dark if s.recording.exposure_s is not None), key=lambda s: s.recording.exposure_s or 0
+    )
+    return {
+        "seconds": [s.recording.exposure_s for s in known],
+        "mean": [[float(s.frame_means[:, c].mean()) for s in known] for c in range(4)],
+        "variance": [
+            [
+                float("nan") if s.variance is None else robust_mean_square(pixel_variance(s, c), s.dof)[0]
+                for s in known
+            ]
+            for c in range(4)
+        ],
+    }
+
+
+def _spectra(
+    lit: Sequence[FrameStatistics], dark: Sequence[FrameStatistics], black: Sequence[float], white: float
+) -> dict[str, Any]:
+    """Root mean power along rows and columns of the mean dark frame (DN) and the mean flat (%), every channel
+    about its mean, and the level that temporal noise leaves in such a mean."""
+    out: dict[str, Any] = {}
+    shown = max((s for s in dark if s.variance is not None), key=lambda s: s.recording.count, default=None)
+    if shown is not None:
+        out["dark"] = _spectrum(shown, np.zeros(4), np.ones(4))
+    flats = [s for s in lit if s.recording.kind == "flat" and s.variance is not None]
+    flat = min(flats, key=lambda s: abs(s.level[0] / (white - black[0]) - 0.5), default=None)
+    if flat is not None and min(flat.level) > 0:
+        levels = np.array([flat.frame_means[:, c].mean() - black[c] for c in range(4)])
+        out["flat"] = _spectrum(flat, np.asarray(black), levels / 100)
+    return out
+
+
+def _spectrum(s: FrameStatistics, offset: np.ndarray, unit: np.ndarray) -> dict[str, Any]:
+    power: dict[str, list[np.ndarray]] = {"rows": [], "columns": []}
+    noise = []
+    for c in range(4):
+        plane = (site(s.mean, c) - offset[c]) / unit[c]
+        plane = np.clip(plane - np.median(plane), *np.quantile(plane - np.median(plane), (0.001, 0.999)))
+        plane = plane - plane.mean()
+        for name, values in (("rows", plane), ("columns", plane.T)):
+            power[name].append(np.mean(np.abs(np.fft.rfft(values, axis=1)) ** 2, 0) / values.shape[1])
+        noise.append(robust_mean_square(pixel_variance(s, c), s.dof)[0] / s.recording.count / unit[c] ** 2)
+    out: dict[str, Any] = {"noise": float(np.sqrt(np.mean(noise)))}
+    for name, values in power.items():
+        mean = np.sqrt(np.mean(values, 0))[1:]
+        keep = np.unique(np.round(np.geomspace(1, len(mean), 240)).astype(int)) - 1
+        # Cycles per pixel of the mosaic: a channel has every second one.
+        frequency = 0.5 * np.arange(1, len(mean) + 1) / (2 * len(mean))
+        out[name] = {"frequency": frequency[keep].tolist(), "amplitude": mean[keep].tolist()}
+    return out
+
+
+def _table(t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None) -> list[dict[str, Any]]:
+    rows = []
+    for name, unit, title in _ROWS:
+        outcomes: Sequence[Outcome] = _derived(t, base, straight, name, unit) or t.outcomes(name, unit)
+        if not outcomes:
+            continue
+        outcomes = outcomes if len(outcomes) == 4 else list(outcomes) * 4
+        missing = [o.record for o in outcomes if isinstance(o, NotMeasurable)]
+        rows.append(
+            {
+                "name": title,
+                "unit": unit,
+                "values": [o.value if isinstance(o, Estimate) else None for o in outcomes],
+                "ci90": [list(o.ci90) if isinstance(o, Estimate) else None for o in outcomes],
+                "text": [format_outcome(o) if isinstance(o, Estimate) else "" for o in outcomes],
+                "record": missing[0] if len(missing) == len(outcomes) else "",
+            }
+        )
+    return rows
+
+
+def _derived(
+    t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None, name: str, unit: str
+) -> list[Outcome]:
+    """Quantities that follow from others, by the standard's own equations."""
+    saturation = t.outcomes("saturation level", "e-")
+    noise = t.outcomes("temporal dark noise", "e-")
+    if name == "linearity error":
+        if straight is None:
+            return [NotMeasurable("record flats of one steady light at three exposure times or more")] * 4
+        return [Estimate(round(v, 3), 0.0, (v, v)) for v in straight["error"]]
+    if name == "sensitivity threshold":
+        return [_threshold(o, base, c) for c, o in enumerate(noise)]
+    if name == "SNR max":
+        return [_of_saturation(o, lambda e: np.sqrt(e) if not unit else 10 * np.log10(e)) for o in saturation]
+    if name == "dynamic range":
+        out: list[Outcome] = []
+        for c, (full, dark) in enumerate(zip(saturation, noise, strict=True)):
+            least = _threshold(dark, base, c)
+            if isinstance(full, NotMeasurable) or isinstance(least, NotMeasurable):
+                out.append(full if isinstance(full, NotMeasurable) else least)
+                continue
+            out.append(_of_saturation(full, lambda e, least=least: 20 * np.log10(e / least.value)))
+        return out
+    return []
+
+
+def _threshold(noise: Outcome, base: Baseline | None, channel: int) -> Outcome:
+    """Signal of SNR 1, e-: sqrt(sigma_d^2 + rounding) + 1/2 (EMVA 1288, eq. 27, over eta)."""
+    if isinstance(noise, NotMeasurable):
+        return noise
+    rounding = (base.code_step / base.gain[channel]) ** 2 / 12 if base else 0.0
+    low, value, high = (
+        float(np.sqrt(v**2 + rounding)) + 0.5 for v in (noise.ci90[0], noise.value, noise.ci90[1])
+    )
+    return Estimate(value, noise.stderr, (low, high))
+
+
+def _of_saturation(full: Outcome, law: Any) -> Outcome:
+    if isinstance(full, NotMeasurable) or full.ci90[0] <= 0:
+        return full
+    value, low, high = (float(law(v)) for v in (full.value, *full.ci90))
+    return Estimate(value, (high - low) / 3.29, (low, high))

@@ -1,0 +1,130 @@
+"""Plots as SVG text that takes its colours from the page: it prints, and is dark where the page is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+from typing import NamedTuple
+
+import numpy as np
+
+_WIDTH, _HEIGHT = 520, 330
+_LEFT, _RIGHT, _TOP, _BOTTOM = 66, 14, 14, 46
+
+
+class Series(NamedTuple):
+    """Points of one channel. colour: number of a colour of the page. line: joined, else dots."""
+
+    label: str
+    x: Sequence[float] | np.ndarray
+    y: Sequence[float] | np.ndarray
+    colour: int = 0
+    line: bool = False
+    dashed: bool = False
+
+
+def plot(series: Sequence[Series], x_label: str, y_label: str, *, log_x=False, log_y=False) -> str:
+    """One figure with axes, grid and legend; points that an axis cannot show are left out."""
+    kept = [s for s in (_shown(s, log_x, log_y) for s in series) if len(s.x)]
+    if not kept:
+        return ""
+    xs, ys = (np.concatenate([np.asarray(getattr(s, a), float) for s in kept]) for a in "xy")
+    scale_x = _scale(xs, log_x, _LEFT, _WIDTH - _RIGHT)
+    scale_y = _scale(ys, log_y, _HEIGHT - _BOTTOM, _TOP)
+    parts = [
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" '
+        f'aria-label="{escape(y_label)} over {escape(x_label)}">'
+    ]
+    parts += _axis(scale_x, x_label, horizontal=True) + _axis(scale_y, y_label, horizontal=False)
+    for s in kept:
+        at = [(scale_x.place(x), scale_y.place(y)) for x, y in zip(s.x, s.y, strict=True)]
+        style = f"c{s.colour}{' dashed' if s.dashed else ''}"
+        if s.line:
+            parts.append(
+                f'<polyline class="line {style}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in at)}"/>'
+            )
+        else:
+            parts += [f'<circle class="dot {style}" cx="{x:.1f}" cy="{y:.1f}" r="3"/>' for x, y in at]
+    labelled = list({s.label: s for s in kept if s.label}.values())
+    for n, s in enumerate(labelled):
+        y = _TOP + 12 + 15 * n
+        parts.append(f'<rect class="key c{s.colour}" x="{_LEFT + 8}" y="{y - 7}" width="12" height="4"/>')
+        parts.append(f'<text class="legend" x="{_LEFT + 25}" y="{y - 1}">{escape(s.label)}</text>')
+    return "\n".join([*parts, "</svg>"])
+
+
+class _Scale(NamedTuple):
+    low: float
+    high: float
+    log: bool
+    start: float
+    end: float
+    ticks: tuple[float, ...]
+
+    def place(self, value: float) -> float:
+        v = math.log10(value) if self.log else value
+        return self.start + (v - self.low) / (self.high - self.low) * (self.end - self.start)
+
+
+def _shown(s: Series, log_x: bool, log_y: bool) -> Series:
+    x, y = np.asarray(s.x, float), np.asarray(s.y, float)
+    keep = np.isfinite(x) & np.isfinite(y)
+    keep &= (x > 0) | (not log_x)
+    keep &= (y > 0) | (not log_y)
+    return s._replace(x=x[keep], y=y[keep])
+
+
+def _scale(values: np.ndarray, log: bool, start: float, end: float) -> _Scale:
+    v = np.log10(values) if log else values
+    low, high = float(v.min()), float(v.max())
+    if not log and 0 < low < 0.3 * high:
+        low = 0.0
+    span = high - low or abs(high) or 1.0
+    low, high = low - (0.04 * span if low else 0.0), high + 0.06 * span
+    if log:
+        whole = range(math.floor(low), math.ceil(high) + 1)
+        fine = (1, 2, 3, 5, 7) if high - low < 0.9 else (1, 2, 5) if high - low < 2.2 else (1,)
+        ticks = tuple(f * 10.0**e for e in whole for f in fine if low <= math.log10(f * 10.0**e) <= high)
+    else:
+        step = 10.0 ** math.floor(math.log10((high - low) / 4))
+        step *= next((f for f in (1, 2, 5, 10) if (high - low) / (f * step) <= 6), 10)
+        first = math.ceil(low / step)
+        ticks = tuple(n * step for n in range(first, first + 20) if n * step <= high)
+    return _Scale(low, high, log, start, end, ticks)
+
+
+def _axis(scale: _Scale, label: str, *, horizontal: bool) -> list[str]:
+    bottom, right = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT
+    out = []
+    for tick in scale.ticks:
+        at = scale.place(tick)
+        text = _number(tick)
+        if horizontal:
+            out.append(f'<path class="grid" d="M{at:.1f} {_TOP}V{bottom}"/>')
+            out.append(
+                f'<text class="tick" x="{at:.1f}" y="{bottom + 16}" text-anchor="middle">{text}</text>'
+            )
+        else:
+            out.append(f'<path class="grid" d="M{_LEFT} {at:.1f}H{right}"/>')
+            out.append(f'<text class="tick" x="{_LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{text}</text>')
+    if horizontal:
+        middle = (_LEFT + right) / 2
+        out.append(
+            f'<text class="title" x="{middle}" y="{_HEIGHT - 8}" text-anchor="middle">{escape(label)}</text>'
+        )
+    else:
+        middle = (_TOP + bottom) / 2
+        out.append(
+            f'<text class="title" x="14" y="{middle}" text-anchor="middle" '
+            f'transform="rotate(-90 14 {middle})">{escape(label)}</text>'
+        )
+    return out
+
+
+def _number(value: float) -> str:
+    if value == 0:
+        return "0"
+    return (
+        f"{value:g}" if 1e-3 <= abs(value) < 1e5 else f"{value:.0e}".replace("e+0", "e").replace("e-0", "e-")
+    )

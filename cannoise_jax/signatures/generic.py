@@ -1,0 +1,322 @@
+"""The signature of a mechanism of which nothing is known but its sampler.
+
+Frames are drawn with and without it, with the same random numbers: what is left of their difference, in units
+of the noise of the recordings, is the effect alone. Its mean power in an orthonormal basis is the template:
+of noise alone every coefficient has the power 1, with the effect 1 + v c. The basis is the one, of a few, in
+which draws that took no part in the template stand out most: that is chosen before any recording is seen, so
+that no search has to be paid for. From there on it is a variance component like any other, with its exact
+null law.
+
+The strength alone is fitted; all other parameters are taken to have their typical values. Effects that are
+new in every frame are looked for in differences between frames, those that stay in the mean of the frames.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import fft
+
+from cannoise_jax.physics.core.chain import run_chain, to_codes
+from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.settings import Settings, context_of, resolve
+from cannoise_jax.signatures.fields import Fields, helmert
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.score import Score, variance_component
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    STATIC,
+    Addition,
+    Axes,
+    Found,
+    Many,
+    Scales,
+    Signature,
+)
+
+_FRAMES, _UNITS = 8, 4
+"""Frames of each unit of the camera that are drawn, and units."""
+_TYPICAL = 0.3
+"""Root mean square of the effect, in units of the noise, at which its template is taken."""
+_STAYS = 0.05
+"""Share of the power of what stays below which differences between frames show nothing of an effect."""
+_SEEN = 0.3
+"""Share of its pixels that must be usable for a coefficient to count."""
+
+Images = Float[np.ndarray, "n h w"]
+
+
+class Basis(NamedTuple):
+    """An orthonormal change of coordinates of images, and the axes over which it mixes pixels."""
+
+    forward: Callable[[Images], Images]
+    back: Callable[[Images], Images]
+    mixes: tuple[int, ...]
+
+    def level(self, mask: np.ndarray) -> Float[np.ndarray, "h w"]:
+        """Variance of every coefficient where unit noise is seen through a mask, to the accuracy of the mean
+        over the pixels that it mixes."""
+        out = mask.astype(np.float64)
+        for axis in self.mixes:
+            out = np.broadcast_to(out.mean(axis, keepdims=True), out.shape)
+        return out
+
+
+def _cosines(axes: tuple[int, ...]) -> Basis:
+    return Basis(
+        lambda x: fft.dctn(x, axes=[a + 1 for a in axes], norm="ortho"),
+        lambda x: fft.idctn(x, axes=[a + 1 for a in axes], norm="ortho"),
+        axes,
+    )
+
+
+def _sheared(sign: int) -> Basis:
+    """Cosines along the diagonals, each closed to a ring."""
+
+    def roll(x: Images, by: int) -> Images:
+        rows, columns = np.indices(x.shape[1:])
+        return x[:, rows, (columns + by * rows) % x.shape[2]]
+
+    def ready(x: Images) -> Images:
+        return fft.dct(roll(x, sign), axis=1, norm="ortho")
+
+    return Basis(ready, lambda x: roll(fft.idct(x, axis=1, norm="ortho"), -sign), (0,))
+
+
+def _blocks(side: int) -> Basis:
+    """Cosines within square blocks; what does not fill one is left as it is."""
+
+    def each(x: Images, change) -> Images:
+        n, h, w = x.shape
+        a, b = h // side * side, w // side * side
+        inner = x[:, :a, :b].reshape(n, a // side, side, b // side, side)
+        out = x.copy()
+        out[:, :a, :b] = change(inner, axes=(2, 4), norm="ortho").reshape(n, a, b)
+        return out
+
+    return Basis(lambda x: each(x, fft.dctn), lambda x: each(x, fft.idctn), ())
+
+
+BASES: tuple[Basis, ...] = (
+    Basis(lambda x: x, lambda x: x, ()),
+    _cosines((1,)),
+    _cosines((0,)),
+    _cosines((0, 1)),
+    _sheared(1),
+    _sheared(-1),
+    _blocks(8),
+    _blocks(16),
+    _blocks(32),
+)
+
+
+class Template(NamedTuple):
+    """Mean power of every coefficient at the strength `at`, in units of the noise and relative to its mean
+    over all coefficients; power: that mean, per recording. stays: whether the effect does. unit: what the
+    quoted amplitude is per strength."""
+
+    basis: Basis
+    shape: Float[np.ndarray, "h w"]
+    power: dict[int, float]
+    stays: bool
+    at: float
+    unit: float
+
+
+def strength_of(record: Mechanism) -> str:
+    """The parameter that is fitted."""
+    return record.scales or record.parameters[0].name
+
+
+def effect(record: Mechanism, strength: float, field: Fields, recorded: Recorded, seed: int) -> Images:
+    """Change that a mechanism makes to frames of one unit, in units of the noise of a recording's pixels."""
+    sigma2 = field.sigma.astype(np.float64) ** 2
+    gain = max(float(np.mean(field.gain)), 1e-6)
+    read = float(np.sqrt(np.median(sigma2 * (1 - field.shot)))) / gain
+    black = float(np.mean(field.black))
+    seconds = field.exposure_s if field.exposure_s is not None else 0.01
+    base = SensorModel.poisson_gaussian(
+        gain, max(read, 1e-6), black, black + recorded.span, code_step=recorded.step
+    )
+    base = dataclasses.replace(base, unit_key=jax.random.key(seed))
+    clean = jnp.asarray(np.clip(field.signal / recorded.span, 0, 1), jnp.float32)[None]
+    values: dict[str, Any] = {strength_of(record): strength}
+    both = (base, base.with_mechanism(record, **values))
+    without, with_it = (_values(m, clean, seconds, seed) for m in both)
+    return np.asarray(with_it - without, np.float64) * field.weight
+
+
+def _values(model: SensorModel, clean, seconds: float, seed: int) -> np.ndarray:
+    """Values in DN before they are rounded, or after where a mechanism changes the codes."""
+    context = context_of(model, clean, Settings(100.0, seconds, None, _FRAMES))
+    values, key = resolve(model, context), jax.random.key(seed + 1)
+    y, step = run_chain(model, key, context, values, _FRAMES)
+    if any(f.record.acts_on == "code" for f in model.mechanisms):
+        y = to_codes(model, key, y, step, context, values)
+    return np.asarray(y, np.float64)
+
+
+def learned(record: Mechanism, fields: Many, recorded: Recorded) -> Template | None:
+    """The template of a mechanism at the settings of some recordings; None where none of them shows it."""
+    strength = record.defaults()[strength_of(record)]
+    least = max(float(np.sqrt(np.mean(effect(record, strength, f, recorded, 0) ** 2))) for f in fields)
+    if not least > 0:
+        return None
+    top = next(p.high for p in record.parameters if p.name == strength_of(record))
+    strength = float(min(strength * _TYPICAL / least, top))
+    matrix = helmert(_FRAMES)
+    moving, still, power = [], [], {}
+    for f in fields:
+        drawn = [effect(record, strength, f, recorded, seed) for seed in range(_UNITS)]
+        moving.append(np.concatenate([np.einsum("nt,tij->nij", matrix, d) for d in drawn]))
+        still.append(np.array([d.mean(0) * np.sqrt(_FRAMES) for d in drawn]))
+    stays = sum(np.mean(m**2) for m in moving) < _STAYS * sum(np.mean(s**2) for s in still)
+    # Of what stays a frame shows 1 / frames of the power of the mean.
+    images = [s / np.sqrt(_FRAMES) for s in still] if stays else moving
+    for f, x in zip(fields, images, strict=True):
+        power[f.number] = float(np.mean(x**2))
+    best, chosen = -1.0, (BASES[0], np.ones(fields[0].mean.shape))
+    for basis in BASES:
+        halves = [
+            sum(np.sum(basis.forward(x[part]) ** 2, 0) for x in images)
+            / sum(len(x[part]) * power[f.number] for f, x in zip(fields, images, strict=True))
+            for part in (slice(0, None, 2), slice(1, None, 2))
+        ]
+        a, b = (0.1 * h for h in halves)
+        gain = float(np.sum((1 + b) * a / (1 + a) - np.log1p(a)))
+        if gain > best:
+            best, chosen = gain, (basis, (halves[0] + halves[1]) / 2)
+    context = context_of(
+        SensorModel.poisson_gaussian(1.0, 1.0), jnp.zeros((1, *fields[0].mean.shape)), Settings()
+    )
+    quoted = record.amplitude({**record.defaults(), strength_of(record): strength}, context)
+    return Template(*chosen, power, bool(stays), strength, float(np.mean(np.asarray(quoted))) / strength)
+
+
+def by_sampling(
+    record: Mechanism, *, name: str, unit: str, known: dict[tuple, Template | None]
+) -> Callable[[Recorded], tuple[Signature, ...]]:
+    """The signature of a mechanism by its sampler. unit: of its amplitude. known: templates by what they were
+    learned at, for all splits of one run."""
+    point = record.point
+    scales: Scales = "signal" if point.combine == "multiply" else "additive"
+
+    def signatures(recorded: Recorded) -> tuple[Signature, ...]:
+        def template(fields: Many) -> Template | None:
+            key = tuple((f.number, f.kind, f.exposure_s, f.mean.shape) for f in fields)
+            numbers = {f.number for f in fields}
+            same = (t for t in known.values() if t is not None and numbers <= set(t.power))
+            found = next((t for t in same if t.shape.shape == fields[0].mean.shape), None)
+            if found is None and key not in known:
+                known[key] = learned(record, fields, recorded)
+            return found or known[key]
+
+        def score(fields: Many) -> Score | None:
+            seen = template(fields)
+            sums = None if seen is None else _powers(fields, seen)
+            return None if seen is None or sums is None else _scored(seen, *sums, unit)
+
+        def absorb(fields: Many, found: Score) -> Many:
+            seen = template(fields)
+            return fields if seen is None else _whitened(fields, seen, found.payload)
+
+        def simulate(found: Found) -> Addition:
+            value = found.score.parameters[strength_of(record)][0]
+            return Addition({strength_of(record): value}, record=record)
+
+        return (
+            Signature(
+                name=name,
+                axes=Axes(point.stage, point.over, point.time, scales, "by its sampler"),
+                reads=CONTRASTS | STATIC,
+                score=score,
+                absorb=absorb,
+                predict=NO_LAW,
+                pattern=NO_PATTERN,
+                simulate=simulate,
+                place=NO_PLACE,
+                detectable=BY_SHIFT,
+                least=NO_CLOSED_FORM,
+            ),
+        )
+
+    def _scored(
+        seen: Template, power: np.ndarray, information: np.ndarray, dof: np.ndarray, unit: str
+    ) -> Score:
+        fit = variance_component(power, information, dof)
+        sigma = float(np.sqrt(fit.variance))
+        error = fit.error / (2 * sigma) if sigma > 0 else float(np.sqrt(fit.error))
+        quoted = seen.unit
+        return Score(
+            log_p=fit.log_p,
+            gain=fit.gain,
+            penalty=0.5 * float(np.log(max(np.sum(dof), 2.0))),
+            amplitude=sigma * quoted,
+            error=error * quoted,
+            shift=float(np.sqrt(fit.shift)) * quoted,
+            power=2,
+            parameters={strength_of(record): (sigma, unit, error)},
+            where={"axis": point.over if point.over in ("row", "column") else "pixel"},
+            payload=fit.variance,
+        )
+
+    return signatures
+
+
+def _images(field: Fields, seen: Template) -> np.ndarray:
+    """What of a recording the effect shows in, standardised."""
+    if not seen.stays:
+        return field.contrasts
+    return np.zeros((0, *field.mean.shape)) if field.static is None else field.static[None]
+
+
+def _powers(fields: Many, seen: Template) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Summed power, information per squared strength and degrees of freedom of the coefficients that the
+    effect raises above the mean: the rest tells what the noise is, which was fitted to all of them."""
+    above = seen.shape > 1
+    power, information, dof = [], [], []
+    for f in fields:
+        x, strength = _images(f, seen), seen.power.get(f.number, 0.0)
+        if not len(x) or not strength:
+            continue
+        level = seen.basis.level(f.usable)
+        used = above & (level > _SEEN)
+        scale = strength * (f.frames if seen.stays else 1.0) / seen.at**2
+        power.append((np.sum(seen.basis.forward(x) ** 2, 0) / np.maximum(level, _SEEN))[used])
+        information.append((seen.shape[used] - 1) * scale)
+        dof.append(np.full(int(used.sum()), float(len(x))))
+    if not power or not np.sum([p.size for p in power]):
+        return None
+    return np.concatenate(power), np.concatenate(information), np.concatenate(dof)
+
+
+def _whitened(fields: Many, seen: Template, variance: float) -> Many:
+    """The fields with the power of every coefficient brought back to that of noise."""
+    out = []
+    for f in fields:
+        scale = seen.power.get(f.number, 0.0) * variance / seen.at**2
+        if not scale:
+            out.append(f)
+            continue
+        per_frame, per_mean = (np.sqrt(1 + scale * n * seen.shape) for n in (1.0, float(f.frames)))
+        if not seen.stays and len(f.contrasts):
+            kept = seen.basis.back(seen.basis.forward(f.contrasts) / per_frame)
+            f = f._replace(contrasts=(kept * f.usable).astype(np.float32))
+        if f.static is not None:
+            by = per_mean if seen.stays else per_frame
+            kept = seen.basis.back(seen.basis.forward(f.static[None]) / by)[0]
+            f = f._replace(static=(kept * f.usable).astype(np.float32))
+        out.append(f)
+    return tuple(out)

@@ -1,0 +1,79 @@
+"""What every command does around its work: closed pipes, warnings of libraries, progress, help in no time."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+import warnings
+
+import pytest
+
+from cannoise_jax.commands import entry
+from cannoise_jax.physics.core.settings import ExtrapolationWarning
+
+COMMANDS = ("bench", "blind", "calibrate", "convert", "diagnose", "sample", "simulate", "test", "train")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_does_not_wait_for_jax(name):
+    """By what is imported, not by the clock, which depends on the machine."""
+    script = (
+        "import sys, runpy; sys.argv = ['x', '--help']\n"
+        f"try:\n    runpy.run_module('cannoise_jax.commands.{name}', run_name='__main__')\n"
+        "except SystemExit as end:\n    assert not end.code, end.code\n"
+        "print('jax' in sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0 and len(done.stdout) > 200, done.stderr
+    assert done.stderr == "False\n", done.stderr
+
+
+def test_a_reader_that_closes_the_pipe_leaves_no_traceback():
+    script = (
+        "import sys\nfrom cannoise_jax.commands.entry import command\n"
+        "@command('x')\ndef main():\n    for n in range(200000):\n        print('line', n)\n    return 0\n"
+        "sys.exit(main())"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as running:
+        assert running.stdout and running.stderr
+        running.stdout.readline()
+        running.stdout.close()
+        assert running.stderr.read() == b"" and running.wait() == 141
+
+
+def test_warnings_of_libraries_are_dropped_and_own_ones_are_a_line(capsys):
+    @entry.command("x")
+    def main():
+        warnings.warn("of a library", UserWarning, stacklevel=1)
+        warnings.warn("ISO 9 lies\noutside", ExtrapolationWarning, stacklevel=1)
+        return 3
+
+    assert main() == 3
+    assert capsys.readouterr().err == "bin/x: ISO 9 lies outside\n"
+
+
+def test_an_interruption_is_one_line(capsys):
+    @entry.command("x")
+    def main():
+        raise KeyboardInterrupt
+
+    assert main() == 130 and capsys.readouterr().err == "bin/x: interrupted\n"
+
+
+def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    tell = entry.progress("doing")
+    for number in range(1, 11):
+        now[0] = number * 6.0
+        tell(number, 10)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "doing: 2 of 10, 48 s left" and lines[-1] == "doing: 10 in 60 s"
+    quick = entry.progress("doing")
+    for number in range(1, 11):
+        now[0] += 0.01
+        quick(number, 10)
+    assert capsys.readouterr().err == ""

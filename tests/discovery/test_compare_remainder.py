@@ -1,0 +1,64 @@
+"""The remainder: what a simulator leaves out, measured and drawn as it was measured, and kept in a file."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.compare import better, compare
+from cannoise_jax.discovery.compare.baseline import fitted_baseline
+from cannoise_jax.discovery.compare.remainder import with_remainder
+from cannoise_jax.mechanisms.residual import ENTRIES
+from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from tests.discovery.capture import capture_set
+
+KEY = jax.random.key(3)
+
+
+def odd_camera(rng):
+    """Half rows that jump, a line of 5.3 rows, and fixed banks of four columns: none has a name."""
+    banks = 2.0 * np.repeat(rng.standard_normal((1, 32)), 4, 1)
+    y = np.arange(96)[:, None]
+
+    def change(dn, *_):
+        halves = 1.5 * np.repeat(rng.standard_normal((96, 2)), 64, 1)
+        return dn + halves + banks + np.sin(2 * np.pi * (y / 5.3 + rng.random()))
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def models():
+    capture = capture_set(51, odd_camera, kinds="df")
+    plain = fitted_baseline(capture)
+    return capture, plain, with_remainder(capture, plain, KEY)
+
+
+def test_the_remainder_is_nearer_to_frames_that_were_held_back(models):
+    capture, plain, mended = models
+    before, after = (compare(capture, m, KEY) for m in (plain, mended))
+    result = better(before.bank, after.bank)
+    assert result.verdict == "B" and result.held_back and result.low > 0
+    left = [sum(d.nats for d in c.differences) for c in (before, after)]
+    assert left[1] < 0.3 * left[0]
+
+
+def test_nothing_is_added_where_nothing_is_missing():
+    capture = capture_set(52, kinds="d")
+    plain = fitted_baseline(capture)
+    mended = with_remainder(capture, plain, KEY)
+    assert compare(capture, mended, KEY).verdict == "match"
+    assert np.mean(mended.mechanisms[0].maps["spectrum"]) < 0.01 * 4.5**2
+
+
+def test_it_is_kept_in_a_file_and_belongs_to_one_unit(models, tmp_path):
+    _, plain, mended = models
+    write_sensor(tmp_path / "sensor.json", mended)
+    back = read_sensor(tmp_path / "sensor.json", mechanisms=ENTRIES)
+    clean, settings = np.zeros((96, 128), np.float32), Settings(frames=2)
+    one, two = (np.asarray(m.sample(KEY, clean, settings)) for m in (mended, back))
+    assert (one == two).all()
+    other = np.asarray(mended.with_unit(jax.random.key(8)).sample(KEY, clean, settings))
+    assert (other == np.asarray(plain.sample(KEY, clean, settings))).all()

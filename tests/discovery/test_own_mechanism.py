@@ -1,0 +1,110 @@
+"""A mechanism of one's own: found, named, fitted, proved and simulated by its sampler alone."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.report import document
+from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
+from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.signatures import generic
+from cannoise_jax.vocabulary import RMS, Term
+from tests.discovery.capture import SIZE, capture_set
+from tests.discovery.looks import RECORDED, white
+
+
+def entry(id, definition, sample, time="redrawn", over="row", **more):
+    return Entry(
+        Term(id, definition, None, "sensor", "DN", RMS),
+        Mechanism(
+            id=id,
+            point=Point("readout", "signal", over, time),
+            parameters=(Parameter("sigma_dn", "DN", 1.0, 0.0, 1e4, "log", "of one offset"),),
+            sample=sample,
+            home=f"own:{id.upper()}",
+            **more,
+        ),
+        needs="two frames or more",
+    )
+
+
+def every_third(key, x, values, maps, context):
+    """An offset of every third row, new in every frame."""
+    rows = jnp.arange(context.size[0])[:, None] % 3 == 0
+    return x + values["sigma_dn"] * rows * jax.random.normal(key, (x.shape[0], context.size[0], 1))
+
+
+def corner_blocks(key, x, values, maps, context):
+    """One offset per frame and block of 16 pixels along the anti-diagonal."""
+    y, x_at = np.indices(context.size) // 16
+    numbers = jax.random.normal(key, (x.shape[0], int(y.max()) + 1))
+    return x + values["sigma_dn"] * jnp.where(x_at == y.max() - y, numbers[:, y], 0.0)
+
+
+THIRD = entry("third_rows", "Every third row has an offset of its own.", every_third)
+BLOCKS = entry("corner_blocks", "Blocks along the anti-diagonal jump.", corner_blocks, over="pixel")
+
+
+def sampled(own, sigma):
+    """Recordings to which the mechanism's definition is added in NumPy."""
+
+    def alter(rng):
+        y, x = np.indices(SIZE)
+
+        def change(dn, signal, kind, exposure):
+            if own is THIRD:
+                return dn + sigma * (y % 3 == 0) * rng.standard_normal((SIZE[0], 1))
+            numbers, block = sigma * rng.standard_normal(SIZE[0] // 16), y // 16
+            return dn + np.where(x // 16 == block.max() - block, numbers[block], 0.0)
+
+        return change
+
+    return alter
+
+
+@pytest.mark.parametrize("own, sigma", [(THIRD, 1.5), (BLOCKS, 3.0)], ids=["third rows", "blocks"])
+def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):
+    capture = capture_set(71, sampled(own, sigma), kinds="df")
+    found = diagnose(capture, mechanisms=(own,), compare=False)
+    assert found.findings[0] == own.id
+    report = document(found, key=0, version="")
+    first = next(f for f in report["findings"] if f["mechanism"] == own.id)
+    assert first["amplitude"]["value"] == pytest.approx(sigma, rel=0.15)
+    assert first["amplitude"]["unit"] == "DN" and first["class"] == "sensor"
+    assert first["p_value"] < 1e-6
+    assert first["heldout_gain_nats"] > 0 and first["heldout_gain_nats_per_pixel"]["ci90"][0] > 0
+    assert first["sentence"].startswith(own.term.definition[:-1])
+    fitted = {f.mechanism: f for f in found.model.mechanisms}[own.id]
+    assert fitted.parameters["sigma_dn"] == pytest.approx(sigma, rel=0.15)
+    drawn = found.model.sample(jax.random.key(0), np.zeros(SIZE, np.float32), Settings(frames=4))
+    less = found.model.without(own.id).sample(
+        jax.random.key(0), np.zeros(SIZE, np.float32), Settings(frames=4)
+    )
+    assert np.std(np.asarray(drawn, float) - np.asarray(less, float)) > 0
+
+
+def test_where_it_is_not_it_is_not_found_and_told_what_would_be():
+    found = diagnose(capture_set(72, kinds="df"), mechanisms=(THIRD, "row_noise"), compare=False)
+    assert found.findings == []
+    missing = {m["mechanism"]: m for m in document(found, key=0, version="")["not_found"]}
+    assert 0 < missing["third_rows"]["smallest_detectable"]["value"] < 1.0
+
+
+def test_the_name_of_one_of_the_package_is_refused():
+    with pytest.raises(ValueError, match="row_noise: there is a mechanism of this name"):
+        diagnose(capture_set(73, kinds="d"), mechanisms=(entry("row_noise", "Mine.", every_third),))
+
+
+@pytest.mark.parametrize("own", [THIRD, BLOCKS], ids=["third rows", "blocks"])
+def test_p_is_uniform_without_an_effect(own):
+    (signature,) = generic.by_sampling(own.record, name=own.id, unit="DN", known={})(RECORDED)
+    p = np.exp([signature.score(white(np.random.default_rng(s), size=(48, 64))).log_p for s in range(200)])
+    for level in (0.5, 0.1):
+        assert np.mean(p < level) == pytest.approx(level, abs=3.5 * np.sqrt(level / 200))
+    assert p.min() > 1e-5

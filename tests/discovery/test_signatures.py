@@ -1,0 +1,299 @@
+"""A harness over all signatures, on small fields: null law, what is read and taken out, invariances, and
+whether everything that a report, a card and a camera model ask is there."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cannoise_jax.discovery.card import card, lines
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.model import with_addition
+from cannoise_jax.discovery.name import UNKNOWN, Named
+from cannoise_jax.discovery.prove import Proof
+from cannoise_jax.discovery.report import plain
+from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.mechanisms import VOCABULARY
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.signatures.fields import Fields, helmert, refit
+from cannoise_jax.signatures.signature import FILES, NO_LAW, NO_PATTERN, Found, Predicted, Signature
+from tests.discovery.looks import SIGNATURES, white
+
+SIZE = (32, 48)
+FIXED = frozenset({"name", "kind", "frames", "number", "group", "exposure_s", "step", "gain", "black"}) | {
+    "clean",
+    "before",
+}
+"""What nothing that is taken out of a field can change."""
+ALL = list(SIGNATURES.values())
+OF_FIELDS = [s for s in ALL if s.reads != FILES]
+OF_FILES = [s for s in ALL if s.reads == FILES]
+
+
+def names(signatures):
+    return [s.name for s in signatures]
+
+
+def scene(rng, field):
+    """The field as one of a scene with a known reference."""
+    clean = np.clip(rng.uniform(0.02, 0.3, SIZE) * np.linspace(0.3, 1, SIZE[1]), 0, 1).astype(np.float32)
+    return field._replace(kind="scene", clean=clean, mean=100 + 1000 * clean, signal=1000 * clean)
+
+
+def drawn(seed, size=SIZE, frames=6):
+    """Darks of three exposures, a flat and two scenes, of white noise."""
+    rng = np.random.default_rng(seed)
+    fields = white(
+        rng, kinds=("dark", "dark", "dark", "flat", "flat", "flat"), frames=frames, size=size, signal=60.0
+    )
+    return (*fields[:4], *(scene(rng, f) for f in fields[4:]))
+
+
+def counted(seed):
+    """A dark and a flat of Poisson electrons and read noise, rounded to codes."""
+    rng, gain, read, frames = np.random.default_rng(seed), 1.5, 2.0, 6
+    out = []
+    for f, level in zip(
+        white(rng, kinds=("dark", "flat"), frames=frames, size=SIZE), (0.0, 60.0), strict=True
+    ):
+        sigma = np.float32(np.sqrt(gain * level + read**2 + 1 / 12))
+        values = gain * rng.poisson(level / gain, (frames, *SIZE)) + read * rng.standard_normal(
+            (frames, *SIZE)
+        )
+        rest = (np.round(values) - level) / sigma
+        out.append(
+            f._replace(
+                signal=np.full(SIZE, level, np.float32),
+                mean=np.full(SIZE, 100 + level, np.float32),
+                sigma=np.full(SIZE, sigma, np.float32),
+                shot=np.full(SIZE, gain * level / sigma**2, np.float32),
+                contrasts=np.einsum("nt,tij->nij", helmert(frames), rest).astype(np.float32),
+                static=(rest.mean(0) * np.sqrt(frames)).astype(np.float32),
+            )
+        )
+    return tuple(out)
+
+
+@pytest.mark.parametrize("signature", ALL, ids=names(ALL))
+def test_it_reads_no_more_than_it_says(signature):
+    """A cached score is used again while nothing that it reads has changed."""
+    fields, rng = drawn(0), np.random.default_rng(1)
+    other = {
+        "contrasts": lambda x: x[:, ::-1] * 1.5,
+        "static": lambda x: x[::-1] * 1.5,
+        "usable": lambda x: x & (rng.random(x.shape) < 0.8),
+    }
+    changed = tuple(
+        f._replace(
+            **{
+                part: other.get(part, lambda x: x * np.float32(1.3))(getattr(f, part))
+                for part in set(Fields._fields) - FIXED - signature.reads
+            }
+        )
+        for f in fields
+    )
+    one, again = signature.score(fields), signature.score(changed)
+    assert (one is None) == (again is None)
+    if one is not None and again is not None:
+        for part in ("log_p", "gain", "penalty", "amplitude", "error", "shift", "parameters"):
+            assert getattr(one, part) == getattr(again, part), part
+
+
+LEVELS = ("black_level", "black_channels", "dark_level", "reference_scale", "description_scale", "greens")
+"""Of means, which white fields state without noise."""
+SHAPES = ("kurtosis", "light_tails", "skewness")
+"""Of what is beyond Poisson noise and rounding."""
+RARELY = [s for s in OF_FIELDS if s.rare]
+_APART = (*LEVELS, "curvature", "reference_shift")
+OFTEN = [
+    s for s in OF_FIELDS if not s.rare and s.name not in _APART and s.score(drawn(0, frames=2)) is not None
+]
+
+
+@pytest.mark.parametrize("signature", OFTEN, ids=names(OFTEN))
+def test_p_is_not_too_small_without_an_effect(signature):
+    draws = counted if signature.name in SHAPES else drawn
+    fields = [refit(draws(seed)) for seed in range(40)]
+    scores = [s for f in fields if (s := signature.score(f)) is not None]
+    p = np.exp([s.log_p for s in scores])
+    assert stats.kstest(p, "uniform", alternative="greater").pvalue > 1e-4
+    assert all(s.log_p <= 0 and s.gain >= 0 and s.error > 0 and s.shift > 0 for s in scores)
+
+
+@pytest.mark.parametrize("signature", RARELY, ids=names(RARELY))
+def test_a_rare_test_rejects_rarely(signature):
+    scores = [s for seed in range(30) if (s := signature.score(drawn(seed))) is not None]
+    if scores and signature.name not in LEVELS:
+        assert np.mean([s.log_p < np.log(0.1) for s in scores]) < 0.1 + 3 * np.sqrt(0.09 / len(scores))
+
+
+@pytest.mark.parametrize("signature", OF_FIELDS, ids=names(OF_FIELDS))
+def test_the_order_of_recordings_does_not_matter(signature):
+    fields = drawn(3)
+    one, other = signature.score(fields), signature.score(fields[::-1])
+    assert (one is None) == (other is None)
+    if one is not None and other is not None:
+        assert one.log_p == pytest.approx(other.log_p, rel=1e-4, abs=1e-4)
+        assert one.amplitude == pytest.approx(other.amplitude, rel=1e-3, abs=1e-3 * one.shift)
+
+
+@pytest.mark.parametrize("signature", OF_FIELDS, ids=names(OF_FIELDS))
+def test_an_offset_of_all_codes_does_not_matter(signature):
+    fields = drawn(4)
+    moved = tuple(f._replace(mean=f.mean + np.float32(32), black=f.black + 32) for f in fields)
+    one, other = signature.score(fields), signature.score(moved)
+    if one is None or signature.name in ("black_level", "black_channels"):  # these judge that offset
+        return
+    assert other is not None and one.log_p == pytest.approx(other.log_p, rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", [s.name for s in ALL if s.name.startswith("row_") and s.kin == "row"])
+def test_transposed_rows_are_columns(name):
+    fields = drawn(5)
+    turned = tuple(
+        f._replace(
+            **{
+                part: np.ascontiguousarray(np.swapaxes(value, -1, -2))
+                for part in ("mean", "signal", "sigma", "shot", "usable", "contrasts", "static", "clean")
+                if (value := getattr(f, part)) is not None
+            }
+        )
+        for f in fields
+    )
+    row, column = SIGNATURES[name].score(fields), SIGNATURES[name.replace("row", "column")].score(turned)
+    assert row.log_p == pytest.approx(column.log_p, rel=1e-4, abs=1e-4)
+    assert row.amplitude == pytest.approx(column.amplitude, rel=1e-3, abs=1e-6)
+
+
+PLANTED = {
+    "row": lambda rng, f, t: rng.standard_normal((t, SIZE[0], 1)),
+    "column": lambda rng, f, t: rng.standard_normal((t, 1, SIZE[1])),
+    "frame": lambda rng, f, t: rng.standard_normal((t, 1, 1)),
+    "pixel": lambda rng, f, t: rng.standard_normal((t, *SIZE)),
+}
+SHARED = [s for s in ALL if s.kin in PLANTED and s.axes.law == "white"]
+
+
+def planted(signature: Signature, times: float, seed=6):
+    """White fields with offsets, or factors of the light, of `times` what shifts the score by one."""
+    fields, axes = drawn(seed), signature.axes
+    rng = np.random.default_rng(seed)
+    amplitude = math.sqrt(times) * signature.score(fields).shift
+    longest = max(f.exposure_s for f in fields)
+    frozen = PLANTED[signature.kin](rng, None, 1)[0]
+    out = []
+    for f in fields:
+        unit = {"additive": 1.0, "signal": f.signal if f.lit else 0.0, "exposure": f.exposure_s / longest}[
+            axes.scales
+        ]
+        load = (amplitude * unit * f.weight).astype(np.float32)
+        if axes.time == "frozen":
+            moved = f.static + np.float32(np.sqrt(f.frames)) * frozen * load
+            out.append(f._replace(static=moved.astype(np.float32)))
+        else:
+            offsets = PLANTED[signature.kin](rng, f, len(f.contrasts))
+            out.append(f._replace(contrasts=(f.contrasts + offsets * load).astype(np.float32)))
+    return tuple(out), amplitude
+
+
+@pytest.mark.parametrize("signature", SHARED, ids=names(SHARED))
+def test_what_is_planted_is_found_with_its_strength_and_taken_out(signature):
+    fields, amplitude = planted(signature, 100.0)
+    score = signature.score(fields)
+    assert score.log_p < -15
+    assert abs(score.amplitude - amplitude) < 5 * score.error + 0.15 * amplitude
+    left = signature.score(refit(signature.absorb(fields, score), fields))
+    assert left is None or left.log_p > np.log(1e-3)
+    law = signature.predict(fields, score)
+    if signature.predict is NO_LAW:
+        return
+    assert isinstance(law, Predicted)
+    shared = max(law.row, law.column, law.frame)
+    if law.pattern is None:
+        assert shared == score.amplitude
+    else:
+        unit = max(f.exposure_s for f in fields) if signature.axes.scales == "exposure" else 1.0
+        power = np.mean(np.square(law.pattern) + law.doubt)
+        assert math.sqrt(power) * unit == pytest.approx(score.amplitude, rel=0.35)
+
+
+def found_by(signature: Signature, fields, score, mechanism):
+    rng = np.random.default_rng(0)
+    return Found(
+        mechanism=mechanism,
+        score=score,
+        fields=fields,
+        pattern=signature.pattern(fields, score, rng),
+        gain=1.5,
+        read_dn=2.0,
+        seconds=0.4,
+        longest=0.4,
+        span=1000.0,
+        size=SIZE,
+    )
+
+
+@pytest.mark.parametrize("signature", SHARED, ids=names(SHARED))
+def test_the_simulator_gets_the_strength_that_was_found(signature):
+    fields, _ = planted(signature, 400.0)
+    score = signature.score(fields)
+    model = SensorModel.poisson_gaussian(1.5, 2.0, 100.0, 1100.0)
+    for mechanism in (signature.mechanism, UNKNOWN):
+        if mechanism is None:
+            continue
+        found = found_by(signature, fields, score, mechanism)
+        added = signature.place(found) if mechanism == UNKNOWN else signature.simulate(found)
+        assert added is not None
+        step = SimpleNamespace(named=SimpleNamespace(mechanism=mechanism, signature=signature))
+        grown = with_addition(model, step, added)
+        (fitted,) = grown.mechanisms
+        value = next(iter(fitted.parameters.values()))
+        rms = 1.0
+        if signature.pattern is not NO_PATTERN:
+            rms = float(np.sqrt(np.mean(np.asarray(fitted.maps["field"]) ** 2)))
+        assert float(value) * rms == pytest.approx(score.amplitude, rel=0.35)
+
+
+@pytest.mark.parametrize("signature", ALL, ids=names(ALL))
+def test_words_card_and_limits_are_complete(signature):
+    fields = drawn(7)
+    score = signature.score(fields)
+    assert all(isinstance(axis, str) and axis for axis in signature.axes)
+    assert signature.axes.scales != "relative" and signature.axes.scales != "thermal"
+    if score is None:
+        return
+    assert math.isfinite(score.log_p) and math.isfinite(score.gain) and math.isfinite(score.amplitude)
+    mechanism = signature.mechanism or UNKNOWN
+    named = Named(score, signature, UNKNOWN, ((UNKNOWN, 1.0),), False)
+    step = Step(named, fields, -20.0)
+    told = card(step, tuple(ALL), frozenset(VOCABULARY))
+    assert told["axes"]["scales"] == signature.axes.scales
+    assert all(text for _, text in lines(plain(told)))
+    for outcome, id in (("UNKNOWN_STRUCTURE", UNKNOWN), ("FOUND", mechanism)):
+        entry = {
+            "mechanism": id,
+            "outcome": outcome,
+            "amplitude": {"value": 2.0, "unit": VOCABULARY[id].unit, "ci90": [1.9, 2.1]},
+            "parameters": {
+                n: {"value": v, "unit": u, "ci90": [v - e, v + e]}
+                for n, (v, u, e) in {"shortfall": (0.9, "1", 0.1), **score.parameters}.items()
+            },
+        }
+        said = sentence(entry, step, Proof(score, 5.0, 1.0, 9.0, 100), VOCABULARY[id].definition)
+        assert "90 %" in said and "nan" not in said
+        grows = "exposure" in said
+        assert grows or signature.axes.scales != "exposure"
+    assert signature.at(score, 2.0 * (score.amplitude or 1.0)) != score
+    assert dataclasses.replace(signature, mechanism="x").mechanism == "x"
+
+
+def test_files_are_judged_whatever_is_taken_out():
+    assert {s.axes.enters for s in OF_FILES} <= {"converter", "photons", "pixel", "readout"}
+    fields = drawn(8)
+    for signature in OF_FILES:
+        assert signature.absorb(fields, None) is fields

@@ -1,0 +1,56 @@
+"""Suites that take a trained model apart, on one that has learned nothing: what they must then say."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from cannoise_jax.evaluation.noise_models import baselines, make_bench
+from cannoise_jax.evaluation.suites import Request, ablation_suite, cameras_suite, encoder_suite
+from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.sampling import make_model
+
+
+@pytest.fixture(scope="module")
+def request_():
+    bench = make_bench(0, 3, 1, 6)
+    generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False)
+    encoder = Encoder(1 / 64, hidden=8)
+    image, key = jnp.ones((1, 32, 32, 4)), jax.random.key(0)
+    shapes = jax.eval_shape(
+        lambda: generator.init(
+            {"params": key, "noise": key}, image, image, jnp.ones((1, 8)), image, train=False
+        )
+    )
+    # All zero: the noise is the initial noise, at the level that the references show.
+    generated = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), shapes)
+    model = make_model(generator, generated, encoder, encoder.init(key, image, train=False))
+    everything = baselines(bench)
+    draws = {name: everything[name] for name in ("truth", "pg", "pg_estimated")}
+    return Request(bench, draws, (model,), seeds=2, references=2, ablations={"nothing": (model,)})
+
+
+def test_a_part_that_does_nothing_is_worth_nothing(request_):
+    rows = ablation_suite(request_).tables[0]["rows"]
+    assert rows["nothing"]["over the whole"][:3] == (0, 0, 0)
+    assert rows["nothing"]["excess KL"] == rows["whole"]["excess KL"]
+
+
+def test_without_learning_the_model_is_the_estimate(request_):
+    rows = cameras_suite(request_).tables[0]["rows"]
+    assert set(rows) == {"IP", "GP", "S6", "N6", "G4", "all"}
+    gap, own = rows["all"]["model - pg_estimated"], rows["all"]["model"]
+    assert gap.low <= 0.02 * abs(own.value) and abs(gap.value) < 0.2 * abs(own.value)
+    assert sum(rows[n]["pg"].patches for n in rows if n != "all") == request_.bench.size
+
+
+def test_wrong_references_cost_and_latents_are_of_every_patch(request_):
+    outcome = encoder_suite(request_)
+    which, many = (table["rows"] for table in outcome.tables)
+    assert which["(A|i) same setting"]["over (A|i)"].value == 0
+    assert which["(A|j) other setting"]["over (A|i)"].value > 0
+    assert set(many) == {"1", "2", "5"}
+    figure = outcome.figures[0]
+    assert figure["kind"] == "points"
+    assert sum(len(points) for points in figure["data"].values()) == request_.bench.size

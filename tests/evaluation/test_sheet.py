@@ -1,0 +1,120 @@
+"""The EMVA 1288 sheet: its numbers are those of photon transfer, its figures hold what they say."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from cannoise_jax.evaluation.sheet import sheet_page
+from cannoise_jax.evaluation.sheet_data import sheet_data
+from cannoise_jax.evaluation.svg import Series, plot
+from cannoise_jax.physics.transfer.noise_profile import darktable_profiles, profile_csv, profile_rows
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+GAIN, READ, BLACK, WHITE, FULL = 2.0, 3.0, 256.0, 16383.0, 6000.0
+SIZE = (64, 96)
+
+
+def made(electrons, kind, seconds, iso=None, cfa="RGGB", seed=0, rows=0.0):
+    rng = np.random.default_rng(seed + int(1e6 * seconds))
+    charge = rng.poisson(electrons, (12, *SIZE))
+    fixed = rows * np.sin(2 * np.pi * np.arange(SIZE[1]) / 8)
+    values = BLACK + GAIN * (charge + rng.normal(0, READ, (12, *SIZE))) + fixed
+    frames = np.clip(np.rint(values), 0, BLACK + GAIN * FULL).astype(np.uint16)
+    return Recording(
+        frames, cfa, (BLACK,) * 4, WHITE, kind=kind, exposure_s=seconds, iso=iso, camera="Acme X"
+    )
+
+
+@pytest.fixture(scope="module")
+def transfers():
+    flats = [made(1e5 * s, "flat", s) for s in (0.005, 0.01, 0.02, 0.04, 0.2)]
+    darks = [made(0.0, "dark", s, rows=3.0) for s in (0.01, 0.02, 0.04)]
+    return photon_transfer(CaptureSet("Acme X", (*flats, *darks)))
+
+
+def row(setting, name, unit):
+    (found,) = [r for r in setting["table"] if r["name"].startswith(name) and r["unit"] == unit]
+    return found
+
+
+def test_the_table_is_that_of_photon_transfer_and_the_equations_of_the_standard(transfers):
+    (setting,) = sheet_data(transfers)
+    (transfer,) = transfers
+    for name, title, unit in (("system gain", "K,", "DN/e-"), ("DSNU1288", "DSNU1288", "e-")):
+        expected = [o.value for o in transfer.outcomes(name, unit)]
+        assert row(setting, title, unit)["values"] == expected
+    noise, full = (np.array(row(setting, n, "e-")["values"]) for n in ("sigma_d", "mu_e.sat"))
+    np.testing.assert_allclose(noise, READ, rtol=0.05)
+    np.testing.assert_allclose(full, FULL, rtol=0.02)
+    least = np.array(row(setting, "mu_e.min", "e-")["values"])
+    np.testing.assert_allclose(least, np.sqrt(noise**2 + 1 / GAIN**2 / 12) + 0.5, rtol=1e-3)
+    np.testing.assert_allclose(row(setting, "SNR max", "")["values"], np.sqrt(full))
+    np.testing.assert_allclose(row(setting, "DR", "dB")["values"], 20 * np.log10(full / least), rtol=1e-6)
+    assert max(row(setting, "LE", "%")["values"]) < 0.5  # the light is proportional to the time
+    assert "calibrated light" in row(setting, "eta", "e-/photon")["record"]
+
+
+def test_the_points_lie_on_the_line_and_the_spectrum_shows_the_pattern(transfers):
+    (setting,) = sheet_data(transfers)
+    mean, variance = (np.array(setting["transfer"][n][0])[:4] for n in ("mean", "variance"))
+    np.testing.assert_allclose(variance, GAIN * mean + (GAIN * READ) ** 2, rtol=0.05)
+    dark = setting["spectra"]["dark"]
+    along = dark["rows"]
+    peak = along["frequency"][int(np.argmax(along["amplitude"]))]
+    assert peak == pytest.approx(1 / 8, rel=0.05)
+    assert (
+        max(along["amplitude"]) > 5 * dark["noise"] and max(dark["columns"]["amplitude"]) < 2 * dark["noise"]
+    )
+
+
+def test_the_page_holds_every_figure_and_no_other_file(transfers):
+    page = sheet_page("Acme <X>", sheet_data(transfers), "made by hand")
+    assert "Acme &lt;X&gt;" in page and "made by hand" in page and page.count("<svg") == 8
+    assert not re.search(r"""(src|href)=["']""", page) and "@media print" in page
+    for title in ("Photon transfer", "SNR", "Linearity", "Dark signal", "Spectrogram of DSNU", "of PRNU"):
+        assert title in page
+    assert "nan" not in page.lower().replace("nance", "")
+
+
+def test_what_was_not_recorded_is_said():
+    (setting,) = sheet_data(photon_transfer(CaptureSet("Acme X", (made(0.0, "dark", 0.01),))))
+    assert "even, steady light" in row(setting, "K,", "DN/e-")["record"]
+    assert "three exposure times" in row(setting, "LE", "%")["record"]
+    assert "not measurable" in sheet_page("Acme X", [setting])
+
+
+def test_profiles_of_every_iso():
+    recordings = []
+    for iso, gain in ((100.0, 1.0), (400.0, 4.0)):
+        recordings += [made(2000.0 / gain, "flat", 0.01, iso, seed=int(iso)), made(0.0, "dark", 0.01, iso)]
+    rows = profile_rows(photon_transfer(CaptureSet("Acme X", tuple(recordings))))
+    assert [(r["iso"], r["channel"]) for r in rows[:5]] == [
+        *((100.0, c) for c in ("R", "Gr", "Gb", "B")), (400.0, "R")]  # fmt: skip
+    span = WHITE - BLACK
+    for r in rows:
+        assert r["shot"] == pytest.approx(GAIN / span, rel=0.05)
+        assert r["read"] == pytest.approx((GAIN * READ / span) ** 2, rel=0.1)
+    lines = profile_csv(rows).splitlines()
+    assert len(lines) == 9 and lines[0].startswith("iso,channel,shot,read,")
+    (camera,) = darktable_profiles("Acme X", rows)["noiseprofiles"]
+    (model,) = camera["models"]
+    assert (camera["maker"], model["model"]) == ("Acme", "X") and [p["iso"] for p in model["profiles"]] == [
+        100,
+        400,
+    ]
+    greens = [r["shot"] for r in rows[:4] if r["channel"].startswith("G")]
+    assert (
+        model["profiles"][0]["a"][1] == pytest.approx(np.mean(greens)) and len(model["profiles"][0]["b"]) == 3
+    )
+
+
+def test_a_plot_leaves_out_what_its_axes_cannot_show():
+    svg = plot([Series("a", [0.0, 1.0, 10.0], [1.0, 2.0, np.nan])], "x & y", "z", log_x=True)
+    assert svg.count("<circle") == 1 and "x &amp; y" in svg
+    assert plot([Series("a", [], [])], "x", "y") == ""
+    one = plot([Series("", [3.0], [5.0])], "x", "y")
+    assert one.count("<circle") == 1 and "nan" not in one

@@ -1,0 +1,156 @@
+"""kill -9 at random times: what was there is whole, the next run cleans up, training ends at the same bits"""
+
+from __future__ import annotations
+
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.recordings.native import read_recording, write_recording
+from tests.conftest import ROOT
+from tests.fuzz import killed
+from tests.fuzz.cases import Case
+from tests.fuzz.samples import FIELDS, frames, native
+from tests.fuzz.test_fuzz import Worker, prepared
+
+FEW, MANY = 3, 200
+
+
+@pytest.fixture(scope="module")
+def worker():
+    started = Worker()
+    yield started
+    started.close()
+
+
+def kill(worker: Worker, target: str, folder: Path, seconds: float) -> bool:
+    """Runs a program of `killed`, kills it that long after it was ready; True where it was killed."""
+    (folder / "ready").unlink(missing_ok=True)
+    answer = worker.run(
+        Case("", f"read:tests.fuzz.killed.{target}", [str(folder)]), folder, seconds, folder / "ready"
+    )
+    assert answer["status"] in ("hung", 0), answer["err"][-600:]
+    return answer["status"] == "hung"
+
+
+def leftovers(folder: Path) -> list[str]:
+    return [p.name for p in folder.rglob(".*") if p.name.endswith((".partial", ".tmp"))]
+
+
+def counts(request) -> int:
+    return MANY if request.config.getoption("--slow") else FEW
+
+
+def test_a_camera_model_is_one_of_the_two_that_were_written(worker, tmp_path, request):
+    rng, seen = random.Random(0), set()
+    path = tmp_path / "sensor.json"
+    write_sensor(path, killed.versions(1))
+    for _ in range(counts(request)):
+        assert kill(worker, "write_sensors", tmp_path, rng.uniform(0, 0.2))
+        model = read_sensor(path)
+        fitted = model.mechanisms[0]
+        number = round(float(np.ravel(jax.tree.leaves(fitted.parameters)[-1])[0]))
+        assert number in (1, 2) and next(iter(fitted.maps.values())).shape[-1] == 6 * number
+        seen.add(number)
+    write_sensor(path, killed.versions(2))
+    assert leftovers(tmp_path) == [] and (len(seen) == 2 or counts(request) == FEW)
+
+
+def test_a_recording_is_whole(worker, tmp_path, request):
+    rng = random.Random(1)
+    for _ in range(counts(request)):
+        assert kill(worker, "write_recordings", tmp_path, 0.02 + rng.uniform(0, 0.1))
+        if (tmp_path / "r.h5").exists():
+            values = read_recording(tmp_path / "r.h5").frames[:]
+            assert values.shape == (4, 32, 48) and values.min() == values.max() in (1, 2)
+    write_recording(tmp_path / "r.h5", read_recording(tmp_path / "r.h5"))
+    assert leftovers(tmp_path) == []
+
+
+def test_the_files_of_a_report_are_whole(worker, tmp_path, request):
+    rng = random.Random(2)
+    for _ in range(counts(request)):
+        assert kill(worker, "write_reports", tmp_path, 0.05 + rng.uniform(0, 0.2))
+        for name in ("report.json", "report.html"):
+            if (tmp_path / name).exists():
+                lines = (tmp_path / name).read_text().splitlines()
+                assert len(lines) == 1000 and len(set(lines)) == 1
+        if (tmp_path / "sensor.json").exists():
+            read_sensor(tmp_path / "sensor.json")
+
+
+def test_training_that_is_killed_ends_at_the_same_bits(worker, tmp_path, request):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir()
+    parts.mkdir()
+    assert not kill(worker, "train", whole, 120)
+    expected = (whole / "digest").read_text()
+    rng, kills, rounds = random.Random(3), 0, 0
+    while kills < counts(request):
+        rounds += 1
+        for path in parts.rglob("*"):  # a finished run begins anew
+            if path.name == "digest":
+                assert path.read_text() == expected
+                path.unlink()
+                shutil.rmtree(parts / "w")
+                break
+        kills += kill(worker, "train", parts, rng.uniform(0.05, 2.5))
+        assert rounds < 4 * counts(request) + 20
+    for _ in range(20):
+        if not kill(worker, "train", parts, 120):
+            break
+    assert (parts / "digest").read_text() == expected
+    stored = sorted(p.name for p in (parts / "w" / "checkpoints").iterdir())
+    assert all(name.isdigit() for name in stored), "what a kill left is cleaned up"
+
+
+def test_convert_that_is_killed_leaves_nothing_or_all(worker, tmp_path, request):
+    rng = random.Random(4)
+    folder = prepared(tmp_path / "case")
+    native(folder / "in" / "a.h5", frames(), FIELDS)
+    case = Case("", "convert", ["in/a.h5", "out/made.h5", "--force"])
+    ended = []
+    for _ in range(counts(request)):
+        answer = worker.run(case, folder, rng.uniform(0, 0.15))
+        ended.append(answer["status"])
+        if (folder / "out" / "made.h5").exists():
+            assert read_recording(folder / "out" / "made.h5").frames[:].shape == (4, 24, 32)
+    assert worker.run(case, folder)["status"] == 0
+    assert [p.name for p in (folder / "out").iterdir()] == ["made.h5"]
+    assert set(ended) <= {0, "hung"}
+
+
+def limited(size: int):
+    """In a child: files end at `size` bytes, as on a full disk."""
+
+    def set_up():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return set_up
+
+
+@pytest.mark.parametrize("size", [100, 3_000])
+def test_training_on_a_full_disk_is_one_line_and_resumes(tmp_path, size):
+    program = (
+        "import sys; from tests.fuzz import killed; from cannoise_jax.recordings.recording import BadInput\n"
+        "try: killed.train(sys.argv[1])\n"
+        "except BadInput as error: print(f'bin/train: {error}', file=sys.stderr); sys.exit(2)"
+    )
+    call = [sys.executable, "-c", program, str(tmp_path)]
+    full = subprocess.run(
+        call, cwd=ROOT, capture_output=True, text=True, preexec_fn=limited(size), timeout=120
+    )
+    lines = full.stderr.strip().splitlines()
+    assert full.returncode == 2 and len(lines) == 1 and "cannot be written" in lines[0], full.stderr[-800:]
+    again = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert again.returncode == 0 and (tmp_path / "digest").exists(), again.stderr[-800:]
