@@ -33,8 +33,8 @@ _SURE = 4.0
 _FEW = 20
 """Values at a code from which its count is told from chance."""
 _SLACK = 0.05
-"""By which the log of a count of rounded normal noise departs from a constant second difference, at most: 0.012
-for a standard deviation of one code, less above."""
+"""By which the log of a count of rounded normal noise departs from a constant second difference, at most:
+0.012 for a standard deviation of one code, less above it."""
 _MOVED = 0.01
 """Share of all values that a comb moves to other codes from which it changes the shape of narrow noise."""
 
