@@ -14,7 +14,7 @@ from scipy import optimize, special
 
 from cannoise_jax.discovery.calibrate import gain_groups
 from cannoise_jax.discovery.compare.light import SITES, Light, light_for
-from cannoise_jax.discovery.compare.view import Raw, chosen_frames, reduce, trimmed
+from cannoise_jax.discovery.compare.view import Raw, bulk_variance, chosen_frames, reduce
 from cannoise_jax.discovery.stacks import code_step, iso_numbers
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
@@ -89,19 +89,12 @@ def _points(raw: Raw, light: Light | None, dark: bool, white: float) -> list[lis
                 mine = which == b
                 if mine.sum() < 64:
                     continue
-                variance = _bulk_variance(v[mine], dof)
+                variance = bulk_variance(v[mine], dof)
                 mean = float(level[mine].mean())
                 if mean + 5 * np.sqrt(variance) < white:
                     found.append(_Point(mean, variance, float(mine.sum() * dof), dark))
         out.append(found)
     return out
-
-
-def _bulk_variance(v: np.ndarray, dof: int) -> float:
-    """Mean variance without outlying pixels; of noise that leaves most pixels still, of nearly all."""
-    if np.median(v) > 0.3 * v.mean():
-        return trimmed(v, dof)
-    return float(v[v <= 60 * v.mean()].mean())
 
 
 def _solved(

@@ -187,14 +187,14 @@ def _moments(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> 
     for order in range(3):
         mine = found[found // kinds == order]
         first = order * kinds
-        if order == 0:
-            mine = mine[mine != first]  # the level is the structure's
         for what, chosen in words.moments(order, time):
             k = np.array([m for m in mine if chosen(int(m - first))], int)
             if not k.size:
                 continue
             best = k[np.argmax(np.abs(j.z[k]))]
             nats = float(np.sum(units * (j.recorded[k] - j.simulated[k]) ** 2 / variance[k]) / 2)
+            if best == 0:
+                nats *= 1e-3  # the energies say the same, and have its size in DN
             sign = 1 if j.recorded[best] > j.simulated[best] else -1
             place = bank.MOMENTS[best - first]
             note = "" if best == first else words.place(place)

@@ -123,9 +123,9 @@ def noise_of(drawn: list[Raw], signal: Float[np.ndarray, "h w"], step: float) ->
             if mine.sum() < 32:
                 continue
             at.append(float(s[mine].mean()))
-            value.append(trimmed(v[mine], dof))
+            value.append(bulk_variance(v[mine], dof))
         if not at:
-            at, value = [float(s.mean())], [trimmed(v, dof)]
+            at, value = [float(s.mean())], [bulk_variance(v, dof)]
         order = np.argsort(at)
         knots.append(np.array(at)[order])
         variances.append(np.maximum(np.array(value)[order], 1e-4 * step**2))
@@ -145,6 +145,13 @@ def trimmed(v: np.ndarray, dof: int) -> float:
         kept = v[v <= most * max(centre, 0.1 * v.mean())]
         centre = max(float(np.median(kept)), 0.5 * float(kept.mean()))
     return float(kept.mean())
+
+
+def bulk_variance(v: np.ndarray, dof: int) -> float:
+    """Mean variance without outlying pixels; of noise that leaves most pixels still, of nearly all."""
+    if np.median(v) > 0.3 * v.mean():
+        return trimmed(v, dof)
+    return float(v[v <= 60 * v.mean()].mean())
 
 
 def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> View:
@@ -181,14 +188,13 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> Vie
 
 
 def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
-    """How much noisier the bulk of every site is than the simulator; noise below a code leaves most pixels
-    still, whose median then says nothing: it counts as the simulator's."""
+    """How much noisier the bulk of every site is than the simulator: a mean, as a median of noise
+    below a code jumps from one of few values to the next."""
     out = np.ones(steadiness.shape, np.float32)
     for y, x in SITES:
         mine = steadiness[y::2, x::2][usable[y::2, x::2]]
         if mine.size:
-            own = np.median(mine) / (stats.chi2.median(n) / n)
-            out[y::2, x::2] = float(own) if own > 0.3 else 1.0
+            out[y::2, x::2] = max(bulk_variance(mine, n), 1e-3)
     return out
 
 

@@ -45,7 +45,9 @@ def moments(order: int, time: str) -> list[tuple[str, Callable[[int], bool]]]:
     smooth = len(MOMENTS) - 3
     if order == 0:
         name = "noise" if time != "fixed" else "fixed pattern"
+        alone = "fixed pattern of single pixels" if time == "fixed" else "noise of a pixel"
         return [
+            (alone, lambda k: k == 0),
             (f"{name} uneven over the frame", lambda k: 0 < k < smooth),
             (f"{name} unlike between the mosaic's sites", lambda k: k >= smooth),
         ]
