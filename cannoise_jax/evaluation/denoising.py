@@ -78,7 +78,9 @@ def summary(
         if base in numbers and name != base:
             row[f"over_{base}"] = paired_interval(values, numbers[base])._asdict()
             if best is not None and best in numbers:
-                row["gap_closed"] = gap_closed(values, numbers[base], numbers[best])
+                share = gap_closed(values, numbers[base], numbers[best])
+                # Where there is no way to go no share of it can be told.
+                row |= {} if np.isnan(share) else {"gap_closed": share}
         out[name] = row
     return out
 

@@ -1,0 +1,59 @@
+"""bin/denoise: a small run from recordings to a table and an image, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cannoise_jax.commands.denoise import main
+from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recordings")
+    rng = np.random.default_rng(0)
+    for name, kind, electrons, exposure in (
+        ("a", "bias", 0, 1e-4), ("b", "dark", 0, 10.0), ("c", "flat", 100, 0.01), ("d", "flat", 600, 0.01),
+    ):  # fmt: skip
+        values = rng.poisson(electrons, (5, 64, 144)) + 3 * rng.normal(size=(5, 64, 144))
+        frames = np.rint(200 + 2 * values).astype(np.uint16)
+        write_recording(
+            folder / f"{name}.h5",
+            Recording(frames, "RGGB", (200.0,) * 4, 4095.0, "toy", kind, exposure_s=exposure, iso=100.0),
+        )
+    return folder
+
+
+def test_train_test_and_apply(recordings, tmp_path, capsys):
+    run = ["--recordings", str(recordings), "--workdir", str(tmp_path)]
+    small = ["--steps", "8", "--features", "4", "--batch", "2", "--scenes", "2", "--seeds", "1"]
+    assert main(["train", *run, "--noise", "pg,real_darks", "--exposure", "10", *small]) == 0
+    files = sorted((tmp_path / "denoisers" / "toy_10s").iterdir())
+    assert [f.name for f in files] == ["pg_0.npz", "real_darks_0.npz"]
+    written = files[0].stat().st_mtime_ns
+    assert main(["train", *run, "--noise", "pg", "--exposure", "10", *small]) == 0
+    assert files[0].stat().st_mtime_ns == written  # what is there is kept
+    assert main(["test", *run, "--scenes", "2"]) == 0
+    record = json.loads((tmp_path / "denoising_toy.json").read_text())["exposures_s"]["10"]
+    assert set(record["psnr_db"]) == {"pg", "real_darks"} and record["seeds"] == 1
+    assert "over pg [90 %]" in capsys.readouterr().out
+    out = tmp_path / "clean.npy"
+    apply = ["apply", "--denoiser", str(files[0]), "--recording", str(recordings / "b.h5"), "--out", str(out)]
+    assert main(apply) == 0 and np.load(out).shape == (5, 64, 144)
+    assert main(apply) == 2 and "--overwrite" in capsys.readouterr().err
+
+
+def test_what_cannot_be_used_is_refused_in_one_line(recordings, tmp_path, capsys):
+    run = ["--recordings", str(recordings), "--workdir", str(tmp_path)]
+    for arguments, words in (
+        (["test", *run], "bin/denoise train makes them"),
+        (["train", *run, "--exposure", "3"], "no two dark frames of 3 s"),
+        (["train", *run, "--exposure", "10", "--noise", "nonsense"], "neither"),
+    ):
+        assert main(arguments) == 2
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert error.startswith("bin/denoise: ") and words in error
