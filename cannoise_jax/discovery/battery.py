@@ -15,6 +15,7 @@ from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet
 from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.gain_curve import occurrences
 from cannoise_jax.signatures.levels import frame_jitter
 from cannoise_jax.signatures.recorded import Baseline, Codes, Recorded
 from cannoise_jax.signatures.signature import Signature
@@ -202,6 +203,9 @@ def prepare(
         drawn is not None,
         step,
         span,
+        capture.recordings[0].cfa == "MONO",
+        {n: list(frames) for n, frames in enumerate(chosen)},
+        occurrences(stacks, fields, chosen, step),
     )
     return Prepared(
         fields,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples, Shot
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -216,6 +216,9 @@ ENTRIES: tuple[Entry, ...] = (
              17, "capture", "px", "motion per frame, px", listed=48),
         SCENE_MOTION,
         needs="ten frames or more of a scene with an independent reference",
+        signatures=lambda recorded: (
+            looks.motion.moving(recorded, name="moving", lifted_by=imprints.MOTION),
+        ),
         examples=Examples("edges", shown={"shift_px": 0.3}),
     ),
     Entry(

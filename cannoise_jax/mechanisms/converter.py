@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -127,6 +127,10 @@ ENTRIES: tuple[Entry, ...] = (
              44, "sensor", "DN", "code spacing at the white level, DN", listed=40),
         LOSSY_COMPRESSION,
         needs="flats at ten levels up to the white level",
+        signatures=lambda recorded: (
+            looks.gain_curve.spacing(recorded, name="code_spacing", covers=imprints.SPACING,
+                lifted_by=imprints.SPACING),
+        ),
         examples=Examples("high codes", shown={"step_dn": 40.0}, strong={"step_dn": 30.0}),
     ),
     Entry(

@@ -7,7 +7,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import LONG, SERIES, Case, Entry, Examples
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point
@@ -237,6 +237,9 @@ ENTRIES: tuple[Entry, ...] = (
              4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=31),
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",
+        signatures=looks.always(
+            looks.events.clocking(name="clocking", covers=("hits", "clocking"), lifted_by=imprints.HITS),
+        ),
         examples=Examples("variance", shown={"charge_e": 2.0}, dim=True, strong={"charge_e": 5.0}),
     ),
     Entry(
@@ -245,6 +248,9 @@ ENTRIES: tuple[Entry, ...] = (
              25, "sensor", "K", "rms temperature change, K", listed=37),
         TEMPERATURE_DRIFT,
         needs="darks with the temperature of every frame stated",
+        signatures=looks.always(
+            looks.warm.warming(name="warm", covers=("frame_additive",), lifted_by=imprints.WARM),
+        ),
         examples=Examples("frames", shown={"e_per_s": 50.0, "sigma_k": 3.0},
                           strong={"sigma_k": 4.0, "e_per_s": 120.0, "memory_frames": 1.5}),
     ),

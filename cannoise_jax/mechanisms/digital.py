@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -163,9 +163,11 @@ ENTRIES: tuple[Entry, ...] = (
              48, "sensor", "1", "blend weight of the interpolated value", listed=43),
         DEMOSAICING,
         needs="two frames or more at one setting",
-        signatures=looks.always(
+        signatures=lambda recorded: (
             looks.covariance.neighbours("white", looks.covariance.INTERPOLATED, name="lags_demosaicing",
                 parameter="weight"),
+            looks.lattice.interpolated(recorded, name="lattice", covers=imprints.LATTICE,
+                lifted_by=imprints.LATTICE),
         ),
         examples=Examples("lags"),
     ),
@@ -192,6 +194,9 @@ ENTRIES: tuple[Entry, ...] = (
              47, "sensor", "1", "fraction of the pixels", listed=41),
         DEFECT_CORRECTION,
         needs="twenty frames or more of one flat",
+        signatures=lambda recorded: (
+            looks.defects.corrected(recorded, name="corrected", lifted_by=imprints.CORRECTED),
+        ),
         examples=Examples("gaps", shown={"fraction": 0.05}, strong={"fraction": 0.2}),
     ),
     Entry(
@@ -200,6 +205,9 @@ ENTRIES: tuple[Entry, ...] = (
              46, "sensor", "1", "blend weight of the clamped value", listed=42),
         HOT_PIXEL_SUPPRESSION,
         needs="twenty long darks",
+        signatures=looks.always(
+            looks.defects.peaks(name="peaks", covers=imprints.PEAKS, lifted_by=imprints.PEAKS),
+        ),
         examples=Examples("tail", strong={"weight": 0.7}),
     ),
 )  # fmt: skip

@@ -7,7 +7,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
@@ -184,6 +184,9 @@ ENTRIES: tuple[Entry, ...] = (
              23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=35),
         DEAD_PIXELS,
         needs="flats at two levels, with a hundred dead pixels or more in the frame",
+        signatures=looks.always(
+            looks.defects.dead(name="dead", lifted_by=imprints.NO_RESPONSE),
+        ),
         examples=Examples("mean", shown={"fraction": 0.003}, strong={"fraction": 0.1}),
     ),
 )  # fmt: skip

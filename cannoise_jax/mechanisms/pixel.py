@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, LADDER, Case, Entry, Examples, Shot
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
@@ -206,6 +206,10 @@ ENTRIES: tuple[Entry, ...] = (
              3, "sensor", "1", "excess noise factor F^2, minus one", listed=30),
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
+        signatures=looks.always(
+            looks.gain_curve.skewed(name="excess_skewness", covers=imprints.EXCESS,
+                lifted_by=imprints.EXCESS),
+        ),
         examples=Examples("variance"),
     ),
     Entry(
@@ -261,6 +265,9 @@ EARLY = (
              24, "sensor", "1/(Mpx s)", "events per megapixel and second", listed=36),
         COSMIC_RAYS,
         needs="long darks, ten frames or more",
+        signatures=looks.always(
+            looks.events.hits(name="hits", covers=("hits", "clocking"), lifted_by=imprints.HITS),
+        ),
         examples=Examples("tail", shown={"rate": 600.0, "charge_e": 300.0}, dim=True,
                           strong={"rate": 40000.0, "charge_e": 60.0}),
     ),

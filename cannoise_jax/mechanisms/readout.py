@@ -7,7 +7,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
@@ -292,6 +292,11 @@ ENTRIES: tuple[Entry, ...] = (
              7, "sensor", "1", "relative step of the gain at the switch", listed=32),
         DUAL_GAIN,
         needs="flats and darks at five ISO values or more",
+        signatures=lambda recorded: (
+            looks.gain_curve.signal_step(recorded, name="signal_step", covers=imprints.STEP,
+                lifted_by=imprints.STEP),
+            looks.gain_curve.iso_step(recorded, name="iso_step", covers=("iso_step",)),
+        ),
         examples=Examples("variance", shown={"iso_switch": 50.0}, dim=True,
                           strong={"iso_switch": 50.0, "gain_ratio": 1.3, "read_ratio": 0.5}),
     ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Parameter, effect_in_dn
@@ -157,6 +157,10 @@ ENTRIES: tuple[Entry, ...] = (
              14, "sensor", "1", "fraction of the charge left behind", listed=38),
         IMAGE_LAG,
         needs="a burst with a change from bright to dark",
+        signatures=lambda recorded: (
+            looks.memory.lag(recorded, name="lag_in_time", covers=("frame_relative",),
+                lifted_by=imprints.LAG),
+        ),
         examples=Examples("temporal", shown={"fraction": 0.15}, strong={"fraction": 0.2}),
     ),
     Entry(
@@ -165,6 +169,9 @@ ENTRIES: tuple[Entry, ...] = (
              11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=39),
         SMEAR,
         needs="a scene with a saturated light source, two frames or more",
+        signatures=looks.always(
+            looks.smear.smeared(name="smear", lifted_by=imprints.SMEAR),
+        ),
         examples=Examples("columns", shown={"fraction": 0.02}, strong={"fraction": 0.1}),
     ),
     Entry(

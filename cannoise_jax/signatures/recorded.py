@@ -48,13 +48,24 @@ class Codes(NamedTuple):
     stated: float | None
 
 
+class Occurred(NamedTuple):
+    """Codes that were expected, and those of them that never occurred: number of each, times expected."""
+
+    code: np.ndarray
+    expected: np.ndarray
+    missing: np.ndarray
+    step: float
+
+
 class Recorded(NamedTuple):
     """What the files say, and what was calibrated.
 
     black: stated black level per mosaic site, DN; tolerance: how far it may be rounded; greens: sites of the
     two greens, None: there are none. jitter: variance of the frame offsets of the darks, DN^2. stated: gain
     (DN/e-) and read noise (DN) per gain setting that are judged, None: none are; fitted_too: whether they are
-    themselves fits. step: of the codes, span: white minus black, DN.
+    themselves fits. step: of the codes, span: white minus black, DN. mono: whether neighbours see the same
+    colour. times: numbers of the frames of every recording, in the order they were taken. occurred: see
+    `Occurred`.
     """
 
     black: Float[np.ndarray, "4"]
@@ -67,3 +78,6 @@ class Recorded(NamedTuple):
     fitted_too: bool
     step: float
     span: float
+    mono: bool
+    times: dict[int, list[int]]
+    occurred: Occurred

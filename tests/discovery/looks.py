@@ -6,7 +6,7 @@ import numpy as np
 
 from cannoise_jax.mechanisms import signatures
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.recorded import Codes, Recorded
+from cannoise_jax.signatures.recorded import Codes, Occurred, Recorded
 from cannoise_jax.signatures.signature import Signature
 
 RECORDED = Recorded(
@@ -20,6 +20,9 @@ RECORDED = Recorded(
     fitted_too=False,
     step=1.0,
     span=1000.0,
+    mono=False,
+    times={},
+    occurred=Occurred(np.zeros(0, int), np.zeros(0), np.zeros(0), 1.0),
 )
 """What the files of no recordings say."""
 SIGNATURES: dict[str, Signature] = {s.name: s for s in signatures(RECORDED)}

@@ -1,0 +1,333 @@
+"""Pixels that the light does not reach, and pixels that the camera painted over.
+
+Dead pixels stay at the black level in every lit recording. The part of the signal that they miss is all of
+it, where a spread of responses misses a per cent: the two are many standard deviations of the spread apart.
+
+A corrected pixel is the mean of some of its neighbours: minus that mean nothing but rounding is left of it,
+in every contrast between frames. Normal noise leaves as much as the pixel itself holds, and more.
+
+A camera that clamps what rises above all eight neighbours of its colour leaves no peaks, but every pit. Of
+any noise that is symmetric about its mean, correlated or not, both are as high; skewness of few electrons
+makes peaks higher.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage, stats
+
+from cannoise_jax.signatures.fields import Fields, each_frame
+from cannoise_jax.signatures.hot import without_pixels
+from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.rare import sparse_log_p
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.score import Score, student_log_p
+from cannoise_jax.signatures.signature import Axes, Signature, unchanged
+
+_LOST = 0.5
+"""Share of the signal that a dead pixel misses at least."""
+_CLEAR = 8.0
+"""Standard deviations of the spread of the responses that this share must be."""
+_COARSE = 0.8
+"""Noise, codes, below which rounding hides whether a pixel is the mean of its neighbours."""
+_MOST_LISTED = 0.15
+"""Share of the pixels beyond which a correction is a lattice: interpolation of the mosaic."""
+
+KERNELS: dict[str, tuple[tuple[int, int], ...]] = {
+    "four": ((-2, 0), (2, 0), (0, -2), (0, 2)),
+    "row": ((0, -2), (0, 2)),
+    "column": ((-2, 0), (2, 0)),
+    "eight": tuple((y, x) for y in (-2, 0, 2) for x in (-2, 0, 2) if y or x),
+    "left": ((0, -2),),
+    "right": ((0, 2),),
+    "median of eight": tuple((y, x) for y in (-2, 0, 2) for x in (-2, 0, 2) if y or x),
+}
+"""Neighbours of the same colour whose mean is put in a pixel's place."""
+MONO_KERNELS: dict[str, tuple[tuple[int, int], ...]] = {
+    "next_four": ((-1, 0), (1, 0), (0, -1), (0, 1)),
+    "next_row": ((0, -1), (0, 1)),
+    "next_column": ((-1, 0), (1, 0)),
+    "next_eight": tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x),
+    "next_left": ((0, -1),),
+}
+
+_BESIDE_MEAN = {"median of eight": 0.09}
+"""Variance of what is put there about the mean of the same neighbours, over that of a pixel."""
+
+
+def _responses(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Smallest share of the signal missed by each pixel over all lit recordings (below 0: a gain), how many
+    recordings tell, and the sum of squares of what it misses in standard deviations."""
+    size = fields[0].mean.shape
+    least, seen, power = np.full(size, np.inf), np.zeros(size, int), np.zeros(size)
+    for f in fields:
+        if not f.lit or f.static is None:
+            continue
+        root = np.sqrt(f.frames) * f.signal / f.sigma
+        tells = f.usable & (root * _LOST > 10)
+        share = -f.static / np.maximum(root, 1e-6)
+        centre = np.median(share[tells]) if tells.any() else 0.0
+        least = np.where(tells, np.minimum(least, share - centre), least)
+        seen += tells
+        power += np.where(tells, np.minimum(f.static, 0.0) ** 2, 0.0)
+    return (least, seen, power) if seen.any() else None
+
+
+def find_dead(fields: tuple[Fields, ...]) -> np.ndarray | None:
+    """Pixels that miss half of the light or more wherever it fell; None where no recording tells."""
+    found = _responses(fields)
+    if found is None:
+        return None
+    least, seen, _ = found
+    known = seen > 0
+    spread = max(1.4826 * float(np.median(np.abs(least[known] - np.median(least[known])))), 1e-4)
+    dead = known & (least > _LOST) & (least > _CLEAR * spread)
+    # An edge where the reference is off is dark along a line, dust over an area; a dead pixel stands alone.
+    around = ndimage.convolve(dead.astype(np.int16), np.ones((5, 5), np.int16), mode="constant") - dead
+    return dead & (around <= max(3, 100 * float(dead.mean())))
+
+
+def dead_score(fields: tuple[Fields, ...]) -> Score | None:
+    """A few pixels at the black level in every lit recording. Amplitude: their share."""
+    dead = find_dead(fields)
+    if dead is None:
+        return None
+    found = _responses(fields)
+    assert found is not None
+    pixels, number = int((found[1] > 0).sum()), int(dead.sum())
+    share = number / pixels
+    unit = 1.0 / pixels
+    log_p = float(stats.poisson.logsf(number - 1, pixels * stats.norm.sf(_CLEAR) + 0.01)) if number else 0.0
+    gain = float(np.sum(0.5 * found[2][dead] - np.log(pixels)))
+    high = np.argwhere(dead)[:8]
+    return Score(
+        log_p=max(log_p, -700.0),
+        gain=max(gain, 0.0),
+        penalty=2.0,
+        amplitude=share,
+        error=float(np.sqrt(max(number, 1))) * unit,
+        shift=unit,
+        power=1,
+        parameters={"fraction": (share, "1", float(np.sqrt(max(number, 1))) * unit)},
+        where={"axis": "pixel", "index": high.tolist(), "pixels": number},
+    )
+
+
+def without_dead(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """The fields without the dead pixels."""
+    dead = find_dead(fields)
+    return fields if dead is None else without_pixels(fields, dead)
+
+
+def _left_over(contrasts: Float[np.ndarray, "n h w"], kernel: tuple[tuple[int, int], ...]):
+    """Every contrast minus the mean of some of its neighbours."""
+    mean = sum(np.roll(contrasts, (-dy, -dx), (1, 2)) for dy, dx in kernel)
+    return contrasts - np.float32(1 / len(kernel)) * mean
+
+
+def _likelihood(fields: tuple[Fields, ...], name: str) -> np.ndarray | None:
+    """Log likelihood ratio `[h, w]` of every pixel: the mean of these neighbours over a pixel of its own."""
+    total, any_seen = np.zeros(fields[0].mean.shape), False
+    kernel = {**KERNELS, **MONO_KERNELS}[name]
+    for f in fields:
+        codes = f.sigma / f.step
+        if not len(f.contrasts) or np.median(codes) < _COARSE:
+            continue
+        # Noise of neighbours of another signal is another in units of their own.
+        values = f.contrasts * (f.sigma / f.step)
+        rest = _left_over(values, kernel)
+        power = np.einsum("nij,nij->ij", rest, rest) / codes**2
+        n = len(f.contrasts)
+        typical = float(np.median(power[f.usable])) / float(stats.chi2.median(n)) if f.usable.any() else 0.0
+        own = np.broadcast_to((1 / 12 + 0.02) / codes**2 + _BESIDE_MEAN.get(name, 0.0), power.shape)
+        if typical < 0.1:
+            continue
+        log = 0.5 * n * np.log(typical / own) - 0.5 * power * (1 / own - 1 / typical)
+        total += np.where(f.usable, np.clip(log, -60.0, 60.0), 0.0)
+        any_seen = True
+    if not any_seen:
+        return None
+    total[:2], total[-2:], total[:, :2], total[:, -2:] = -60, -60, -60, -60
+    return total
+
+
+def _kernels(mono: bool) -> dict[str, tuple[tuple[int, int], ...]]:
+    return {**KERNELS, **MONO_KERNELS} if mono else KERNELS
+
+
+def find_corrected(fields: tuple[Fields, ...], mono: bool) -> tuple[str, float, np.ndarray] | None:
+    """The neighbours that explain most pixels, their share of all, and the log likelihood ratio of each."""
+    best: tuple[str, float, np.ndarray] | None = None
+    most = -np.inf
+    for name in _kernels(mono):
+        ratio = _likelihood(fields, name)
+        if ratio is None:
+            continue
+        share = 0.005
+        for _ in range(30):
+            chance = share / (share + (1 - share) * np.exp(-np.clip(ratio, -60, 60)))
+            share = float(np.clip(np.mean(chance), 1e-7, 0.9))
+        gain = float(np.sum(np.log1p(share * np.expm1(np.clip(ratio, -60, 300)))))
+        if gain > most:
+            most, best = gain, (name, share, ratio)
+    return best
+
+
+def corrected_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
+    """A few listed pixels that hold the mean of their neighbours. Amplitude: their share."""
+    best = find_corrected(fields, mono)
+    if best is None:
+        return None
+    name, share, ratio = best
+    inner = np.minimum(ratio[2:-2, 2:-2].ravel(), 300.0)
+    gain = float(np.sum(np.log1p(share * np.expm1(inner))))
+    log_p = sparse_log_p(np.ones(inner.size), [inner]) + np.log(len(_kernels(mono)))
+    # What the neighbours of another pixel explain as often is nothing that was put there.
+    number = int((inner > 12).sum())
+    if share > _MOST_LISTED or number < 3:
+        log_p = 0.0
+    error = float(np.sqrt(max(share, 1 / inner.size) / inner.size))
+    return Score(
+        log_p=float(np.clip(log_p, -700.0, 0.0)),
+        gain=max(gain, 0.0),
+        penalty=float(np.log(inner.size)),
+        amplitude=share,
+        error=error,
+        shift=1 / inner.size,
+        power=1,
+        parameters={"fraction": (share, "1", error)},
+        where={
+            "axis": "pixel",
+            "index": np.argwhere(ratio > 12)[:8].tolist(),
+            "pixels": number,
+            "from": name,
+        },
+        payload=name,
+    )
+
+
+def without_corrected(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """The fields without the pixels that were painted over."""
+    ratio = _likelihood(fields, score.payload)
+    return fields if ratio is None else without_pixels(fields, ratio > 2.0)
+
+
+_FOOTPRINT = np.zeros((5, 5), bool)
+_FOOTPRINT[::2, ::2] = True
+_FOOTPRINT[2, 2] = False
+_TALL = 2.5
+"""Height above all neighbours, standard deviations, from which a pixel is defective, not one of the noise."""
+_MAP = 0.25
+"""Spread of the levels of the pixels over that of the noise of a frame, at most."""
+_DOUBT = 0.03
+"""Share of the height of the peaks that skewness of rounding may take off."""
+
+
+def suppression_score(fields: tuple[Fields, ...]) -> Score | None:
+    """Height of the peaks above all eight neighbours of a colour against the depth of the pits. Amplitude:
+    the weight of the clamped value."""
+    up, down = [], []
+    for f in fields:
+        if not f.frames or np.median(f.sigma) < f.step or f.usable.mean() < 0.5:
+            continue
+        if f.static is None:
+            continue
+        # A map of levels beyond the noise, as in long darks, has peaks and pits of its own.
+        if np.median(np.abs(f.static[f.usable])) > 1.4 * np.sqrt(f.frames) * _MAP:
+            continue
+        far = ndimage.binary_dilation(
+            np.abs(f.static) > 4 + 4 * _MAP * np.sqrt(f.frames), np.ones((5, 5), bool)
+        )
+        kept = f.usable & ~far
+        peaks, pits = np.zeros(f.mean.shape), np.zeros(f.mean.shape)
+        for z in each_frame(f):
+            above = z - ndimage.maximum_filter(z, footprint=_FOOTPRINT, mode="mirror")
+            below = ndimage.minimum_filter(z, footprint=_FOOTPRINT, mode="mirror") - z
+            peaks += np.where((above > 0) & (above < _TALL) & kept, above, 0.0)
+            pits += np.where((below > 0) & (below < _TALL) & kept, below, 0.0)
+        up.append(_by_blocks(peaks))
+        down.append(_by_blocks(pits))
+    if not up:
+        return None
+    high, deep = np.concatenate(up), np.concatenate(down)
+    if high.size < 16 or deep.sum() <= 0:
+        return None
+    lost = 1 - high.sum() / deep.sum()
+    rest = (deep - high) - lost * deep
+    error = float(np.sqrt(np.sum(rest**2) / (high.size - 1) * high.size) / deep.sum())
+    z = (lost - _DOUBT) / max(error, 1e-9)
+    return Score(
+        log_p=student_log_p(z, high.size - 1, 1),
+        gain=0.5 * max(z, 0.0) ** 2,
+        penalty=3.0,
+        amplitude=max(float(lost), 0.0),
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"weight": (float(lost), "1", error)},
+        where={"axis": "pixel", "edge": "peaks"},
+    )
+
+
+def _by_blocks(values: np.ndarray, side: int = 16) -> np.ndarray:
+    """Sums over blocks, whose scatter tells how sure the sum of all is."""
+    h, w = (n // side * side for n in values.shape)
+    return values[:h, :w].reshape(h // side, side, w // side, side).sum((1, 3)).ravel()
+
+
+_SURELY = 5.0
+"""Log likelihood ratio, nats, from which a camera model has a pixel as the mean of its neighbours."""
+
+
+def dead(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
+    """Pixels that miss half of the light or more."""
+
+    def pattern(fields: tuple[Fields, ...], score: Score, rng: np.random.Generator) -> np.ndarray | None:
+        found = find_dead(fields)
+        return None if found is None else found.astype(np.float32)
+
+    return plain(
+        name=name,
+        axes=Axes("photons", "pixel", "frozen", "signal", "sparse"),
+        score=dead_score,
+        absorb=without_dead,
+        pattern=pattern,
+        simulate=carried(lambda s: {"fraction": s.amplitude}, "dead"),
+        lifted_by=lifted_by,
+        rare=True,
+    )
+
+
+def corrected(recorded: Recorded, *, name: str, lifted_by: tuple[str, ...]) -> Signature:
+    """Pixels that are the mean of their neighbours."""
+
+    def pattern(fields: tuple[Fields, ...], score: Score, rng: np.random.Generator) -> np.ndarray | None:
+        ratio = _likelihood(fields, score.payload)
+        return None if ratio is None else (ratio > _SURELY).astype(np.float32)
+
+    return plain(
+        name=name,
+        axes=Axes("digital", "pixel", "frozen", "all noise", "sparse"),
+        score=partial(corrected_score, mono=recorded.mono),
+        absorb=without_corrected,
+        pattern=pattern,
+        simulate=carried(lambda s: {"fraction": s.amplitude}, "sites"),
+        lifted_by=lifted_by,
+        rare=True,
+    )
+
+
+def peaks(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+    """Pixels that never stand out above all of their neighbours."""
+    return plain(
+        name=name,
+        axes=Axes("digital", "pixel", "redrawn", "all noise", "clamp"),
+        score=suppression_score,
+        absorb=unchanged,
+        simulate=carried(lambda s: {"weight": s.amplitude}),
+        covers=covers,
+        lifted_by=lifted_by,
+    )

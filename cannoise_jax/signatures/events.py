@@ -1,0 +1,261 @@
+"""Single frames in which a pixel stands far above its own level: cosmic rays, and charge of the clocking.
+
+A hit adds charge to a few adjoining pixels of one frame and never comes back to them. Seen from the mean of
+its recording a frame is standard normal, so what is beyond five and a half standard deviations while the
+other frames of that pixel are quiet is no Gaussian noise. What else does that is told apart:
+
+- heavy tails lie on both sides: the frames below are as many as those above;
+- telegraph pixels come back: to one of them the next spike belongs with a chance that its duty sets;
+- hot pixels stay: without the spike they are as high as in any other frame;
+- shot noise of few electrons is skewed: the limit is that of a gamma law of its skewness;
+- clock-induced charge comes with every readout: its rate does not grow with the exposure, and it draws no
+  tracks.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, stats
+
+from cannoise_jax.signatures.fields import Fields, each_frame
+from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import Axes, Signature
+
+FAR = 5.5
+"""Standard deviations of normal noise from which on a frame counts as a spike."""
+_QUIET = 1e-3
+"""Chance that the other frames of a pixel of normal noise are too noisy to call the spike alone."""
+_RETURNS = 0.2
+"""Share of the spikes of telegraph pixels, seen once, whose pixel shows another in the frames at hand, at
+least: less is a duty of far below one frame in all."""
+_CELL = np.ones((3, 3), bool)
+
+
+class Spikes(NamedTuple):
+    """Spikes of one recording `[t, h, w]`: up and down; back: those above at pixels that spike or are noisy
+    elsewhere too. gain: nats by which the ones above are less likely than noise."""
+
+    number: int
+    up: np.ndarray
+    down: np.ndarray
+    noisy: np.ndarray
+    exposure_s: float
+    frames: int
+    dark: bool
+    gain: float
+
+
+def _limit(field: Fields) -> np.ndarray:
+    """Standard deviations that noise with the skewness of its shot noise, twice that for an electron
+    multiplier, exceeds as seldom as normal noise does `FAR`."""
+    electrons = np.maximum(field.signal, 0) * float(np.mean(field.gain)) ** 2
+    skewness = np.clip(2 * electrons / field.sigma.astype(np.float64) ** 3, 0, 2)
+    grid = np.linspace(0.01, 2, 60)
+    shape = 4 / grid**2
+    at = (stats.gamma.isf(stats.norm.sf(FAR), shape) - shape) / np.sqrt(shape)
+    return np.interp(skewness, np.append(0, grid), np.append(FAR, at))
+
+
+def _spikes(field: Fields) -> Spikes | None:
+    """Frames that stand alone, far above or below the others of their pixel."""
+    if field.frames + min(field.before, 2) < 3 or np.median(field.sigma) < 0.4 * field.step:
+        return None
+    power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts)
+    frames = np.stack(list(each_frame(field, static=False)))
+    farthest = np.argmax(np.abs(frames), 0)[None]
+    value = np.take_along_axis(frames, farthest, 0)[0]
+    freedom = len(field.contrasts) - 1
+    quiet = (power - value**2 < stats.chi2.isf(_QUIET, freedom)) if freedom else np.isfinite(value)
+    # The shot noise of the charge itself is in one frame only; of what is left of a spike in the others
+    # rounding keeps some.
+    alone = quiet & (np.abs(value) > _limit(field)) & field.usable
+    if field.static is not None and field.frames > 2:
+        others = field.static / np.sqrt(field.frames) - value / np.sqrt(field.frames * (field.frames - 1))
+        alone &= np.abs(others) * np.sqrt(field.frames - 1) < FAR
+    at = np.arange(field.frames)[:, None, None] == farthest
+    noisy = (power > stats.chi2.isf(1e-5, len(field.contrasts))) & ~alone & field.usable
+    up = at & alone & (value > 0)
+    gain = float(np.sum(0.5 * np.minimum(value[up.any(0)], 1e3) ** 2 - np.log(max(value.size, 2))))
+    down = at & alone & (value < 0)
+    seconds = field.exposure_s or 0.0
+    return Spikes(field.number, up, down, noisy, seconds, field.frames, not field.lit, gain)
+
+
+def find(fields: tuple[Fields, ...]) -> list[Spikes]:
+    """The spikes of every recording of three frames or more."""
+    return [s for f in fields if (s := _spikes(f)) is not None]
+
+
+class Count(NamedTuple):
+    """up, down: spikes that do not come back; back: those above that do. pairs: spikes beside another of the
+    same frame, chance: those that fall there by chance. tracks: groups of adjoining ones."""
+
+    up: int
+    down: int
+    back: int
+    pairs: int
+    chance: float
+    tracks: int
+
+
+def count(found: list[Spikes]) -> Count:
+    """Counts over all recordings."""
+    size = found[0].noisy.shape
+    hit = np.sum([s.up.any(0) | s.down.any(0) | s.noisy for s in found], axis=0)
+    up = down = back = pairs = tracks = 0
+    chance = 0.0
+    for s in found:
+        again = hit > 1
+        back += int((s.up.any(0) & again).sum())
+        down += int((s.down.any(0) & ~again).sum())
+        for frame in s.up:
+            alone = frame & ~again
+            n = int(alone.sum())
+            if not n:
+                continue
+            beside = ndimage.convolve(alone.astype(np.int8), _CELL.astype(np.int8), mode="constant") > 1
+            up += n
+            pairs += int((beside & alone).sum())
+            chance += n * 8 * n / (size[0] * size[1])
+            tracks += int(ndimage.label(alone, _CELL)[1])
+    return Count(up, down, back, pairs, chance, tracks)
+
+
+def _per_frame(found: list[Spikes]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Number of spikes, frames and exposure of every dark."""
+    darks = [s for s in found if s.dark]
+    number = np.array([float(s.up.sum()) for s in darks])
+    return number, np.array([s.frames for s in darks], float), np.array([s.exposure_s for s in darks])
+
+
+def _grows_log_p(found: list[Spikes]) -> tuple[float, float]:
+    """log p that the rate per frame is the same at every exposure, against one that grows with it, and that
+    it grows in proportion, against one that does not; 0 each where the exposures tell nothing."""
+    number, frames, seconds = _per_frame(found)
+    if number.size < 2 or seconds.max() < 2 * max(seconds.min(), 1e-12) or number.sum() < 5:
+        return 0.0, 0.0
+    long = seconds > np.sqrt(max(seconds.min(), 1e-6 * seconds.max()) * seconds.max())
+    total, there = number.sum(), number[long].sum()
+    same = frames[long].sum() / frames.sum()
+    grown = (frames * seconds)[long].sum() / (frames * seconds).sum()
+    return float(stats.binom.logsf(there - 1, total, same)), float(stats.binom.logcdf(there, total, grown))
+
+
+def log_p_of(found: list[Spikes], seen: Count, kind: str) -> float:
+    """log p of spikes that neither tails (as many below), nor telegraph pixels (which come back) make, and
+    that come as hits do, or as charge of the clocking."""
+    pixels = sum(s.noisy.size * s.frames for s in found)
+    # A hundredth of an expected spike: no law of the noise is known better than that.
+    noise = float(stats.poisson.logsf(seen.up - 1, pixels * stats.norm.sf(FAR) + 0.01))
+    sides = float(stats.binom.logsf(seen.up - 1, seen.up + seen.down, 0.5))
+    returns = float(stats.binom.logcdf(seen.back, seen.up + seen.back, _RETURNS))
+    tracks = float(stats.poisson.logsf(seen.pairs - 1, seen.chance + 0.01))
+    grows, proportional = _grows_log_p(found)
+    if kind == "hits":
+        # Tracks, or single pixels that do not come back and grow in number with the exposure.
+        own = min(tracks, max(returns, grows) if grows or proportional else returns) + np.log(2)
+        # As many in short darks as in long ones, and no tracks: the clocking.
+        if not tracks < -7 and proportional < -7 and not grows < -7:
+            return 0.0
+    else:
+        single = seen.pairs < 0.2 * seen.up + 3 * seen.chance
+        own = max(returns, proportional) if single and not grows < -7 else 0.0
+    return min(0.0, max(noise, sides, own))
+
+
+def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
+    """Spikes of single frames as hits of cosmic rays make them, or as clocking does. Amplitude: events per
+    megapixel and second, or electrons per pixel and frame."""
+    found = find(fields)
+    if kind == "clocking":
+        found = [s for s in found if s.dark]
+    if not found or (kind == "clocking" and not any(len(_per_frame([s])[0]) for s in found)):
+        return None
+    seen = count(found)
+    log_p = log_p_of(found, seen, kind) if seen.up else 0.0
+    gain = sum(s.gain for s in found if s.up.any()) if seen.up else 0.0
+    size = found[0].noisy.size
+    if kind == "hits":
+        volume = sum(s.frames * s.exposure_s for s in found) * size / 1e6
+    else:
+        volume = sum(s.frames for s in found) * float(size)
+    unit = 1 / volume if volume > 0 else float("inf")
+    events = seen.tracks if kind == "hits" else seen.up
+    charge = _charge(fields, found)
+    where = {"axis": "pixel", "pixels": seen.up}
+    return Score(
+        log_p=max(log_p, -700.0),
+        gain=max(gain, 0.0),
+        penalty=float(np.log(max(size, 2))),
+        amplitude=events * unit,
+        error=float(np.sqrt(max(events, 1))) * unit,
+        shift=3 * unit,
+        power=1,
+        parameters={"charge_e": (charge, "e-", charge / np.sqrt(max(events, 1)))},
+        where=where,
+        payload=seen,
+    )
+
+
+def _charge(fields: tuple[Fields, ...], found: list[Spikes]) -> float:
+    """Mean charge of a spike beyond the limit, electrons."""
+    by_number = {f.number: f for f in fields}
+    total = events = 0.0
+    for s in found:
+        f = by_number[s.number]
+        if not s.up.any():
+            continue
+        others = f.before or f.frames - 1.0
+        for frame, up in zip(each_frame(f, static=False), s.up, strict=True):
+            height = frame[up] * f.sigma[up] * np.sqrt((others + 1) / others)
+            total += float(np.sum(height)) / max(float(np.mean(f.gain)), 1e-9)
+            events += ndimage.label(up, _CELL)[1]
+    return total / events if events else 0.0
+
+
+def without_spikes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """The fields without the pixels that were hit, and those beside them, in the recording where they were:
+    the faint ends of a track lie beside its bright pixels."""
+    hit = {s.number: ndimage.binary_dilation(s.up.any(0), _CELL) for s in find(fields)}
+    out = []
+    for f in fields:
+        mask = hit.get(f.number)
+        if mask is None or not mask.any():
+            out.append(f)
+            continue
+        keep = ~mask
+        static = None if f.static is None else f.static * keep
+        out.append(f._replace(usable=f.usable & keep, contrasts=f.contrasts * keep, static=static))
+    return tuple(out)
+
+
+def hits(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+    """Charge that single frames have and no other, more of it in longer exposures."""
+    return plain(
+        name=name,
+        axes=Axes("pixel", "pixel", "redrawn", "exposure", "sparse"),
+        score=partial(spike_score, kind="hits"),
+        absorb=without_spikes,
+        simulate=carried(lambda s: {"rate": s.amplitude, "charge_e": max(s.parameters["charge_e"][0], 1.0)}),
+        covers=covers,
+        lifted_by=lifted_by,
+        rare=True,
+    )
+
+
+def clocking(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+    """Charge that single frames have and no other, as much of it in short exposures."""
+    return plain(
+        name=name,
+        axes=Axes("pixel", "pixel", "redrawn", "additive", "sparse"),
+        score=partial(spike_score, kind="clocking"),
+        absorb=without_spikes,
+        simulate=carried(lambda s: {"charge_e": s.amplitude}),
+        covers=covers,
+        lifted_by=lifted_by,
+        rare=True,
+    )

@@ -1,0 +1,176 @@
+"""A mosaic in which every so many pixels were interpolated from the others.
+
+A pixel that holds a share w of its neighbours' mean has less noise and shares it with them. Blending of every
+pixel does that as well; but here it is done on a lattice: minus the mean of its neighbours an interpolated
+pixel leaves (1 - w) of itself, its neighbours nearly all. Amplifiers of different noise alternate without
+any correlation between neighbours.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from cannoise_jax.signatures.defects import KERNELS, MONO_KERNELS
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.score import Score, normal_log_p, sidak
+from cannoise_jax.signatures.signature import Axes, Signature, unchanged
+
+_ROWS, _COLUMNS = np.indices((4, 4))
+_SITES: np.ndarray = 2 * (_ROWS % 2) + _COLUMNS % 2
+
+
+def _site(number: int) -> np.ndarray:
+    return np.isin(_SITES, [number])
+
+
+LATTICES: dict[str, np.ndarray] = {
+    "chess": (_ROWS // 2 + _COLUMNS // 2) % 2 == 1,
+    "row pairs": _ROWS // 2 == 1,
+    "column pairs": _COLUMNS // 2 == 1,
+    "rows": _ROWS % 2 == 1,
+    "columns": _COLUMNS % 2 == 1,
+    "quincunx": (_ROWS + _COLUMNS) % 2 == 1,
+    **{f"site {s}": _site(s) for s in range(4)},
+    **{f"but site {s}": ~_site(s) for s in range(4)},
+    "but one of four pairs": (_ROWS // 2 + _COLUMNS // 2) > 0,
+}
+"""Phases of 4 x 4 pixels that are interpolated; their complements are tried as well."""
+_NAMES = ("four", "row", "column", "next_four", "next_row", "next_column", "eight", "next_eight")
+_LEAST = 0.03
+"""Relative difference of what is left on and off the lattice that gains of pixels may make."""
+_SHARED = 0.99
+"""What is left of a pixel over what would be if its neighbours were independent of it, at most."""
+
+
+def _phases(values: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over the pixels of every phase `[4, 4]`, and their number."""
+    mean, number = np.zeros((4, 4)), np.zeros((4, 4))
+    for i in range(4):
+        for j in range(4):
+            part = usable[i::4, j::4]
+            number[i, j] = part.sum()
+            mean[i, j] = float(np.sum(values[i::4, j::4] * part)) / max(number[i, j], 1)
+    return mean, number
+
+
+def _left(fields: tuple[Fields, ...], kernel: tuple[tuple[int, int], ...]):
+    """Per phase: variance of pixels minus the mean of their neighbours over the variance of all, that of
+    pixels whose neighbours are independent, and how many values it is from."""
+    left, alone, total = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    for f in fields:
+        if not len(f.contrasts) or np.median(f.sigma) < f.step or f.usable.mean() < 0.5:
+            continue
+        c = f.contrasts - f.contrasts.mean(2, keepdims=True)
+        c = (c - c.mean(1, keepdims=True)).clip(-6, 6)
+        # In units of the noise of the place, smooth over it: a lattice in sigma is part of the effect.
+        scale = f.sigma / float(np.median(f.sigma))
+        if f.kind == "scene":
+            continue
+        values = c * scale
+        mean = sum(np.roll(values, (-dy, -dx), (1, 2)) for dy, dx in kernel) / len(kernel)
+        own = np.einsum("nij,nij->ij", values, values) / len(c)
+        near = sum(np.roll(own, (-dy, -dx), (0, 1)) for dy, dx in kernel) / len(kernel) ** 2
+        rest = values - mean
+        usable = f.usable.copy()
+        usable[:2], usable[-2:], usable[:, :2], usable[:, -2:] = False, False, False, False
+        d, number = _phases(np.einsum("nij,nij->ij", rest, rest) / len(c), usable)
+        a, _ = _phases(own + near, usable)
+        weight = number * len(c)
+        left, alone, total = left + weight * d, alone + weight * a, total + weight
+    if not total.all():
+        return None
+    return left / total, alone / total, total
+
+
+def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
+    """Pixels of a lattice that follow their neighbours. Amplitude: weight of the interpolated value."""
+    best: tuple[float, float, str, str, float, float] | None = None
+    tried = 0
+    for name in _NAMES:
+        kernel = {**KERNELS, **MONO_KERNELS}[name]
+        found = _left(fields, kernel)
+        if found is None:
+            return None
+        left, alone, number = found
+        shared = left / alone
+        for label, phases in LATTICES.items():
+            for on in (phases, ~phases):
+                tried += 1
+                inside, outside = _mean(left, number, on), _mean(left, number, ~on)
+                own_in, own_out = _mean(alone, number, on), _mean(alone, number, ~on)
+                # Noise of a lattice of amplifiers goes with the pixels' own variance.
+                lost = 1 - inside / outside
+                error = float(np.sqrt(3 / number[on].sum() + 3 / number[~on].sum()))
+                together = _mean(shared, number, np.ones((4, 4), bool))
+                z = (lost - _LEAST) / error
+                z_shared = (_SHARED - together) / float(np.sqrt(3 / number.sum()))
+                uneven = inside / own_in < outside / own_out - 2 * error
+                if uneven and lost > 0:
+                    both = min(z, z_shared)
+                    if best is None or both > best[0]:
+                        weight = 1 - float(
+                            np.sqrt(
+                                np.clip(
+                                    inside / max(1 + 1 / len(kernel), 1e-9) / _scale(own_out, kernel), 0, 1
+                                )
+                            )
+                        )
+                        best = (both, z**2 + z_shared**2, label, name, weight, error)
+    if best is None:
+        return _nothing(fields)
+    z, power, label, kernel_name, weight, error = best
+    return Score(
+        log_p=sidak(normal_log_p(z, 1), tried),
+        gain=0.5 * power if z > 0 else 0.0,
+        penalty=8.0,
+        amplitude=max(weight, 0.0),
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"weight": (weight, "1", error)},
+        where={"axis": "pixel", "lattice": label, "from": kernel_name},
+    )
+
+
+def _scale(alone: float, kernel: tuple[tuple[int, int], ...]) -> float:
+    """Variance of a pixel of its own from that of the sum with its neighbours' mean."""
+    return alone / (1 + 1 / len(kernel))
+
+
+def _mean(values: np.ndarray, number: np.ndarray, on: np.ndarray) -> float:
+    return float(np.sum((values * number)[on]) / number[on].sum())
+
+
+def _nothing(fields: tuple[Fields, ...]) -> Score:
+    number = sum(len(f.contrasts) * f.mean.size for f in fields)
+    error = float(np.sqrt(12 / max(number, 1)))
+    return Score(
+        log_p=0.0,
+        gain=0.0,
+        penalty=8.0,
+        amplitude=0.0,
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"weight": (0.0, "1", error)},
+        where={"axis": "pixel"},
+    )
+
+
+def interpolated(
+    recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
+) -> Signature:
+    """Sites of a lattice that are the mean of those beside them."""
+    return plain(
+        name=name,
+        axes=Axes("digital", "pixel", "redrawn", "all noise", "lattice"),
+        score=partial(lattice_score, mono=recorded.mono),
+        absorb=unchanged,
+        simulate=carried(lambda s: {"weight": s.amplitude}),
+        covers=covers,
+        lifted_by=lifted_by,
+    )

@@ -1,0 +1,52 @@
+"""A signature of what has neither a closed form nor a law for new codes: its own statistic tells all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    NO_PLACE,
+    NOT_SIMULATED,
+    Addition,
+    Found,
+    Signature,
+    as_map,
+)
+
+EVERYTHING = frozenset(Fields._fields)
+"""Of statistics of means, variances and contrasts together."""
+
+
+def plain(**fields) -> Signature:
+    """A signature by its name, place, score and absorb; what is not said of it is said by a constant."""
+    constants = {
+        "mechanism": None,
+        "reads": EVERYTHING,
+        "predict": NO_LAW,
+        "pattern": NO_PATTERN,
+        "simulate": NOT_SIMULATED,
+        "place": NO_PLACE,
+        "detectable": BY_SHIFT,
+        "least": NO_CLOSED_FORM,
+    }
+    return Signature(**{**constants, **fields})  # type: ignore[arg-type]
+
+
+def carried(
+    values: Callable[[Score], dict[str, float]], map_name: str | None = None
+) -> Callable[[Found], Addition]:
+    """Adds the mechanism with these parameters of the score, and the pattern as its map where it has one."""
+
+    def simulate(found: Found) -> Addition:
+        maps = {}
+        if map_name is not None and found.pattern is not None:
+            maps = {map_name: as_map(found.pattern)}
+        return Addition(values(found.score), maps)
+
+    return simulate

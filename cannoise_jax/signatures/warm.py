@@ -1,0 +1,239 @@
+"""Frames of a dark that are warmer than others.
+
+Dark current doubles every few kelvin, so a warmer frame is brighter in proportion to the dark current of each
+pixel: the contrasts between frames hold the unit's own map of it, times one number a frame. The map is known
+from the mean of the frames, of which the contrasts are independent. A pedestal that moves leaves the map
+alone, and moves as much in short darks as in long ones, where dark charge moves with the exposure.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.patterns import pixel_sums
+from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.score import Score, chi2_log_sf
+from cannoise_jax.signatures.signature import Axes, Signature
+
+DOUBLING_K = 6.3
+"""Kelvin over which the dark current of silicon doubles near room temperature."""
+
+
+class Heat(NamedTuple):
+    """Map of the dark current, DN per second or per frame, its median taken out, and its unit."""
+
+    field: np.ndarray
+    thermal: bool
+
+
+def dark_map(fields: tuple[Fields, ...]) -> Heat | None:
+    """The unit's dark current pixel by pixel as the darks' means show it, shrunk where noise hides it."""
+    darks = [f for f in fields if f.kind in DARK and len(f.contrasts)]
+    seconds = {f.exposure_s for f in darks}
+    thermal = None not in seconds and len(seconds) > 1
+    sums = pixel_sums(fields, "exposure" if thermal else "additive", DARK)
+    if sums is None:
+        return None
+    known = sums.information > 0
+    if not known.any():
+        return None
+    estimate = np.where(known, sums.score / np.where(known, sums.information, 1.0), 0.0)
+    estimate = estimate - np.median(estimate[known])
+    noise = np.where(known, 1 / np.where(known, sums.information, 1.0), 0.0)
+    middle = estimate[known]
+    limit = 8 * 1.4826 * float(np.median(np.abs(middle)))
+    variance = max(float(np.mean(np.minimum(middle**2, limit**2))) - float(np.mean(noise[known])), 0.0)
+    # Where the map as a whole does not show, its few far pixels still do.
+    far = np.abs(estimate) > 5 * np.sqrt(noise)
+    shrunk = np.where(far, estimate, estimate * variance / np.maximum(variance + noise, 1e-30))
+    return Heat(np.where(known, shrunk, 0.0), thermal) if np.any(shrunk) else None
+
+
+def _own(contrasts: np.ndarray, size: tuple[int, int], usable: np.ndarray) -> np.ndarray:
+    """Contrasts without what channels, rows and columns share: of far pixels no more than four standard
+    deviations, or they would spread over their lines."""
+    near = contrasts.clip(-4, 4) * usable
+    shared = np.zeros_like(contrasts)
+    channel = channel_index(size)
+    for c in range(4):
+        chosen = (channel == c) & usable
+        if chosen.any():
+            shared[:, channel == c] += near[:, chosen].mean(1)[:, None]
+    near = (near - shared) * usable
+    row = near.sum(2, keepdims=True) / np.maximum(usable.sum(1)[None, :, None], 1)
+    column = near.sum(1, keepdims=True) / np.maximum(usable.sum(0)[None, None, :], 1)
+    return (contrasts - shared - row - column) * usable
+
+
+def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usable: np.ndarray):
+    """The map in standard deviations, the contrasts beside it, and the weight of every pixel."""
+    weight = usable / (1 + 1.5 * shot)
+    template = level / f.sigma
+    # An offset of the whole frame is no part of it.
+    template = (template - np.sum(weight * template) / max(float(weight.sum()), 1e-9)) * usable
+    return template, _own(c, f.mean.shape, usable), weight
+
+
+def _by_map(fields: tuple[Fields, ...], heat: Heat):
+    """Per contrast of every dark: factor of the map, its information, and which recording."""
+    values, information, number = [], [], []
+    for f in fields:
+        if f.kind not in DARK or f.frames < 2 or not len(f.contrasts):
+            continue
+        seconds = (f.exposure_s or 0.0) if heat.thermal else 1.0
+        level = heat.field * seconds
+        shot = float(np.mean(f.gain)) * np.maximum(level, 0.0) / f.sigma**2
+        c = f.contrasts[: f.frames - 1]
+        power = np.mean(c**2, 0)
+        template, rest, weight = _template(f, c, level, shot, f.usable)
+        i = float(np.sum(weight * template**2))
+        if i <= 0:
+            continue
+        # Telegraph pixels lie where the map is high too; they move as they please.
+        factor = np.einsum("nij,ij->n", rest, weight * template) / i
+        power = np.mean((rest - factor[:, None, None] * template) ** 2, 0)
+        calm = power < (1 + 2 * shot) * stats.chi2.isf(1e-3, len(c)) / len(c)
+        template, rest, weight = _template(f, c, level, shot, f.usable & calm)
+        # Of pixels that move more than their shot noise does each says less.
+        weight = weight / np.maximum(power / (1 + 1.5 * shot), 1.0)
+        i = float(np.sum(weight * template**2))
+        if i <= 0:
+            continue
+        # The scatter of single pixels, whatever the shot noise of the hot ones.
+        u = np.einsum("nij,ij->n", rest, weight * template)
+        v = np.einsum("nij,ij->n", rest**2, (weight * template) ** 2)
+        for a, b in zip(u, v, strict=True):
+            values.append(a / i)
+            information.append(i**2 / max(b, 1e-30))
+            number.append(f.number)
+    return np.array(values), np.array(information), np.array(number, int)
+
+
+def _offsets(fields: tuple[Fields, ...]):
+    """Offset of every contrast of the darks, DN, its variance by pixel noise, and exposure."""
+    offsets, doubt, seconds = [], [], []
+    for f in fields:
+        if f.kind not in DARK or f.frames < 2 or not f.exposure_s or not f.usable.any():
+            continue
+        sigma = float(np.median(f.sigma[f.usable]))
+        for c in f.contrasts[: f.frames - 1]:
+            middle = c[f.usable]
+            offsets.append(sigma * float(np.mean(np.clip(middle, -6, 6))))
+            doubt.append(sigma**2 * (1 / middle.size + 1 / 400 / min(f.mean.shape)))
+            seconds.append(float(f.exposure_s))
+    return np.array(offsets), np.array(doubt), np.array(seconds)
+
+
+def _best(power: np.ndarray, doubt: np.ndarray, unit: np.ndarray) -> tuple[float, float, float]:
+    """Largest log likelihood of offsets of variance doubt + a + v unit^2, for v and for a alone, and the rms
+    per unit of the first."""
+
+    def log(variance: np.ndarray) -> float:
+        return -0.5 * float(np.sum(np.log(variance) + power / variance))
+
+    grid = np.append(0.0, np.geomspace(1e-4, 1e4, 81)) * max(float(np.mean(power)), 1e-12)
+    scaled = unit / unit.max()
+    thermal = [log(doubt + v * scaled**2) for v in grid]
+    additive = [log(doubt + v) for v in grid]
+    k = int(np.argmax(thermal))
+    # Beside the dark charge the pedestal may move a little.
+    both = max(log(doubt + grid[k] * scaled**2 + a) for a in grid[: max(k // 2, 1)])
+    return max(thermal[k], both), max(additive), float(np.sqrt(grid[k])) / float(unit.max())
+
+
+def warm_score(fields: tuple[Fields, ...]) -> Score | None:
+    """Dark current that moves from frame to frame: its map in the contrasts between frames, and offsets that
+    grow with the exposure. Amplitude: rms change of the temperature, K."""
+    heat = dark_map(fields)
+    log_p, gain, relative, error = 0.0, 0.0, 0.0, np.inf
+    if heat is not None:
+        value, information, _ = _by_map(fields, heat)
+        if value.size >= 2:
+            chi2 = float(np.sum(value**2 * information))
+            log_p = chi2_log_sf(chi2, value.size)
+            gain = 0.5 * max(chi2 - value.size, 0.0)
+            spread = float(np.sum(information * value**2) - value.size) / float(np.sum(information))
+            relative = float(np.sqrt(max(spread, 0.0)))
+            error = float(1 / np.sqrt(np.sum(information) * np.sqrt(2 / value.size)) / np.sqrt(2))
+    offsets, doubt, seconds = _offsets(fields)
+    by_offset = 0.0
+    if offsets.size >= 4 and np.unique(seconds).size >= 2 and seconds.max() > 3 * seconds.min():
+        thermal, additive, rate = _best(offsets**2, doubt, seconds)
+        by_offset = max(thermal - additive, 0.0)
+        current = _dark_current(fields)
+        if current > 0 and by_offset > 6 and not relative:
+            relative, error = rate / current, rate / current / np.sqrt(2 * offsets.size)
+    # A likelihood ratio of two laws that both fit offsets of frames: its inverse bounds the chance of it.
+    by_offset_p = -by_offset if by_offset > 6 else 0.0
+    if heat is None and not by_offset:
+        return None
+    both = min(log_p, by_offset_p) + np.log(2)
+    kelvin = DOUBLING_K / np.log(2)
+    amplitude = float(relative * kelvin)
+    shift = float(min(error, 10.0) * kelvin)
+    return Score(
+        log_p=float(np.clip(both, -700.0, 0.0)),
+        gain=gain + by_offset,
+        penalty=4.0,
+        amplitude=amplitude,
+        error=shift,
+        shift=shift,
+        power=2,
+        parameters={
+            "change": (relative, "1", float(min(error, 10.0))),
+            "current": (_dark_current(fields) / max(float(np.mean(fields[0].gain)), 1e-9), "e-/s", 0.0),
+        },
+        where={"axis": "frame"},
+        payload=heat,
+    )
+
+
+def _dark_current(fields: tuple[Fields, ...]) -> float:
+    """DN per second by which the mean of the darks grows with the exposure."""
+    darks = [f for f in fields if f.kind in DARK and f.exposure_s is not None and f.usable.any()]
+    if len({f.exposure_s for f in darks}) < 2:
+        return 0.0
+    x = np.array([float(f.exposure_s or 0.0) for f in darks])
+    y = np.array([float(np.median(f.mean[f.usable])) for f in darks])
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def without_warmth(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """Dark contrasts without the map, and without their own mean."""
+    heat = score.payload
+    out = []
+    for f in fields:
+        if f.kind not in DARK or not len(f.contrasts):
+            out.append(f)
+            continue
+        c = f.contrasts - f.usable * f.contrasts[:, f.usable].mean(1)[:, None, None]
+        if heat is not None:
+            seconds = (f.exposure_s or 0.0) if heat.thermal else 1.0
+            t = f.usable * heat.field * seconds / f.sigma
+            power = float(np.sum(t**2))
+            if power > 0:
+                c = c - np.einsum("nij,ij->n", c, t)[:, None, None] / power * t
+        out.append(f._replace(contrasts=c.astype(np.float32)))
+    return tuple(out)
+
+
+def warming(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+    """Dark current that is more in one frame than in another."""
+
+    def values(score: Score) -> dict[str, float]:
+        return {"sigma_k": score.amplitude, "e_per_s": max(score.parameters["current"][0], 0.0)}
+
+    return plain(
+        name=name,
+        axes=Axes("pixel", "pixel", "redrawn", "exposure", "one factor"),
+        score=warm_score,
+        absorb=without_warmth,
+        simulate=carried(values),
+        covers=covers,
+        lifted_by=lifted_by,
+    )
