@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
+import logging
 import sys
 import time
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
-
-from cannoise_jax.commands.parser import OneLineParser
-from cannoise_jax.discovery.compare import Comparison, better, compare, document
-from cannoise_jax.discovery.compare.page import page
-from cannoise_jax.discovery.compare.report import better_document, better_line, lines
-from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.outputs import check_folder
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
 from cannoise_jax.recordings.recording import BadInput
 
+if TYPE_CHECKING:
+    from cannoise_jax.discovery.compare import Comparison
 
+_FILES = ("comparison.json", "comparison.html")
+
+
+@command("compare")
 def main(argv: list[str] | None = None) -> int:
     """Prints the table and writes comparison.json and comparison.html; returns 0 whatever differs, 2 for bad
     input."""
     arguments = _parser().parse_args(argv)
+    logging.basicConfig(format="bin/compare: %(message)s", level=logging.WARNING)
     started = time.monotonic()
 
     def tell(text: str) -> None:
@@ -33,73 +35,93 @@ def main(argv: list[str] | None = None) -> int:
         simulators = arguments.simulator or ["poisson-gaussian"]
         if len(simulators) > 2:
             raise BadInput(f"{len(simulators)} simulators: give one, or two to set side by side")
+        if not 0 < arguments.alpha < 1:
+            raise BadInput(f"--alpha: must lie between 0 and 1, got {arguments.alpha:g}")
         if arguments.out is not None:
-            _check(arguments.out)
-        capture = load_capture_set(arguments.recordings)
-        found: list[Comparison] = []
-        for simulator in simulators:
-            key = jax.random.key(arguments.key)
-            found.append(compare(capture, simulator, key, alpha=arguments.alpha, tell=tell))
-        result = better(found[0].bank, found[1].bank) if len(found) == 2 else None
-        report: dict[str, Any] = {"comparisons": [document(c) for c in found]}
-        if result is not None:
-            report["better"] = better_document(found[0], found[1], result)
+            check_folder(arguments.out, _FILES, arguments.force, "the comparison")
+        found, result = _compared(arguments, simulators, tell)
         if arguments.out is not None:
-            texts = {
-                "comparison.json": json.dumps(report, indent=1, allow_nan=False) + "\n",
-                "comparison.html": page(tuple(found), result),
-            }
-            for name, text in texts.items():
-                _write(arguments.out / name, text)
+            _write(arguments, found, result)
     except (BadInput, ValueError, OSError) as error:
         print(f"bin/compare: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("bin/compare: interrupted; nothing was written", file=sys.stderr)
         return 130
+    _show(found, result)
+    if arguments.out is not None:
+        print(arguments.out / "comparison.html")
+    return 0
+
+
+def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tuple[list[Comparison], Any]:
+    """One comparison a simulator, and which of two is nearer."""
+    from cannoise_jax.recordings.folders.store import capture_of
+    from cannoise_jax.recordings.usable import check_usable
+
+    capture, plan = capture_of(
+        arguments.recordings, options(arguments), cache_folder(), progress("reading files")
+    )
+    if plan:
+        print(plan, end="", file=sys.stderr, flush=True)
+    check_usable(capture)
+
+    import jax
+
+    from cannoise_jax.discovery.compare import better, compare
+
+    key = jax.random.key(arguments.key)
+    found = [compare(capture, s, key, alpha=arguments.alpha, tell=tell) for s in simulators]
+    return found, better(found[0].bank, found[1].bank) if len(found) == 2 else None
+
+
+def _show(found: list[Comparison], result: Any) -> None:
+    from cannoise_jax.discovery.compare.report import better_line, lines
+
     for c in found:
         print("\n".join(lines(c)), end="\n\n")
     if result is not None:
         print(better_line(found[0], found[1], result))
     elif len(found) == 2:
         print("the simulators draw no recording in common: nothing says which is nearer")
-    if arguments.out is not None:
-        print(arguments.out / "comparison.html")
-    return 0
 
 
-def _check(out: Path) -> None:
-    """Makes the folder. Raises BadInput, before a minute is spent, where the results could not be written."""
-    if out.exists() and not out.is_dir():
-        raise BadInput(f"{out}: is a file: name a folder for the comparison")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{out}: cannot be made ({error.strerror}): name another folder") from error
+def _write(arguments: argparse.Namespace, found: list[Comparison], result: Any) -> None:
+    from cannoise_jax.discovery.compare import document
+    from cannoise_jax.discovery.compare.page import page
+    from cannoise_jax.discovery.compare.report import better_document
+    from cannoise_jax.recordings.atomic import texts_in_place
 
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise BadInput(f"{path}: cannot be written ({error.strerror}): name another folder") from error
+    report: dict[str, Any] = {"comparisons": [document(c) for c in found]}
+    if result is not None:
+        report["better"] = better_document(found[0], found[1], result)
+    texts = (json.dumps(report, indent=1, allow_nan=False) + "\n", page(tuple(found), result))
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    with texts_in_place({arguments.out / n: t for n, t in zip(_FILES, texts, strict=True)}):
+        pass
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/compare", description=__doc__)
-    parser.add_argument("--recordings", type=Path, required=True, help="folder of recordings of one camera")
+    parser.add_argument(
+        "--recordings", type=folder, required=True, metavar="DIR", help="recordings of one camera"
+    )
     parser.add_argument(
         "--simulator",
         action="append",
         help="poisson-gaussian (calibrated from the recordings; the default), a sensor.json, a training "
         "folder, a folder of simulated frames, or module:function; give it twice to ask which is nearer",
     )
-    parser.add_argument("--out", type=Path, help="folder for comparison.html and comparison.json")
-    parser.add_argument("--alpha", type=float, default=0.01, help="chance of a false alarm of the run (0.01)")
-    parser.add_argument("--key", type=int, default=0, help="seed of everything random (0)")
+    parser.add_argument(
+        "--out",
+        type=folder,
+        metavar="DIR",
+        help="for comparison.html and comparison.json (else: screen only)",
+    )
+    parser.add_argument("--alpha", type=float, default=0.01, help="chance of a false alarm of the run")
+    parser.add_argument("--key", type=int, default=0, help="seed of everything random")
+    add_recording_flags(parser)
+    parser.add_argument("--force", action="store_true", help="replace results that exist")
     return parser
 
 

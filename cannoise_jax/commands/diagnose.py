@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 import time
+from pathlib import Path
 
 from cannoise_jax.commands.entry import cache_folder, command, progress
 from cannoise_jax.commands.outputs import check_folder
@@ -14,6 +15,7 @@ from cannoise_jax.recordings.recording import BadInput
 
 _PREPARED, _FIRST_LOOK = 400_000, 160_000
 """Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
+_BUILT_IN = ("poisson-gaussian", "nlf")
 _FILES = ("report.json", "report.html", "sensor.json")
 
 
@@ -29,6 +31,7 @@ def main(argv: list[str] | None = None) -> int:
 
     try:
         check_folder(arguments.out, _FILES, arguments.force, "the report")
+        _check(arguments)
         report, camera = _diagnosed(arguments, tell, started)
     except (BadInput, ValueError, OSError, OverflowError) as error:
         print(f"bin/diagnose: {error}", file=sys.stderr)
@@ -44,6 +47,17 @@ def main(argv: list[str] | None = None) -> int:
         print(f"told from draws of the simulator with an area of {before:.3f} before, {after:.3f} after")
     print(f"{arguments.out / 'report.html'}")
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raises BadInput, before minutes are spent on the recordings, for what can be told from the flags."""
+    if not 0 < arguments.alpha < 1:
+        raise BadInput(f"--alpha: must lie between 0 and 1, got {arguments.alpha:g}")
+    if arguments.simulator not in _BUILT_IN and not Path(arguments.simulator).exists():
+        raise BadInput(
+            f"{arguments.simulator}: no such file or folder: name {', '.join(_BUILT_IN)}, a sensor.json or a "
+            "training folder"
+        )
 
 
 def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
