@@ -293,6 +293,8 @@ def load_model(workdir: str | Path) -> Model:
             arrays = {name: file[name] for name in file.files}
         _refuse_older(path, arrays)
         return _model(arrays)
+    except BadInput:
+        raise
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: not a readable model: train it again or name another") from error
 

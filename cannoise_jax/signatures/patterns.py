@@ -249,7 +249,7 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         name=name,
         kin="pixel",
         axes=Axes("pixel", "pixel", "frozen", scaling, "white"),
-        reads=STATIC | {"signal"} if light else STATIC,
+        reads=STATIC | CONTRASTS | {"signal"} if light else STATIC | CONTRASTS,
         score=partial(pixel_score, scaling=scaling),
         absorb=partial(pixel_absorb, scaling=scaling),
         covers=covers,
@@ -267,7 +267,7 @@ def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
     return Signature(
         name=name,
         axes=Axes("reference", "pixel", "frozen", "scene", "white"),
-        reads=STATIC,
+        reads=STATIC | CONTRASTS,
         score=own_score,
         absorb=own_absorb,
         covers=covers,

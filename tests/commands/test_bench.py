@@ -40,19 +40,19 @@ def test_both_simulators_are_given_the_same_camera():
 
 def test_every_effect_of_the_comparison_is_one_of_both_simulators():
     for mechanisms, fields in GETFRAMES.values():
-        model = bench.our_model(16)
+        model = bench_runs.our_model(16)
         for id, parameters in mechanisms.items():
             model = model.with_mechanism(id, **parameters)
         assert fields and len(model.mechanisms) == len(mechanisms)
         pytest.importorskip("getframes")
-    assert all(bench.peer_config(16, (effect,)) for effect in GETFRAMES)
+    assert all(bench_runs.peer_config(16, (effect,)) for effect in GETFRAMES)
 
 
 def test_the_table_reports_both_and_their_ratio(capsys, monkeypatch):
     monkeypatch.setattr(
-        bench, "GETFRAMES", {"PRNU": GETFRAMES["PRNU"]}
+        bench_runs, "GETFRAMES", {"PRNU": GETFRAMES["PRNU"]}
     )  # each effect is a program to compile
-    monkeypatch.setattr(bench, "TOGETHER", ("PRNU",))
+    monkeypatch.setattr(bench_runs, "TOGETHER", ("PRNU",))
     assert (
         bench.main(["simulate", "--sizes", "256", "--electrons", "20", "--frames", "1", "--repeats", "1"])
         == 0

@@ -44,7 +44,7 @@ def test_train_test_and_apply(recordings, tmp_path, capsys):
     out = tmp_path / "clean.npy"
     apply = ["apply", "--denoiser", str(files[0]), "--recording", str(recordings / "b.h5"), "--out", str(out)]
     assert main(apply) == 0 and np.load(out).shape == (5, 64, 144)
-    assert main(apply) == 2 and "--overwrite" in capsys.readouterr().err
+    assert main(apply) == 2 and "--force" in capsys.readouterr().err
 
 
 def test_what_cannot_be_used_is_refused_in_one_line(recordings, tmp_path, capsys):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -243,6 +244,13 @@ def test_a_function_is_a_simulator_and_its_gain_is_judged():
         run(capture_set(15, kinds="d"), simulator=lambda key, clean, settings: 200 + clean)
 
 
+@flax.struct.dataclass
+class Untrained:
+    """As much of a model as is asked of one that draws nothing."""
+
+    level: str = flax.struct.field(pytree_node=False, default="both")
+
+
 @pytest.mark.parametrize("size, cfa", [((66, 98), "GRBG"), ((67, 97), "MONO"), ((32, 44), "RGGB")])
 def test_a_generator_is_given_sizes_that_it_takes(size, cfa, monkeypatch, tmp_path):
     def no_noise(model, key, clean, references):
@@ -250,7 +258,7 @@ def test_a_generator_is_given_sizes_that_it_takes(size, cfa, monkeypatch, tmp_pa
         assert min(height, width) >= SMALLEST and not height % 2 and not width % 2 and references.size
         return jnp.zeros_like(clean)
 
-    monkeypatch.setattr(simulate, "load_model", lambda path: None)
+    monkeypatch.setattr(simulate, "load_model", lambda path: Untrained())
     monkeypatch.setattr(simulate, "sample_noise", no_noise)
     flat = dataclasses.replace(capture_set(3, kinds="f", size=size).recordings[0], cfa=cfa)
     draw = simulate.open_simulator(tmp_path, CaptureSet("c", (flat,))).draw
