@@ -16,9 +16,10 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.limits import mde
 from cannoise_jax.discovery.page import page
 from cannoise_jax.discovery.report import document
+from cannoise_jax.networks import Generator
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
-from cannoise_jax.sampling import SMALLEST
+from cannoise_jax.sampling import SMALLEST, Model
 from cannoise_jax.vocabulary import VOCABULARY
 from tests.discovery.capture import (
     capture_set,
@@ -250,7 +251,7 @@ def test_a_generator_is_given_sizes_that_it_takes(size, cfa, monkeypatch, tmp_pa
         assert min(height, width) >= SMALLEST and not height % 2 and not width % 2 and references.size
         return jnp.zeros_like(clean)
 
-    monkeypatch.setattr(simulate, "load_model", lambda path: None)
+    monkeypatch.setattr(simulate, "load_model", lambda path: Model({}, {}, {}, Generator(), None))
     monkeypatch.setattr(simulate, "sample_noise", no_noise)
     flat = dataclasses.replace(capture_set(3, kinds="f", size=size).recordings[0], cfa=cfa)
     draw = simulate.open_simulator(tmp_path, CaptureSet("c", (flat,))).draw
