@@ -25,7 +25,7 @@ from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, student_log_p
-from cannoise_jax.signatures.signature import Axes, Signature, unchanged
+from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature, unchanged
 
 _LOST = 0.5
 """Share of the signal that a dead pixel misses at least."""
@@ -292,6 +292,7 @@ def dead(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
     return plain(
         name=name,
         axes=Axes("photons", "pixel", "frozen", "signal", "sparse"),
+        reads=STATIC | {"signal"},
         score=dead_score,
         absorb=without_dead,
         pattern=pattern,
@@ -311,6 +312,7 @@ def corrected(recorded: Recorded, *, name: str, lifted_by: tuple[str, ...]) -> S
     return plain(
         name=name,
         axes=Axes("digital", "pixel", "frozen", "all noise", "sparse"),
+        reads=CONTRASTS,
         score=partial(corrected_score, mono=recorded.mono),
         absorb=without_corrected,
         pattern=pattern,
@@ -325,6 +327,7 @@ def peaks(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> 
     return plain(
         name=name,
         axes=Axes("digital", "pixel", "redrawn", "all noise", "clamp"),
+        reads=CONTRASTS | STATIC,
         score=suppression_score,
         absorb=unchanged,
         simulate=carried(lambda s: {"weight": s.amplitude}),

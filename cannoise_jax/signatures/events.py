@@ -23,7 +23,7 @@ from scipy import ndimage, stats
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score
-from cannoise_jax.signatures.signature import Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 FAR = 5.5
 """Standard deviations of normal noise from which on a frame counts as a spike."""
@@ -238,6 +238,7 @@ def hits(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> S
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "exposure", "sparse"),
+        reads=CONTRASTS | STATIC | {"signal"},
         score=partial(spike_score, kind="hits"),
         absorb=without_spikes,
         simulate=carried(lambda s: {"rate": s.amplitude, "charge_e": max(s.parameters["charge_e"][0], 1.0)}),
@@ -252,6 +253,7 @@ def clocking(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) 
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "additive", "sparse"),
+        reads=CONTRASTS | STATIC | {"signal"},
         score=partial(spike_score, kind="clocking"),
         absorb=without_spikes,
         simulate=carried(lambda s: {"charge_e": s.amplitude}),

@@ -26,7 +26,7 @@ from cannoise_jax.signatures.memory import cleaned
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.recorded import Baseline, Occurred, Recorded
 from cannoise_jax.signatures.score import Score, chi2_log_sf, normal_log_p, sidak
-from cannoise_jax.signatures.signature import NOT_SIMULATED, Axes, Signature, unchanged
+from cannoise_jax.signatures.signature import CONTRASTS, FILES, NOT_SIMULATED, Axes, Signature, unchanged
 
 _FLOOR = 0.01
 """Relative error of a point of a photon-transfer curve, at least: no camera's curve is straighter."""
@@ -289,6 +289,7 @@ def signal_step(
     return plain(
         name=name,
         axes=Axes("readout", "signal", "frozen", "signal", "two lines"),
+        reads=FILES,
         score=partial(signal_step_score, baselines=recorded.baselines),
         absorb=unchanged,
         simulate=NOT_SIMULATED,
@@ -306,6 +307,7 @@ def iso_step(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signa
     return plain(
         name=name,
         axes=Axes("readout", "signal", "frozen", "signal", "step over ISO"),
+        reads=FILES,
         score=partial(iso_step_score, baselines=recorded.baselines),
         absorb=unchanged,
         simulate=carried(values),
@@ -321,6 +323,7 @@ def spacing(
     return plain(
         name=name,
         axes=Axes("converter", "signal", "frozen", "signal", "spacing of codes"),
+        reads=FILES,
         score=partial(compression_score, codes=recorded.occurred, black=black, span=recorded.span),
         absorb=unchanged,
         simulate=carried(lambda s: {"step_dn": s.amplitude, "exponent": s.parameters["exponent"][0]}),
@@ -335,6 +338,7 @@ def skewed(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) ->
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "signal", "skewed"),
+        reads=CONTRASTS | {"shot", "signal"},
         score=excess_score,
         absorb=unchanged,
         simulate=carried(lambda s: {"excess": s.amplitude}),

@@ -17,7 +17,7 @@ from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
-from cannoise_jax.signatures.signature import Axes, Signature, unchanged
+from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature, unchanged
 
 _ROWS, _COLUMNS = np.indices((4, 4))
 _SITES: np.ndarray = 2 * (_ROWS % 2) + _COLUMNS % 2
@@ -168,6 +168,7 @@ def interpolated(
     return plain(
         name=name,
         axes=Axes("digital", "pixel", "redrawn", "all noise", "lattice"),
+        reads=CONTRASTS,
         score=partial(lattice_score, mono=recorded.mono),
         absorb=unchanged,
         simulate=carried(lambda s: {"weight": s.amplitude}),

@@ -21,7 +21,7 @@ from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, normal_log_p
-from cannoise_jax.signatures.signature import Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature
 
 _LAGS = (1, 2, 3)
 
@@ -158,6 +158,7 @@ def lag(recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tu
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "signal", "lag in time"),
+        reads=CONTRASTS | {"shot", "signal"},
         score=partial(lag_score, times=recorded.times),
         absorb=partial(in_order, times=recorded.times),
         simulate=carried(lambda s: {"fraction": s.amplitude}),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -19,15 +18,12 @@ from cannoise_jax.signatures.signature import (
     as_map,
 )
 
-EVERYTHING = frozenset(Fields._fields)
-"""Of statistics of means, variances and contrasts together."""
-
 
 def plain(**fields) -> Signature:
-    """A signature by its name, place, score and absorb; what is not said of it is said by a constant."""
+    """A signature by its name, place, what it reads, score and absorb; what is not said of it is said by a
+    constant."""
     constants = {
         "mechanism": None,
-        "reads": EVERYTHING,
         "predict": NO_LAW,
         "pattern": NO_PATTERN,
         "simulate": NOT_SIMULATED,

@@ -12,7 +12,7 @@ import numpy as np
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score, student_log_p
-from cannoise_jax.signatures.signature import Axes, Signature
+from cannoise_jax.signatures.signature import STATIC, Axes, Signature
 
 
 def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,6 +103,7 @@ def smeared(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
     return plain(
         name=name,
         axes=Axes("pixel", "column", "frozen", "signal", "share of its column"),
+        reads=STATIC | {"signal"},
         score=smear_score,
         absorb=without_smear,
         simulate=carried(lambda s: {"fraction": s.amplitude}),

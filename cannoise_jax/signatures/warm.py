@@ -18,7 +18,7 @@ from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score, chi2_log_sf
-from cannoise_jax.signatures.signature import Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 DOUBLING_K = 6.3
 """Kelvin over which the dark current of silicon doubles near room temperature."""
@@ -231,6 +231,7 @@ def warming(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "exposure", "one factor"),
+        reads=CONTRASTS | STATIC | {"mean"},
         score=warm_score,
         absorb=without_warmth,
         simulate=carried(values),
