@@ -34,6 +34,17 @@ class Step(NamedTuple):
     late: bool = False
 
 
+class Search(NamedTuple):
+    """What does not change while steps are added: the signatures, the names that may be given, how many tests
+    share the error rate, log of the share of alpha that one look may spend, and who is told."""
+
+    signatures: tuple[Signature, ...]
+    allowed: frozenset[str]
+    tests: float
+    level: float
+    tell: Callable[[str], None]
+
+
 class Fitted(NamedTuple):
     """All accepted steps, the fields that are left, and the last pass of the battery."""
 
@@ -72,17 +83,15 @@ def stepwise(
     located: the first pass of the battery, where it was run already.
     """
     share = SHARED.looking if every else 1.0
-    level = log_alpha + float(np.log(share))
     first = last = located or locate(fields, signatures)
+    search = Search(signatures, allowed, first.tests, log_alpha + float(np.log(share)), tell)
     start = fields
     steps: list[Step] = []
     given_up: set[str] = set()
     while True:
-        steps, fields, last = _forward(
-            steps, fields, last, first.tests, signatures, given_up, allowed, level, tell
-        )
+        steps, fields, last = _forward(search, steps, fields, last, given_up)
         final = _in_final_model(steps, first.tests)
-        weak = [n for n, step in enumerate(final) if not step.late and step.log_p > level]
+        weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
         if not weak:
             late = None
             if every and len(steps) < MOST_STEPS:
@@ -136,18 +145,21 @@ def second_look(
     return named._replace(score=last.scores[named.signature.name]), log_p
 
 
-def _forward(steps, fields, located, tests, signatures, given_up, allowed, log_alpha, tell):
+def _forward(
+    search: Search, steps: list[Step], fields: tuple[Fields, ...], located: Located, given_up: set[str]
+) -> tuple[list[Step], tuple[Fields, ...], Located]:
     """Steps added until nothing is rejected, what is left of the fields, and the last pass of the battery."""
     steps = list(steps)
     while len(steps) < MOST_STEPS:
-        named = name(located, _active(signatures, steps, given_up), allowed, log_alpha)
+        active = _active(search.signatures, steps, given_up)
+        named = name(located, active, search.allowed, search.level)
         if named is None:
             break
-        tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
+        search.tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
         steps.append(Step(named, fields, located.log_p[named.signature.name]))
         previous, fields = fields, refit(named.signature.absorb(fields, named.score), fields)
-        active = _active(signatures, steps, given_up)
-        located = locate(fields, active, tests, known(located, previous, fields, active))
+        active = _active(search.signatures, steps, given_up)
+        located = locate(fields, active, search.tests, known(located, previous, fields, active))
     return steps, fields, located
 
 

@@ -43,6 +43,17 @@ class Scored(NamedTuple):
     parts: Float[np.ndarray, "t 4"] | None = None
 
 
+class _Look(NamedTuple):
+    """One recording as it is scored: its frames, fields and expected value, DN, the share of a frame's
+    variance that the estimate of that adds, and the pixels."""
+
+    stacked: Stack
+    field: Fields
+    mean: Float[np.ndarray, "h w"]
+    extra: float
+    usable: Bool[np.ndarray, "h w"]
+
+
 def pieces(law: Predicted, size: tuple[int, int]) -> list[tuple[slice, slice]] | None:
     """The frame cut into four parts between which the chance in what a finding gains is independent: bands of
     rows, or of columns for offsets of columns; None for offsets of whole frames."""
@@ -74,15 +85,14 @@ def score_frames(
         if mean is None or not usable.any():
             continue
         frames = chosen[field.number][: field.frames]
-        field = _by_pixels(field, found)
-        whole = (slice(None), slice(None))
-        scored = _score(stacked, field, mean, extra, usable, found, frames, whole)
+        look = _Look(stacked, _by_pixels(field, found), mean, extra, usable)
+        scored = _score(look, found, frames, (slice(None), slice(None)))
         values.append(scored)
         recordings.append(np.full(scored.size, stratum(field)))
         pixels.append(np.full(scored.size, int(usable.sum())))
         cut = pieces(parts_for, usable.shape) if parts_for else None
         if cut:
-            scores = [_score(stacked, field, mean, extra, usable, found, frames, c) for c in cut]
+            scores = [_score(look, found, frames, c) for c in cut]
             parts.append(np.stack(scores, 1))
     if not values:
         return Scored(np.zeros(0), np.zeros(0, int), np.zeros(0, int))
@@ -105,16 +115,10 @@ def _mean(
 
 
 def _score(
-    stacked: Stack,
-    field: Fields,
-    mean: np.ndarray,
-    extra: float,
-    usable: Bool[np.ndarray, "h w"],
-    found: list[Predicted],
-    frames: list[int],
-    part: tuple[slice, slice],
+    look: _Look, found: list[Predicted], frames: list[int], part: tuple[slice, slice]
 ) -> Float[np.ndarray, "t"]:
     """Log-likelihood of a part of the frames of one recording, nats per frame."""
+    stacked, field, mean, extra, usable = look
     step = field.step
     spread = np.maximum(field.sigma.astype(np.float64) ** 2 - step**2 / 12, (0.05 * step) ** 2)
     own, shift = spread * (1 + extra), np.zeros(field.mean.shape)

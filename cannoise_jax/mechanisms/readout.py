@@ -20,14 +20,6 @@ _EMVA_LINES = "EMVA 1288 release 4.0, section 8.2 (row and column nonuniformity)
 _ELD = "Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, section 3"
 
 
-def _offsets(id, over, time, sentence, reference, needs, confused, equation, default=0.5, **point):
-    place = Point("readout", "signal", over, time, **point)
-    return mechanism_from_grammar(
-        place, id=id, default=default, sentence=sentence, equation=equation, reference=reference, needs=needs,
-        confused_with=confused,
-    )  # fmt: skip
-
-
 def _step_maps(key, values, context: Context):
     # Two taps: the left half of the frame reads half a step low, the right half as much high.
     width = context.size[1]
@@ -98,12 +90,14 @@ ENTRIES: tuple[Entry, ...] = (
         Term("row_noise",
              "One random offset per row, white from row to row, redrawn in every frame.",
              29, "sensor", "DN", RMS, ("row_pink_noise",), listed=15),
-        _offsets(
-            "row_noise", "row", "redrawn",
-            "Every row is read at its own instant, and what the supply does at that instant shifts the whole "
+        mechanism_from_grammar(
+            Point("readout", "signal", "row", "redrawn"), id="row_noise", default=0.5,
+            sentence="Every row is read at its own instant, and what the supply does at that instant "
+            "shifts the whole "
             "row.",
-            _ELD, ("dark", "pair"), ("row_pink_noise", "row_fpn", "flicker", "banding", "pink_noise"),
-            r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
+            reference=_ELD, needs=("dark", "pair"),
+            confused_with=("row_pink_noise", "row_fpn", "flicker", "banding", "pink_noise"),
+            equation=r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -119,11 +113,12 @@ ENTRIES: tuple[Entry, ...] = (
         Term("column_noise",
              "One random offset per column, white, redrawn in every frame.",
              30, "sensor", "DN", RMS, listed=16),
-        _offsets(
-            "column_noise", "column", "redrawn",
-            "Every column has its own amplifier or converter, whose offset jitters from frame to frame.",
-            _ELD, ("dark", "pair"), ("column_fpn", "column_gain", "smear"),
-            r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
+        mechanism_from_grammar(
+            Point("readout", "signal", "column", "redrawn"), id="column_noise", default=0.5,
+            sentence="Every column has its own amplifier or converter, whose offset jitters from frame "
+            "to frame.",
+            reference=_ELD, needs=("dark", "pair"), confused_with=("column_fpn", "column_gain", "smear"),
+            equation=r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -138,11 +133,12 @@ ENTRIES: tuple[Entry, ...] = (
         Term("row_fpn",
              "One fixed offset per row.",
              37, "sensor", "DN", RMS, ("dsnu",), listed=17),
-        _offsets(
-            "row_fpn", "row", "frozen",
-            "Some rows are always a little brighter or darker: a fixed pattern that a dark average removes.",
-            _EMVA_LINES, ("dark", "burst"), ("row_noise", "dsnu"),
-            r"y_{tij} \to y_{tij} + \sigma r_i",
+        mechanism_from_grammar(
+            Point("readout", "signal", "row", "frozen"), id="row_fpn", default=0.5,
+            sentence="Some rows are always a little brighter or darker: a fixed pattern that a dark "
+            "average removes.",
+            reference=_EMVA_LINES, needs=("dark", "burst"), confused_with=("row_noise", "dsnu"),
+            equation=r"y_{tij} \to y_{tij} + \sigma r_i",
         ),
         needs="darks of two frames or more",
         signatures=looks.always(
@@ -156,11 +152,13 @@ ENTRIES: tuple[Entry, ...] = (
         Term("column_fpn",
              "One fixed offset per column.",
              37, "sensor", "DN", RMS, ("dsnu",), listed=18),
-        _offsets(
-            "column_fpn", "column", "frozen",
-            "Column amplifiers differ in offset: fixed vertical stripes that a dark average removes.",
-            _EMVA_LINES, ("dark", "burst"), ("column_noise", "column_gain", "dsnu"),
-            r"y_{tij} \to y_{tij} + \sigma c_j",
+        mechanism_from_grammar(
+            Point("readout", "signal", "column", "frozen"), id="column_fpn", default=0.5,
+            sentence="Column amplifiers differ in offset: fixed vertical stripes that a dark average "
+            "removes.",
+            reference=_EMVA_LINES, needs=("dark", "burst"),
+            confused_with=("column_noise", "column_gain", "dsnu"),
+            equation=r"y_{tij} \to y_{tij} + \sigma c_j",
         ),
         needs="darks of two frames or more",
         signatures=looks.always(
@@ -175,14 +173,14 @@ ENTRIES: tuple[Entry, ...] = (
         Term("pink_noise",
              "1/f noise along the raster scan.",
              32, "sensor", "DN", RMS, listed=19),
-        _offsets(
-            "pink_noise", "raster", "redrawn",
-            "The output amplifier wanders slowly while the pixels are read one after another: soft "
+        mechanism_from_grammar(
+            Point("readout", "signal", "raster", "redrawn", spectrum="power_law"),
+            id="pink_noise", default=0.5,
+            sentence="The output amplifier wanders slowly while the pixels are read one after another: soft "
             "horizontal clouds.",
-            "Rauscher, Teledyne H2RG noise generator, PASP 127, 1144 (2015)",
-            ("dark", "pair"), ("row_pink_noise", "row_noise", "offset_drift"),
-            r"y_n \to y_n + p_n,\quad S_p(f) \propto f^{-\alpha},\ n = iW + j",
-            spectrum="power_law",
+            reference="Rauscher, Teledyne H2RG noise generator, PASP 127, 1144 (2015)",
+            needs=("dark", "pair"), confused_with=("row_pink_noise", "row_noise", "offset_drift"),
+            equation=r"y_n \to y_n + p_n,\quad S_p(f) \propto f^{-\alpha},\ n = iW + j",
         ),
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -196,12 +194,12 @@ ENTRIES: tuple[Entry, ...] = (
         Term("row_pink_noise",
              "An offset constant along each row and 1/f from row to row, redrawn per frame.",
              31, "sensor", "DN", RMS, listed=20),
-        _offsets(
-            "row_pink_noise", "row", "redrawn",
-            "Row offsets wander slowly from row to row: soft horizontal bands, new in every frame.",
-            _ELD, ("dark", "pair"), ("row_noise", "pink_noise", "flicker"),
-            r"y_{tij} \to y_{tij} + r_{ti},\quad S_r(f) \propto f^{-\alpha}",
-            spectrum="power_law",
+        mechanism_from_grammar(
+            Point("readout", "signal", "row", "redrawn", spectrum="power_law"),
+            id="row_pink_noise", default=0.5,
+            sentence="Row offsets wander slowly from row to row: soft horizontal bands, new in every frame.",
+            reference=_ELD, needs=("dark", "pair"), confused_with=("row_noise", "pink_noise", "flicker"),
+            equation=r"y_{tij} \to y_{tij} + r_{ti},\quad S_r(f) \propto f^{-\alpha}",
         ),
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -215,14 +213,14 @@ ENTRIES: tuple[Entry, ...] = (
         Term("banding",
              "A sinusoid of fixed frequency in the raster scan: interference pick-up.",
              33, "sensor", "DN", "peak, DN", listed=21),
-        _offsets(
-            "banding", "raster", "redrawn",
-            "A clock, supply or radio couples into the readout: a regular pattern of stripes, slanted or "
+        mechanism_from_grammar(
+            Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"), id="banding", default=0.5,
+            sentence="A clock, supply or radio couples into the readout: a regular pattern of stripes, "
+            "slanted or "
             "straight.",
-            "EMVA 1288 release 4.0, section 8.3 (spectrogram)",
-            ("dark", "pair"), ("flicker", "row_pink_noise", "demosaicing"),
-            r"y_n \to y_n + A\cos(2\pi f n + \phi_t),\ n = iW + j",
-            spectrum="sinusoid",
+            reference="EMVA 1288 release 4.0, section 8.3 (spectrogram)",
+            needs=("dark", "pair"), confused_with=("flicker", "row_pink_noise", "demosaicing"),
+            equation=r"y_n \to y_n + A\cos(2\pi f n + \phi_t),\ n = iW + j",
         ),
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -238,12 +236,13 @@ ENTRIES: tuple[Entry, ...] = (
         Term("offset_drift",
              "The black level moves from frame to frame.",
              35, "sensor", "DN", RMS, listed=22),
-        _offsets(
-            "offset_drift", "whole", "redrawn",
-            "The black level is set anew for every frame and never quite the same.",
-            "Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 (dark shading)",
-            ("dark", "burst"), ("illumination_drift", "temperature_drift"),
-            r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal{N}(0,\sigma^2)", default=0.2,
+        mechanism_from_grammar(
+            Point("readout", "signal", "whole", "redrawn"), id="offset_drift", default=0.2,
+            sentence="The black level is set anew for every frame and never quite the same.",
+            reference="Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 "
+            "(dark shading)",
+            needs=("dark", "burst"), confused_with=("illumination_drift", "temperature_drift"),
+            equation=r"y_{tij} \to y_{tij} + o_t,\quad o_t \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two recordings of two frames or more, best darks",
         signatures=looks.always(
@@ -257,11 +256,12 @@ ENTRIES: tuple[Entry, ...] = (
         Term("channel_offset",
              "Each colour channel has its own black-level error.",
              36, "sensor", "DN", RMS, ("dsnu", "bookkeeping"), listed=23),
-        _offsets(
-            "channel_offset", "channel", "frozen",
-            "The black level differs between the colour channels: shadows take on a tint.",
-            _ELD + " (colour bias)", ("dark",), ("bookkeeping", "dark_current", "nonlinearity"),
-            r"y_{tij} \to y_{tij} + \sigma d_{c(i,j)}",
+        mechanism_from_grammar(
+            Point("readout", "signal", "channel", "frozen"), id="channel_offset", default=0.5,
+            sentence="The black level differs between the colour channels: shadows take on a tint.",
+            reference=_ELD + " (colour bias)", needs=("dark",),
+            confused_with=("bookkeeping", "dark_current", "nonlinearity"),
+            equation=r"y_{tij} \to y_{tij} + \sigma d_{c(i,j)}",
         ),
         needs="darks, and a stated black level",
         signatures=lambda recorded: (
