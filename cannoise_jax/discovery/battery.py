@@ -14,8 +14,8 @@ from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detecte
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet
+from cannoise_jax.signatures.code_spacing import occurrences
 from cannoise_jax.signatures.fields import Fields, refit
-from cannoise_jax.signatures.gain_curve import occurrences
 from cannoise_jax.signatures.levels import frame_jitter
 from cannoise_jax.signatures.recorded import Baseline, Codes, Recorded
 from cannoise_jax.signatures.signature import Signature

@@ -16,7 +16,7 @@ import numpy as np
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.lines import line_power
+from cannoise_jax.signatures.line_sums import line_power
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
 

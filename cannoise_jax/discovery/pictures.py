@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 from cannoise_jax.discovery.quality import Curves, Quality
 from cannoise_jax.signatures.covariance import LAGS
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.lines import line_sums
+from cannoise_jax.signatures.line_sums import line_sums
 
 _BEFORE, _AFTER, _REAL = "#c8553d", "#2f6fd0", "#1c2430"
 

@@ -24,7 +24,7 @@ from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
 from cannoise_jax.physics.likelihood.composite import Profile, composite_score, profile, ruler
 from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields, frame_fields, stratum
-from cannoise_jax.signatures.lines import line_power
+from cannoise_jax.signatures.line_sums import line_power
 
 _PIT_BINS = 20
 _PIT_MOST = 40_000

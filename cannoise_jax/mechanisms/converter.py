@@ -128,7 +128,7 @@ ENTRIES: tuple[Entry, ...] = (
         LOSSY_COMPRESSION,
         needs="flats at ten levels up to the white level",
         signatures=lambda recorded: (
-            looks.gain_curve.spacing(recorded, name="code_spacing", covers=imprints.SPACING,
+            looks.code_spacing.spacing(recorded, name="code_spacing", covers=imprints.SPACING,
                 lifted_by=imprints.SPACING),
         ),
         examples=Examples("high codes", shown={"step_dn": 40.0}, strong={"step_dn": 30.0}),

@@ -206,7 +206,7 @@ ENTRIES: tuple[Entry, ...] = (
         HOT_PIXEL_SUPPRESSION,
         needs="twenty long darks",
         signatures=looks.always(
-            looks.defects.peaks(name="peaks", covers=imprints.PEAKS, lifted_by=imprints.PEAKS),
+            looks.peaks.peaks(name="peaks", covers=imprints.PEAKS, lifted_by=imprints.PEAKS),
         ),
         examples=Examples("tail", strong={"weight": 0.7}),
     ),

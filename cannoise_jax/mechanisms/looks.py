@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cannoise_jax.signatures import (
+    code_spacing,
     codes,
     covariance,
+    curvature,
     curve,
     defects,
     events,
@@ -23,7 +25,9 @@ from cannoise_jax.signatures import (
     memory,
     motion,
     patterns,
+    peaks,
     pixels,
+    random_gain,
     reference,
     shape,
     smear,
@@ -53,7 +57,11 @@ __all__ = [
     "shape",
     "spectra",
     "taps",
+    "code_spacing",
+    "curvature",
     "defects",
+    "peaks",
+    "random_gain",
     "events",
     "gain_curve",
     "lattice",

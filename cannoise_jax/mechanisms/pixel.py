@@ -207,7 +207,7 @@ ENTRIES: tuple[Entry, ...] = (
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
         signatures=looks.always(
-            looks.gain_curve.skewed(name="excess_skewness", covers=imprints.EXCESS,
+            looks.random_gain.skewed(name="excess_skewness", covers=imprints.EXCESS,
                 lifted_by=imprints.EXCESS),
         ),
         examples=Examples("variance"),
@@ -219,7 +219,7 @@ ENTRIES: tuple[Entry, ...] = (
         NONLINEARITY,
         needs="scenes with an independent reference that spans the range",
         signatures=lambda recorded: (
-            looks.light.curved(recorded, name="curvature", parameter="loss", covers=looks.SCALES),
+            looks.curvature.curved(recorded, name="curvature", parameter="loss", covers=looks.SCALES),
         ),
         estimator=Estimator(light.nonlinearity, least=3e-3),
         examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},

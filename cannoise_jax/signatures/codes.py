@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.recorded import Codes, Recorded
 from cannoise_jax.signatures.score import Score, chi2_log_sf, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
@@ -21,7 +22,6 @@ from cannoise_jax.signatures.signature import (
     Axes,
     Found,
     Signature,
-    strength,
     unchanged,
 )
 

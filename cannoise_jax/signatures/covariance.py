@@ -9,6 +9,7 @@ import numpy as np
 from scipy import fft
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.least import Law, Least, Seen, pooled
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
@@ -24,7 +25,6 @@ from cannoise_jax.signatures.signature import (
     Found,
     Scales,
     Signature,
-    strength,
 )
 
 LAGS = tuple((dy, dx) for dy in range(5) for dx in range(-4, 5) if dy > 0 or dx > 0)

@@ -15,24 +15,15 @@ from jaxtyping import Float
 from scipy import fft, ndimage
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts, site
 from cannoise_jax.signatures.least import (
     signal,
     sinusoid,
 )
-from cannoise_jax.signatures.lines import LineSums, line_sums, response
+from cannoise_jax.signatures.line_sums import LineSums, line_sums, response
 from cannoise_jax.signatures.score import Score, sidak, variance_component
-from cannoise_jax.signatures.signature import (
-    BY_SHIFT,
-    CONTRASTS,
-    NO_LAW,
-    NO_PATTERN,
-    STATIC,
-    Axes,
-    Signature,
-    placed,
-    strength,
-)
+from cannoise_jax.signatures.signature import BY_SHIFT, CONTRASTS, NO_LAW, NO_PATTERN, STATIC, Axes, Signature
 from cannoise_jax.signatures.waves import orthonormal, projected_out, redrawn, rician_fit, without
 
 _NEARLY = 0.1

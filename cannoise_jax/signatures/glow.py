@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.least import (
     Law,
@@ -30,8 +31,6 @@ from cannoise_jax.signatures.signature import (
     Axes,
     Found,
     Signature,
-    as_map,
-    placed,
 )
 
 _REACHES = tuple(0.05 * 2 ** (n / 3) for n in range(10))

@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index, map_contrasts
-from cannoise_jax.signatures.lines import (
+from cannoise_jax.signatures.line_sums import (
     Pixels,
     alone,
     by_own_noise,
@@ -34,8 +35,6 @@ from cannoise_jax.signatures.signature import (
     Found,
     Scales,
     Signature,
-    placed,
-    strength,
 )
 
 

@@ -10,6 +10,7 @@ from scipy import special, stats
 
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.least import (
     Law,
@@ -39,8 +40,6 @@ from cannoise_jax.signatures.signature import (
     Predicted,
     Scales,
     Signature,
-    as_map,
-    placed,
 )
 from cannoise_jax.signatures.sparse import hot_amplitude, hot_found
 

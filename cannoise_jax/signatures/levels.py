@@ -8,6 +8,7 @@ import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import DARK, mosaic_map
+from cannoise_jax.signatures.added import as_map, placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.least import (
     Law,
@@ -31,9 +32,6 @@ from cannoise_jax.signatures.signature import (
     Found,
     Many,
     Signature,
-    as_map,
-    placed,
-    strength,
     unchanged,
 )
 

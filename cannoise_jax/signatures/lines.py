@@ -1,18 +1,19 @@
-"""Offsets and gains common to a row or a column: redrawn in every frame, or frozen."""
+"""Signatures of offsets and gains common to a row or a column: redrawn in every frame, or frozen."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.signatures.fields import Fields, map_contrasts
+from cannoise_jax.signatures.added import draw, placed, posterior, strength
+from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import (
     random_offsets,
 )
-from cannoise_jax.signatures.score import Score, variance_component
+from cannoise_jax.signatures.line_sums import component_score, line_sums, response, static_sums, whiten_lines
+from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
@@ -25,149 +26,7 @@ from cannoise_jax.signatures.signature import (
     Predicted,
     Scales,
     Signature,
-    draw,
-    placed,
-    posterior,
-    strength,
 )
-
-AXES = {"row": 2, "column": 1}
-"""Axis of a [n, h, w] array that is summed over."""
-_SUMS = {"row": ("nij,ij->ni", "ni,ij->nij"), "column": ("nij,ij->nj", "nj,ij->nij")}
-"""From pixels and responses to lines, and back."""
-_MOST_HELD = 2.0
-"""Variance that the modelled noise of one recording may hold of an effect, in units of the fitted one: what a
-few frames draw scatters about it."""
-
-
-class LineSums(NamedTuple):
-    """Scores U and information I of one template per line: U ~ N(0, I) when nothing is there."""
-
-    score: np.ndarray
-    information: np.ndarray
-
-
-def response(field: Fields, scaling: str) -> np.ndarray:
-    """What the standardised field answers to a unit effect: 1/sigma (DN) or signal/sigma (fraction)."""
-    return field.weight if scaling == "additive" else field.relative
-
-
-class Pixels(NamedTuple):
-    """What the pixels of a group show beside the group's own offset, responses weighing them.
-
-    information, fourth: sums of the response squared and to the fourth [groups]; within [n, groups]: sum of
-    the response squared times the residual squared.
-    """
-
-    information: np.ndarray
-    fourth: np.ndarray
-    within: np.ndarray
-
-
-def held_variance(pixels: Pixels) -> np.ndarray:
-    """Variance [groups], in units of the effect, by which the modelled noise exceeds what pixels show beside
-    the offsets of their groups: strong offsets were in the variance that the model was fitted to, per site of
-    the mosaic, so that every other line had its own."""
-    held = np.zeros(pixels.information.shape)
-    for part in (slice(0, None, 2), slice(1, None, 2)):
-        i, q = pixels.information[part], pixels.fourth[part]
-        several = (i > 0) & (q < 0.9 * i**2)  # one pixel is its own offset
-        i, q = i[several], q[several]
-        own = pixels.within[:, part][:, several] / (1 - q / i**2)
-        held[part] = np.sum(i - own) / max(len(own) * float(np.sum(q)), 1e-30)
-    return held
-
-
-def by_own_noise(score: np.ndarray, pixels: Pixels, count: np.ndarray):
-    """Scores scaled to the noise that their own pixels show instead of the modelled one.
-
-    score [n, groups]: sum of response times value; count: pixels of a group. Noise that is uneven or
-    heavy-tailed makes sums of modelled variance 1 vary by more or less, which looks like shared offsets. What
-    the sum itself adds to the squares of its pixels is taken out, and the mean square stays 1 to order
-    1/count^2. Returns the scores and how much more the responses of each group tell than the modelled noise
-    says, a factor for the information: where a strong offset is part of the modelled noise, its amplitude
-    would come out too large without it.
-    """
-    information = np.maximum(pixels.information, 1e-30)
-    share = 1 - held_variance(pixels) * pixels.fourth / information
-    share = np.maximum(share, max(0.05 * float(np.mean(share)), 1e-6))
-    count = np.maximum(count, 4.0)
-    own = pixels.within + share * pixels.fourth / information
-    own = np.maximum(own, 0.05 * share * information) * (count + 2) / count
-    return score * np.sqrt(information / own / share), 1 / share
-
-
-def line_pixels(values: np.ndarray, response: np.ndarray, axis: str) -> Pixels:
-    """The pixels of every line of `values` [n, h, w] beside the line's own offset."""
-    to_lines, to_pixels = _SUMS[axis]
-    square = response.astype(np.float64) ** 2
-    information = square.sum(AXES[axis] - 1)
-    offset = np.einsum(to_lines, values, response) / np.maximum(information, 1e-30)
-    rest = values - np.einsum(to_pixels, offset.astype(np.float32), response)
-    within = np.einsum(to_lines, rest**2, response**2).astype(np.float64)
-    return Pixels(information, np.sum(square**2, AXES[axis] - 1), within)
-
-
-def alone(field: Fields, held: np.ndarray, variance: float, scaling: str) -> Fields:
-    """The field standardised by the noise of single pixels: what the modelled variance holds of a shared
-    effect of this fitted variance, both in units of the effect, is taken out of it. It cannot fall below that
-    of rounding. held: `[H, W]` or broadcasting."""
-    r = response(field, scaling).astype(np.float64)
-    least = np.minimum(field.step**2 / 12 * field.weight.astype(np.float64) ** 2, 1)
-    left = np.maximum(1 - np.clip(held, 0, _MOST_HELD * variance) * r**2, least)
-    root = np.where(r > 0, np.sqrt(left), 1.0).astype(np.float32)
-    return field._replace(
-        sigma=field.sigma * root,
-        shot=np.minimum(field.shot / root**2, 1.0).astype(np.float32),
-        contrasts=field.contrasts / root,
-        static=None if field.static is None else field.static / root,
-    )
-
-
-def line_sums(field: Fields, values: np.ndarray, axis: str, scaling: str, own: bool = True) -> LineSums:
-    """Per line of `values` [n, h, w], after the mean of each field is taken out; own: see `by_own_noise`."""
-    r = response(field, scaling).astype(np.float32)
-    total = float(np.sum(r.astype(np.float64) ** 2))
-    if total == 0:
-        lines = r.shape[0 if axis == "row" else 1]
-        return LineSums(np.zeros((len(values), lines)), np.zeros(lines))
-    frame = np.einsum("nij,ij->n", values, r) / total
-    score = np.einsum(_SUMS[axis][0], values, r).astype(np.float64)
-    information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
-    score = score - frame[:, None] * information
-    left = information * (1 - information / total)
-    if own:
-        score, more = by_own_noise(score, line_pixels(values, r, axis), np.sum(r > 0, axis=AXES[axis] - 1))
-        left = left * more
-    return LineSums(score, left)
-
-
-def line_power(field: Fields, values: np.ndarray, axis: str) -> np.ndarray:
-    """Power of the line means of `values` [n, h, w] by frequency, summed over n; white noise: 1 each."""
-    sums = line_sums(field, values, axis, "additive")
-    x = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
-    return (np.abs(np.fft.rfft(x, axis=1)) ** 2).sum(0) / x.shape[1]
-
-
-def component_score(power, information, dof, scaling, where, scale_variance=0.0) -> Score:
-    """The score of one variance component of offsets (DN) or factors, see `variance_component`."""
-    fit = variance_component(power, information, dof, scale_variance)
-    sigma = np.sqrt(fit.variance)
-    error = fit.error / (2 * sigma) if sigma > 0 else np.sqrt(fit.error)
-    unit = "DN" if scaling == "additive" else "1"
-    cost = 0.5 * np.log(np.sum(dof))
-    return Score(
-        log_p=fit.log_p,
-        gain=fit.gain,
-        penalty=float(cost),
-        amplitude=float(sigma),
-        error=float(error),
-        shift=float(np.sqrt(fit.shift)),
-        power=2,
-        parameters={"sigma": (float(sigma), unit, float(error))},
-        where=where,
-        payload=fit.variance,
-    )
 
 
 def temporal_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score | None:
@@ -201,40 +60,6 @@ def temporal_absorb(
     return tuple(
         whiten_lines(f, axis, scaling, score.payload) if f.lit or scaling == "additive" else f for f in fields
     )
-
-
-def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fields:
-    """Temporal offsets fall on the static field too, with 1/T of their variance per frame. What is left to a
-    line is what its pixels' own noise gives it."""
-    if len(field.contrasts):
-        pixels = line_pixels(field.contrasts, response(field, scaling).astype(np.float32), axis)
-        held = held_variance(pixels)
-        field = alone(field, held[:, None] if axis == "row" else held[None, :], variance, scaling)
-    r = response(field, scaling).astype(np.float32)
-    to_lines, to_pixels = _SUMS[axis]
-    information = np.sum(r.astype(np.float64) ** 2, axis=AXES[axis] - 1)
-    shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
-
-    def function(x: np.ndarray) -> np.ndarray:
-        score = np.einsum(to_lines, x, r) * shrink
-        return x - np.einsum(to_pixels, score.astype(np.float32), r)
-
-    return map_contrasts(field, function)
-
-
-def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> LineSums | None:
-    """Scores of a frozen line pattern shared by all recordings."""
-    score: np.ndarray | float = 0.0
-    information: np.ndarray | float = 0.0
-    for f in fields:
-        if f.static is None or (scaling == "signal" and not f.lit):
-            continue
-        s = line_sums(f, f.static[None], axis, scaling, own=False)
-        if s.information.size < 2:
-            continue
-        score = score + np.sqrt(f.frames) * s.score[0]
-        information = information + f.frames * s.information
-    return LineSums(np.asarray(score), np.asarray(information)) if np.ndim(score) else None
 
 
 def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score | None:

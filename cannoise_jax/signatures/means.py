@@ -5,25 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index, least_squares
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     template,
 )
-from cannoise_jax.signatures.lines import static_sums
+from cannoise_jax.signatures.line_sums import static_sums
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
-from cannoise_jax.signatures.signature import (
-    BY_SHIFT,
-    NO_LAW,
-    OFFSETS,
-    STATIC,
-    Axes,
-    Many,
-    Signature,
-    placed,
-    strength,
-)
+from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, OFFSETS, STATIC, Axes, Many, Signature
 
 
 def project(field: Fields, template: np.ndarray) -> np.ndarray:

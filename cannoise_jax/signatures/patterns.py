@@ -9,12 +9,13 @@ from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import KINDS
+from cannoise_jax.signatures.added import draw, placed, posterior, strength
 from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.least import (
     frame_offsets,
     random_offsets,
 )
-from cannoise_jax.signatures.lines import (
+from cannoise_jax.signatures.line_sums import (
     LineSums,
     Pixels,
     by_own_noise,
@@ -37,10 +38,6 @@ from cannoise_jax.signatures.signature import (
     Predicted,
     Scales,
     Signature,
-    draw,
-    placed,
-    posterior,
-    strength,
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.least import (
     Law,
@@ -30,8 +31,6 @@ from cannoise_jax.signatures.signature import (
     Found,
     Many,
     Signature,
-    as_map,
-    placed,
     unchanged,
 )
 from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -15,7 +16,6 @@ from cannoise_jax.signatures.signature import (
     Addition,
     Found,
     Signature,
-    as_map,
 )
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from cannoise_jax.signatures import covariance
+from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.means import project
 from cannoise_jax.signatures.recorded import Recorded
@@ -26,7 +27,6 @@ from cannoise_jax.signatures.signature import (
     Many,
     Signature,
     by_shift,
-    strength,
     unchanged,
 )
 

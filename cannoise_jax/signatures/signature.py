@@ -12,12 +12,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Mechanism, Scaling
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import Law, Seen
@@ -253,90 +251,3 @@ def by_shift(quoted: Callable[[Score, str], Score] = lambda score, mechanism: sc
 
 
 BY_SHIFT: Limit = by_shift()
-
-
-def as_map(values: np.ndarray) -> Any:
-    """As the chain stores a map: `[1, H, W]`, lines as `[1, H, 1]` or `[1, 1, W]`."""
-    values = np.asarray(values, np.float32)
-    return jnp.asarray(values.reshape((1,) * (3 - values.ndim) + values.shape))
-
-
-def spectrum_values(score: Score, width: int) -> dict[str, float]:
-    """Exponent or frequency of a spectrum, by the grammar's names."""
-    out = {}
-    if "exponent" in score.parameters:
-        out["exponent"] = score.parameters["exponent"][0]
-    if "frequency" in score.parameters:
-        out["frequency"] = abs(score.parameters["frequency"][0])
-    if "frequency_x" in score.parameters:
-        fy, fx = score.parameters["frequency_y"][0], score.parameters["frequency_x"][0]
-        out["frequency"] = _raster_frequency(fy, fx, width)
-    return out
-
-
-def _raster_frequency(fy: float, fx: float, width: int) -> float:
-    """Cycles per pixel of the scan whose aliases are the plane wave (fy, fx): f = fx + n / width
-    nearest to fy."""
-    turns = np.round(fx * width - fy)
-    f = abs((turns + fy) / width)
-    return float(min(f, 1 - f) if f <= 1 else f % 0.5)
-
-
-def strength(
-    parameter: str, *, signed: str | None = None, unit_map: bool = False, by_exposure: bool = False
-) -> Callable[[Found], Addition]:
-    """Adds the mechanism with its amplitude as `parameter` and the measured pattern, if there is one, per
-    unit of it. signed: parameter of the score that has the amplitude's sign; unit_map: the pattern is per
-    unit already; by_exposure: the strength grows with it."""
-
-    def simulate(found: Found) -> Addition:
-        score = found.score
-        value = score.parameters[signed][0] if signed in score.parameters else score.amplitude
-        values = {parameter: value, **spectrum_values(score, found.fields[0].mean.shape[1])}
-        maps = {}
-        if found.pattern is not None:
-            maps = {"field": as_map(found.pattern / (1.0 if unit_map else max(value, 1e-12)))}
-        return Addition(values, maps, found.by_exposure if by_exposure else None)
-
-    return simulate
-
-
-def placed(
-    point: Point | Callable[[Found], Point], *, unit_map: bool = False, by_exposure: bool = False
-) -> Callable[[Found], Addition]:
-    """Adds a finding without a name at a point of the grammar: its amplitude where the point draws its own
-    field, else the measured pattern as strength and map of unit rms. unit_map: the pattern is per unit of the
-    amplitude; by_exposure: the strength grows with it."""
-
-    def place(found: Found) -> Addition:
-        at = point if isinstance(point, Point) else point(found)
-        value, maps = float(found.score.amplitude), {}
-        if found.pattern is not None:
-            shown = found.pattern * value if unit_map else found.pattern
-            if at.over == "pixel":
-                shown = np.broadcast_to(shown, found.size)
-            value = float(np.sqrt(np.mean(np.asarray(shown) ** 2))) or 1.0
-            maps = {"field": jnp.asarray(np.asarray(shown / value)[None], jnp.float32)}
-        values = {amplitude_name(at): value, **spectrum_values(found.score, found.size[1])}
-        if at.time == "telegraph":
-            values["rate"] = 0.5
-        return Addition(values, maps, found.by_exposure if by_exposure else None, at)
-
-    return place
-
-
-def draw(
-    score: np.ndarray, information: np.ndarray, variance: float, rng: np.random.Generator
-) -> Float[np.ndarray, "..."]:
-    """A draw of a pattern of this variance from what is known of it: its estimate, shrunk, and the doubt that
-    is left drawn anew."""
-    mean, doubt = posterior(score, information, variance)
-    return mean + np.sqrt(doubt) * rng.standard_normal(np.shape(score))
-
-
-def posterior(
-    score: np.ndarray, information: np.ndarray, variance: float
-) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Mean and variance of a pattern of normal values of this variance, given scores and information."""
-    doubt = variance / (1 + variance * information)
-    return doubt * score, doubt

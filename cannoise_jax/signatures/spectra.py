@@ -12,13 +12,14 @@ import numpy as np
 from scipy import fft, optimize
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     pink,
 )
-from cannoise_jax.signatures.lines import alone, held_variance, line_pixels, line_sums
+from cannoise_jax.signatures.line_sums import alone, held_variance, line_pixels, line_sums
 from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -29,8 +30,6 @@ from cannoise_jax.signatures.signature import (
     Many,
     Predicted,
     Signature,
-    placed,
-    strength,
 )
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
@@ -23,8 +24,6 @@ from cannoise_jax.signatures.signature import (
     Axes,
     Many,
     Signature,
-    placed,
-    strength,
 )
 
 LAYOUTS = ((2, 2), (1, 4), (1, 8), (4, 1))

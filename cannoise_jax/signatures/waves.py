@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy import fft, optimize, special, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.signatures.added import as_map, spectrum_values
 from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts
 from cannoise_jax.signatures.least import (
     one,
@@ -29,8 +30,6 @@ from cannoise_jax.signatures.signature import (
     Found,
     Many,
     Signature,
-    as_map,
-    spectrum_values,
 )
 
 _PAD = 2

@@ -1,0 +1,113 @@
+"""Codes that are farther apart the brighter they are: lossy compression.
+
+How often a code should have occurred is known from the means of the pixels and their noise. Codes that are
+missing evenly are another mechanism."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from scipy import ndimage, stats
+
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.recorded import Occurred, Recorded
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import FILES, Axes, Signature, unchanged
+
+_LEAST = 20.0
+"""Expected occurrences of a code from which its absence tells."""
+
+
+def occurrences(stacks, fields: tuple[Fields, ...], chosen, step: float) -> Occurred:
+    """Occurrences of every code in all recordings, and the codes that should have occurred: the means of the
+    pixels, spread by the least noise of each sixteenth of the signals."""
+    size = int(65536 // step) + 1
+    counts, expected = np.zeros(size), np.zeros(size)
+    for s, f in zip(stacks, fields, strict=True):
+        used = f.usable & (f.sigma > 1.0 * step)
+        if used.mean() < 0.02:
+            continue
+        means, sigma = f.mean[used], f.sigma[used]
+        if f.static is not None:
+            means = means + f.static[used] * sigma / np.sqrt(f.frames)
+        frames = chosen[s.number][: f.frames]
+        edges = np.unique(np.quantile(means, np.linspace(0, 1, 17)))
+        for low, high in (
+            zip(edges, edges[1:], strict=False) if edges.size > 1 else [(means.min(), means.max())]
+        ):
+            part = (means >= low) & (means <= high)
+            if not part.any():
+                continue
+            each = np.bincount(np.clip(means[part] / step, 0, size - 1).astype(np.int64), minlength=size)
+            width = max(float(np.quantile(sigma[part], 0.05)) / step, 0.3)
+            at = np.flatnonzero(each)
+            reach = int(6 * width) + 1
+            window = slice(max(at[0] - reach, 0), min(at[-1] + reach + 1, size))
+            expected[window] += len(frames) * ndimage.gaussian_filter1d(
+                each[window].astype(float), width, mode="constant", truncate=4
+            )
+        for t in frames:
+            frame = np.asarray(s.recording.frames[t : t + 1])[0]
+            counts += np.bincount((frame // step).astype(np.int64).ravel(), minlength=size)
+    index = np.flatnonzero(expected > _LEAST)
+    return Occurred(index, expected[index], counts[index] == 0, step)
+
+
+def compression_score(fields, *, codes: Occurred, black: float, span: float) -> Score | None:
+    """Codes that never occur, the more of them the brighter. Amplitude: spacing at the white level, DN."""
+    if codes.code.size < 100:
+        return None
+    signal = codes.code * codes.step - black
+    lit = signal > 0.002 * span
+    if lit.sum() < 100:
+        return None
+    signal, missing, expected = signal[lit], codes.missing[lit], codes.expected[lit]
+    order = np.argsort(signal)
+    signal, missing = signal[order], missing[order]
+    log_p = -float(np.sum(np.minimum(expected[order], 60.0)[missing]))
+    parts = np.array_split(np.arange(signal.size), 4)
+    spacing = np.array([len(k) / max(int((~missing[k]).sum()), 1) for k in parts])
+    level = np.array([float(np.mean(signal[k])) for k in parts])
+    low, high = np.concatenate(parts[:2]), np.concatenate(parts[2:])
+    table = [[missing[high].sum(), (~missing[high]).sum()], [missing[low].sum(), (~missing[low]).sum()]]
+    grows = float(np.log(max(stats.fisher_exact(table, alternative="greater")[1], 1e-300)))
+    sure = spacing > 1.02
+    if sure.sum() >= 2 and spacing[sure].max() > 1.15 * spacing.min():
+        exponent = float(np.polyfit(np.log(level[sure]), np.log(spacing[sure]), 1)[0])
+    else:
+        exponent, grows = 0.0, 0.0
+    exponent = float(np.clip(exponent, 0.0, 0.95))
+    at_white = float(spacing[-1] * (span / level[-1]) ** exponent * codes.step)
+    error = 0.05 * at_white
+    both = max(log_p, grows)
+    return Score(
+        log_p=float(np.clip(both, -700, 0)),
+        gain=-log_p if grows < -5 else 0.0,
+        penalty=7.0,
+        amplitude=at_white,
+        error=error,
+        shift=codes.step / 5,
+        power=1,
+        parameters={"step": (at_white, "DN", error), "exponent": (exponent, "1", 0.1)},
+        where={"axis": "signal", "range": [float(level[0]), float(level[-1])]},
+    )
+
+
+def spacing(
+    recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
+) -> Signature:
+    """Codes that are farther apart the brighter they are."""
+    black = float(recorded.black.mean())
+    return plain(
+        name=name,
+        axes=Axes("converter", "signal", "frozen", "signal", "spacing of codes"),
+        reads=FILES,
+        score=partial(compression_score, codes=recorded.occurred, black=black, span=recorded.span),
+        absorb=unchanged,
+        simulate=carried(lambda s: {"step_dn": s.amplitude, "exponent": s.parameters["exponent"][0]}),
+        covers=covers,
+        lifted_by=lifted_by,
+        rare=True,
+    )
