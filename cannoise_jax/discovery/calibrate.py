@@ -31,6 +31,7 @@ from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.recorded import Baseline, Level
 
 _BINS = 8
+"""Half the bins of like signal of a scene, per channel."""
 
 
 def gain_groups(capture: CaptureSet) -> list[float | None]:

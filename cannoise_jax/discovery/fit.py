@@ -20,6 +20,7 @@ from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
+"""A bound on time: longer lists than this are no explanation."""
 _Z90 = 1.645
 """Standard errors on each side of a 90 % interval."""
 

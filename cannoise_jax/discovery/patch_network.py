@@ -21,6 +21,7 @@ from cannoise_jax.signatures.fields import Fields
 SIDE = 32
 _BATCH = 512
 _RIDGE = 10.0
+"""Added to the diagonal of the correlation of the features, of some hundred patches."""
 _LIMIT = 8.0
 """Bound of pixels and of the filters' answers, in standard deviations: no single hot pixel decides."""
 

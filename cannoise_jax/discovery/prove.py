@@ -28,6 +28,7 @@ from cannoise_jax.signatures.signature import Signature
 MOST_JOINT = 4
 """Up to so many findings each is judged with all others in the model."""
 _BLOCKS = 6
+"""Blocks of a jackknife."""
 _LARGE = 5_000_000
 """Values from which a jackknife takes fewer blocks: statistics of large sets take seconds each."""
 _WITHIN_ROWS = ("pixel", "signal", "channel", "amplifier", "block", "edge")

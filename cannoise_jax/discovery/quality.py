@@ -29,6 +29,7 @@ from cannoise_jax.signatures.line_sums import line_power
 _PIT_BINS = 20
 _PIT_MOST = 40_000
 _LEVEL_BINS = 8
+"""Bins of like signal."""
 _LEARNED = 400_000
 """Drawn pixels of each recording from which the composite score learns, at least."""
 _LEAST_USABLE = 0.05

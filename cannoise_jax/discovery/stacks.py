@@ -17,6 +17,7 @@ MOST_FRAMES = 16
 
 
 _DEGREE = 4
+"""Degree of the smooth surface of a flat unless the data ask for more."""
 
 
 class Stack(NamedTuple):

@@ -25,9 +25,13 @@ from cannoise_jax.discovery.patch_network import cut, train
 from cannoise_jax.signatures.fields import Fields, stratum
 
 CONTROL_AREA = 0.6
+"""Area of the injected row noise from which on the test counts as able to tell an effect of that size."""
 _DECISIONS = 4
+"""Decisions that a frame gives at least."""
 _GROUPINGS = 4
+"""Random groupings of patches over which a decision is averaged."""
 _RESAMPLED = 400
+"""Bootstrap draws of an interval: the 5 % quantile of so many is known to 0.1 standard deviations."""
 
 
 class Scored(NamedTuple):

@@ -44,6 +44,7 @@ from cannoise_jax.signatures.signature import (
 from cannoise_jax.signatures.sparse import hot_amplitude, hot_found
 
 _MOST_SHARE = 0.5
+"""Most pixels that may be hot: more are the rule, and no outliers."""
 _STRONG = 2.0
 """Spread of the levels of most pixels, in standard deviations of their noise, from which on every pixel has a
 level of its own and the hot ones are those that stand out from these: beside a map, not in place of it."""

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from cannoise_jax.signatures.fields import channel_index, least_squares, surfaces
 
 _SURFACE = 4
+"""Degree of the surface that a fitted mean takes out of a flat."""
 
 
 class Seen(NamedTuple):

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special, stats
 
 _SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
+"""Shares of rare pixels that are tried."""
 HEATS = tuple(np.exp(np.linspace(np.log(1.5), np.log(200), 14)))
 """Mean heights that are tried, in standard deviations of a pixel's level."""
 EDGES = np.concatenate([np.arange(-8, 8, 0.05), np.geomspace(8, 1e7, 1400)])
@@ -16,6 +17,7 @@ CENTRES = (EDGES[1:] + EDGES[:-1]) / 2
 FAR = 600.0
 """Nats by which one pixel may speak for an effect: beyond, no law of the noise is known so well."""
 _DRAWS = 100
+"""Draws of each mixture for the null law of the likelihood ratio."""
 
 
 def log_ratio_of(u: np.ndarray, mean: np.ndarray | float) -> np.ndarray:

@@ -27,11 +27,15 @@ from cannoise_jax.signatures.rare import (
 )
 
 HOT_SHARE = 5e-4
+"""Share of hot pixels for which the least height is quoted."""
 TELEGRAPH_SHARE = 0.01
 """Shares of the pixels within what sensors show: hot 1e-4 to 1e-3, telegraph one in a hundred or more."""
 _REACH = (0.05, 40.0)
+"""Heights, standard deviations of the noise, among which the least is looked for."""
 _DRAWS = 120
+"""Draws at each height."""
 _CAMERAS = 25
+"""Cameras that are drawn, each with hot pixels of its own."""
 
 
 def hot_amplitude(information: Float[np.ndarray, "h w"], shift: float) -> float:
