@@ -17,6 +17,7 @@ from cannoise_jax.recordings.load import load_recording, open_file, recording_pa
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order
 from cannoise_jax.recordings.recording import (
+    DARK,
     BadInput,
     PerChannel,
     Recording,
@@ -236,7 +237,7 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
         # Metadata may state a read noise below 0: as everywhere, it counts as none.
         stated = (recording.shot, tuple(max(v, 0.0) for v in recording.read))
         nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in stated)
-    elif recording.kind in ("dark", "bias"):
+    elif recording.kind in DARK:
         raise BadInput(
             f"{recording.path}: a {recording.kind} frame shows no shot noise: use a lit recording, or one "
             "that states shot and read"

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.stacks import Stack, steady
-from cannoise_jax.signatures.fields import site
+from cannoise_jax.signatures.fields import site_slices
 from cannoise_jax.signatures.recorded import Level
 
 _STANDS_OUT = 12.0
@@ -68,7 +68,7 @@ def unshared(stacked: Stack, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarr
     pixel, without the noise of the frames: with it, noise would count as drift."""
     out = np.zeros(stacked.mean.shape, np.float32)
     for c in range(4):
-        at = site(c)
+        at = site_slices(c)
         for contrast in stacked.contrasts[:, *at]:
             modes = np.fft.rfft2(steady(contrast, signal[at]))
             power = np.abs(modes) ** 2

@@ -17,6 +17,7 @@ from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
 from cannoise_jax.physics.transfer.table import format_outcome
+from cannoise_jax.recordings.recording import DARK
 
 _RANGE = (0.05, 0.95)
 """Share of saturation between which linearity is judged (EMVA 1288, section 6.7)."""
@@ -52,7 +53,7 @@ def _setting(t: PhotonTransfer) -> dict[str, Any]:
     black = base.black_level if base else first.black_level
     lit = [s for s in t.statistics if s.recording.kind == "flat"]
     lit = lit or [s for s in t.statistics if s.recording.kind == "scene"]
-    dark = [s for s in t.statistics if s.recording.kind in ("dark", "bias")]
+    dark = [s for s in t.statistics if s.recording.kind in DARK]
     points = _points(lit, black)
     straight = _linearity(lit, black, first.white_level)
     return {

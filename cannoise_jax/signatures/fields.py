@@ -74,7 +74,7 @@ def channel_index(size: tuple[int, int]) -> np.ndarray:
     return out
 
 
-def site(c: int) -> tuple[slice, slice]:
+def site_slices(c: int) -> tuple[slice, slice]:
     """The pixels of mosaic site c."""
     return np.s_[c // 2 :: 2, c % 2 :: 2]
 

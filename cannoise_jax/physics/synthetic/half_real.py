@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Key
 from cannoise_jax.physics.core.poisson_gaussian import sample_poisson
 from cannoise_jax.physics.synthetic.scenes import Scene, mosaic
 from cannoise_jax.recordings.codes import detect_code_step
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 
 
 def half_real_recording(
@@ -68,7 +68,7 @@ def half_real_capture_set(
 
     Raises BadInput where the set has no darks.
     """
-    floors = darks.of_kind("dark", "bias")
+    floors = darks.of_kind(*DARK)
     if not floors:
         raise BadInput(f"{darks.path or darks.camera}: no dark frames: record some, lens capped")
     return CaptureSet(
