@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.blind.expected import EXPECTED, card_right, place_right
-from cannoise_jax.blind.judge import Rows, alarm, count, findings, matching, seen, share, told
+from cannoise_jax.blind.judge import Report, Rows, alarm, count, findings, matching, seen, share, told
 from cannoise_jax.blind.listed import NAMES
 
 

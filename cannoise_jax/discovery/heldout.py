@@ -141,14 +141,13 @@ def _score(
     centre = (mean + _centred(shift, field, usable)).astype(np.float32)
     variance = np.where(usable, own, _MASKED).astype(np.float32)
     grid = CodeGrid(float(step))
-    out = []
-    for t in frames:
-        codes = np.asarray(stacked.recording.frames[t : t + 1]).astype(np.float32)
-        codes = np.where(usable, codes, centre)[(slice(None), *part)]
-        out.append(float(crossed_gaussian(codes, centre[part], variance[part], terms, grid)[0]))
+    read = [np.asarray(stacked.recording.frames[t : t + 1])[0].astype(np.float32) for t in frames]
+    codes = np.stack([np.where(usable, frame, centre)[part] for frame in read])
+    # One factorisation serves all frames.
+    out = np.asarray(crossed_gaussian(codes, centre[part], variance[part], terms, grid), np.float64)
     # What the pixels that are not scored added.
     masked = np.log(step) - 0.5 * np.log(2 * np.pi * (_MASKED + step**2 / 12))
-    return np.array(out) - masked * float((~usable[part]).sum())
+    return out - masked * float((~usable[part]).sum())
 
 
 def _by_pixels(field: Fields, found: list[Predicted]) -> Fields:

@@ -107,7 +107,8 @@ def prove(
     pixels = int(base.pixels.sum())
     ordinary = {f.number: f.usable for f in fitted.fields}
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
-    out = []
+    out: list[Proof] = []
+    complete_model: dict[tuple[bool, bool, bool], Scored] = {}
     together = splits.together if any(_pattern(step.named.signature) for step in steps) else None
     for n, step in enumerate(steps):
         fields = beside(steps, n, second.fields)
@@ -124,10 +125,11 @@ def prove(
         if law is not None and pixels:
             rest = [p for p in laws if p is not None and p is not law]
             single = step.named.signature.single_pixels or not masked
-            reference, without = (
-                score_frames(first, second, chosen, some, None if single else ordinary, law)
-                for some in (known, rest)
-            )
+            masks, cut = None if single else ordinary, (single, bool(law.frame), bool(law.column))
+            if cut not in complete_model:  # the same for all findings whose frames are cut alike
+                complete_model[cut] = score_frames(first, second, chosen, known, masks, law)
+            reference = complete_model[cut]
+            without = score_frames(first, second, chosen, rest, masks, law)
             gain, low, high = frame_interval(reference, without)
             scored = int(reference.pixels.sum())
             out.append(Proof(score, gain, low, high, scored, "likelihood", gain - _NUISANCES / 2))

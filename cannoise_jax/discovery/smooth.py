@@ -4,14 +4,15 @@ A surface of degree 4 follows a lamp that leans; the fall-off of a lens (cos^4) 
 leaves more than that, which would be read as sensitivities of rows, columns and pixels. So products of
 orthonormal polynomials are added, two degrees at a time, as long as those of the next degrees hold more than
 chance: judged against the scatter of the pixels themselves, and, for terms that vary along one axis only,
-against the scatter of the means of rows or columns, so that a pattern of columns is not followed.
+against the scatter of the means of rows or columns, so that a pattern of columns is not followed. Where any
+are added, two degrees more are, for what one flat alone lets pass.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import ndimage, stats
 
 START, STOP = 4, 16
 """Degree of the surface that is always fitted, and the highest one that is tried."""
@@ -19,12 +20,12 @@ _CHANCE = 1e-3
 """Chance with which a step is taken where the light has no more to follow: two terms more or less of
 thousands of pixels matter little, so it is not small."""
 _FAR = 6.0
-"""Robust standard deviations beyond which a pixel counts as no more than that."""
+"""Robust standard deviations from its neighbours beyond which a pixel counts as no more than that."""
 
 
 def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP) -> Float[np.ndarray, "h w"]:
-    """What polynomials of degree above `start` add to a fit of degree `start` that leaves `rest` of one site
-    of the mosaic; zeros where they hold no more than chance. Units of `rest`."""
+    """What polynomials of a higher degree than `start` add to a fit of degree `start` that leaves `rest` of a
+    site of the mosaic; zeros where they hold no more than chance. Units of `rest`."""
     height, width = rest.shape
     stop = min(stop, height // 4, width // 4)
     spread = 1.4826 * float(np.median(np.abs(rest)))
@@ -32,13 +33,25 @@ def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP)
     if spread == 0 or stop <= start:
         return fitted
     rows, columns = polynomials(height, stop), polynomials(width, stop)
+    enough = False
     for degree in range(start, stop, 2):
-        limited = fitted + np.clip(rest - fitted, -_FAR * spread, _FAR * spread)
-        if not _needed(limited, rows, columns, degree, min(degree + 2, stop)):
-            break
-        fitted = _project(limited, rows, columns, start, min(degree + 2, stop))
+        limited = _without_points(rest, fitted, spread)
+        if enough or not _needed(limited, rows, columns, degree, min(degree + 2, stop)):
+            if enough or degree == start:
+                break
+            enough = True  # one step more: what one flat lets pass shows in several together
+        # All degrees anew: the fit that left `rest` set aside what it could not follow.
+        fitted = _project(limited, rows, columns, -1, min(degree + 2, stop))
         spread = 1.4826 * float(np.median(np.abs(rest - fitted)))
     return fitted
+
+
+def _without_points(rest: np.ndarray, fitted: np.ndarray, spread: float) -> Float[np.ndarray, "h w"]:
+    """The values with single ones no farther than `_FAR` from those around them. A dark corner is no outlier,
+    however far it lies from the fit."""
+    left = rest - fitted
+    around = ndimage.median_filter(left, 5, mode="nearest")
+    return fitted + around + np.clip(left - around, -_FAR * spread, _FAR * spread)
 
 
 def polynomials(count: int, degree: int) -> Float[np.ndarray, "n k"]:

@@ -178,10 +178,15 @@ def detected_step(capture: CaptureSet) -> float:
 
 
 def robust_mean(values: np.ndarray) -> float:
-    """Mean of the values within six robust standard deviations of their median."""
+    """Mean of the values within six robust standard deviations of their median. Where most of them are one
+    code, those that are not tell the spread: without them the mean would be that code."""
     centre = np.median(values)
-    spread = max(1.4826 * np.median(np.abs(values - centre)), 1e-6)
-    return float(values[np.abs(values - centre) < 6 * spread].mean())
+    away = np.abs(values - centre)
+    spread = 1.4826 * np.median(away)
+    if spread < 1e-6:
+        others = away[away > 1e-6]
+        spread = float(np.median(others)) if others.size else 1e-6
+    return float(values[away < 6 * spread].mean())
 
 
 def reference(recording: Recording) -> np.ndarray:
