@@ -149,19 +149,36 @@ def second_look(
 def _forward(
     search: Search, steps: list[Step], fields: tuple[Fields, ...], located: Located, given_up: set[str]
 ) -> tuple[list[Step], tuple[Fields, ...], Located]:
-    """Steps added until nothing is rejected, what is left of the fields, and the last pass of the battery."""
-    steps = list(steps)
-    while len(steps) < MOST_STEPS:
+    """Steps added until nothing is rejected, what is left of the fields, and the last pass of the battery.
+
+    What was not rejected is looked at again only once all that was rejected is taken out: most of a pass
+    over large frames goes to statistics of effects that are not there.
+    """
+    steps, old = list(steps), set[str]()
+    while True:
         active = _active(search.signatures, steps, given_up)
-        named = name(located, active, search.allowed, search.level)
+        full = len(steps) == MOST_STEPS
+        named = None if full else name(located, active, search.allowed, search.level)
         if named is None:
-            break
+            if not old:
+                return steps, fields, located
+            located = locate(
+                fields, active, search.tests, {n: s for n, s in located.scores.items() if n not in old}
+            )
+            old = set()
+            continue
         search.tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
         steps.append(Step(named, fields, located.log_p[named.signature.name]))
         previous, fields = fields, refit(named.signature.absorb(fields, named.score), fields)
         active = _active(search.signatures, steps, given_up)
-        located = locate(fields, active, search.tests, known(located, previous, fields, active))
-    return steps, fields, located
+        same = known(located, previous, fields, active)
+        put_off = {
+            s.name: located.scores[s.name]
+            for s in active
+            if s.name not in same and located.log_p.get(s.name, -np.inf) >= search.level
+        }
+        old = {s.name for s in active if s.name in old} | put_off.keys()
+        located = locate(fields, active, search.tests, {**same, **put_off})
 
 
 def _active(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import Signature
+
+_WORKERS = 2
+"""Signatures that are computed at once: each holds arrays as large as the recordings."""
 
 
 class Located(NamedTuple):
@@ -33,11 +37,13 @@ def locate(
     judged by Sidak's bound with weights (Genovese, Roeder & Wasserman 2006) over `tests`, the sum of the
     weights times `Multiplicity.effective`. known: scores that need not be computed again.
     """
-    scores = {}
-    for signature in signatures:
-        score = known[signature.name] if known and signature.name in known else signature.score(fields)
-        if score is not None:
-            scores[signature.name] = score
+    scores = dict(known or {})
+    missing = [s for s in signatures if s.name not in scores]
+    # They are independent and spend their time in NumPy, which lets others run meanwhile.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        each = zip(missing, pool.map(lambda s: s.score(fields), missing), strict=True)
+        scores |= {s.name: score for s, score in each if score is not None}
+    scores = {s.name: scores[s.name] for s in signatures if s.name in scores}
     number = tests or SHARED.effective * sum(p.weight for p in signatures if p.name in scores)
     share = {p.name: p.weight for p in signatures}
     return Located(scores, {n: sidak(s.log_p, number / share[n]) for n, s in scores.items()}, number)

@@ -22,6 +22,7 @@ from scipy import ndimage, stats
 
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
@@ -60,6 +61,7 @@ def _limit(field: Fields) -> np.ndarray:
     return np.interp(skewness, np.append(0, grid), np.append(FAR, at))
 
 
+@remembered("contrasts", "static", "usable", "sigma", "signal")
 def _spikes(field: Fields) -> Spikes | None:
     """Frames that stand alone, far above or below the others of their pixel."""
     if field.frames + min(field.before, 2) < 3 or np.median(field.sigma) < 0.4 * field.step:

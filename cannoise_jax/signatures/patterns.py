@@ -22,6 +22,7 @@ from cannoise_jax.signatures.line_sums import (
     component_score,
     response,
 )
+from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -143,6 +144,7 @@ def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, .
     return float(sum((s / total) ** 2 * e for s, e in zip(shares, errors, strict=True)))
 
 
+@remembered("contrasts", "usable")
 def noise_tails(field: Fields) -> tuple[float, float]:
     """Excess kurtosis of the noise of single frames by that of the contrasts, not below 0, and the share of
     it that a contrast keeps."""
