@@ -8,6 +8,7 @@ from cannoise_jax.discovery.battery import splits_of
 from cannoise_jax.discovery.locate import locate
 from cannoise_jax.discovery.name import name
 from cannoise_jax.discovery.smooth import beyond, polynomials
+from cannoise_jax.discovery.stacks import robust_mean
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.codes import _above_the_law
@@ -97,3 +98,31 @@ def test_only_a_rail_makes_the_lowest_code_too_frequent():
         piled[0] += int(1e5 * stats.norm.cdf((-0.5 - mean) / sigma))
         if sigma > 1:
             assert _above_the_law(piled) < np.log(1e-6)
+
+
+def test_a_dark_corner_far_from_the_fit_is_followed_not_set_aside():
+    """Fall-off to a quarter about a point beside the middle: one corner is darker than all others."""
+    rng = np.random.default_rng(3)
+    y, x = np.indices((48, 64))
+    away = np.hypot(y - 28, x - 27) / np.hypot(24, 32)
+    light = 10_000 / (1 + away**2) ** 2
+    basis = [(a**i) * (b**j) for a, b in [(y / 24 - 1, x / 32 - 1)] for i in range(5) for j in range(5 - i)]
+    stack = np.stack([b.ravel() for b in basis], 1)
+    noisy = light + 30 * rng.standard_normal(light.shape)
+    rest = (noisy.ravel() - stack @ np.linalg.lstsq(stack, noisy.ravel(), rcond=None)[0]).reshape(light.shape)
+    # As a robust fit leaves it, that set the corner aside.
+    rest[:8, -8:] -= 200 * np.exp(-(y[:8, -8:] + (63 - x[:8, -8:])) / 4.0)
+    rest[20, 20] += 5_000  # a hot pixel
+    left = rest - beyond(rest)
+    assert abs(np.mean(left[:4, -4:])) < 30 and abs(left[20, 20] - 5_000) < 150
+    assert abs(np.median(left)) < 5
+
+
+@pytest.mark.parametrize("black", [64.0, 63.85])
+def test_the_level_of_a_dark_is_its_mean_where_most_values_are_one_code(black):
+    codes = np.round(black + 0.3 * np.random.default_rng(4).standard_normal((4, 96, 128)))
+    assert robust_mean(codes.mean(0)) == pytest.approx(codes.mean(), abs=2e-3)
+    codes[:, 5, 7] = 900  # a hot pixel is none of it
+    assert robust_mean(codes.mean(0)) == pytest.approx(
+        np.delete(codes.mean(0).ravel(), 5 * 128 + 7).mean(), abs=2e-3
+    )
