@@ -44,13 +44,15 @@ def _run(arguments: argparse.Namespace) -> int:
     for path in beside.values():
         check_file(path, path.suffix, arguments.force)
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import check_usable
+    from cannoise_jax.recordings.usable import usable
 
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, file=sys.stderr, flush=True)
-    check_usable(capture)
+    capture, left_out = usable(capture)
+    for line in left_out:
+        print(f"bin/calibrate: {line}", file=sys.stderr, flush=True)
 
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model

@@ -57,14 +57,16 @@ def main(argv: list[str] | None = None) -> int:
 def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tuple[list[Comparison], Any]:
     """One comparison a simulator, and which of two is nearer."""
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import check_usable
+    from cannoise_jax.recordings.usable import usable
 
     capture, plan = capture_of(
         arguments.recordings, options(arguments), cache_folder(), progress("reading files")
     )
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    check_usable(capture)
+    capture, left_out = usable(capture)
+    for line in left_out:
+        print(f"bin/compare: {line}", file=sys.stderr, flush=True)
 
     import jax
 

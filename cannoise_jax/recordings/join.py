@@ -14,7 +14,7 @@ from cannoise_jax.recordings.metadata import FIELDS
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 # What may drift from file to file while the setting stays the same.
-_DRIFTING = ("temperature_c",)
+_DRIFTING = ("temperature_c", "egain")
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
@@ -36,6 +36,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         first,
         frames=frames,
         clean=clean,
+        egain=first.egain if {r.egain for r in recordings} == {first.egain} else None,
         temperature_c=float(np.mean(known)) if len(known) == len(recordings) else None,
     )
 

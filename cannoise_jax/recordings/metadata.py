@@ -106,6 +106,7 @@ def make_recording(
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
         gain_db=_optional(path, stated, "gain_db"),
+        egain=_optional(path, stated, "egain", least=1e-6),
         exposure_s=_optional(path, stated, "exposure_s", least=0),
         temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
         shot=_optional_channels(path, stated, "shot", least=0),

@@ -194,7 +194,7 @@ def test_amplifiers_are_put_where_they_lie(tmp_path):
 )
 def test_a_gain_is_no_iso(tmp_path, camera, gain, expected):
     opened = open_fits(write(tmp_path / "a.fits", FRAMES[0], INSTRUME=camera, GAIN=gain))
-    said = (opened.known["iso"], opened.known["gain_db"], opened.about["gain_setting"], opened.about["egain"])
+    said = (opened.known["iso"], opened.known["gain_db"], opened.about["gain_setting"], opened.known["egain"])
     assert said == (None if expected[0] is None else pytest.approx(expected[0]), *expected[1:])
 
 
