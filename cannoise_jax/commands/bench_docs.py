@@ -64,7 +64,8 @@ def block(result: Result, older: bool, root: Path, page: Path) -> str:
         path = Path(*[".."] * (len(page.relative_to(root).parts) - 1), "docs", figure["file"])
         if page.is_relative_to(root / "docs"):  # the site's pages see docs/ as their root
             path = Path(*[".."] * (len(page.relative_to(root / "docs").parts) - 1), figure["file"])
-        parts.append(f"![{figure['caption']}]({path.as_posix()})\n*{figure['caption']}*")
+        place = path.as_posix()
+        parts.append(f"[![{figure['caption']}]({place})]({place})\n*{figure['caption']}*")
     parts += result.notes
     parts.append(origin(result, older))
     return "\n\n".join(parts)
