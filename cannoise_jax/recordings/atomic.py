@@ -8,6 +8,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from cannoise_jax.recordings.recording import BadInput
 
@@ -32,6 +33,24 @@ def _runs(process: int) -> bool:
     except OSError:
         return True
     return True
+
+
+@contextlib.contextmanager
+def file_in_place(path: Path) -> Iterator[BinaryIO]:
+    """A file beside its place to write to, moved there when the block has ended without an error.
+
+    Raises BadInput where it cannot be written.
+    """
+    remove_leftovers(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with temporary.open("wb") as file:
+            yield file
+        os.replace(temporary, path)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror}): make room for it") from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -21,7 +21,10 @@ import time
 import traceback
 import warnings
 
-PRELOADED = ("convert", "calibrate", "sample", "simulate", "train", "diagnose", "bench", "blind")
+PRELOADED = (
+    *("convert", "calibrate", "sample", "simulate", "train", "diagnose", "compare", "evaluate", "denoise"),
+    *("bench", "blind"),
+)
 
 
 def main() -> int:
