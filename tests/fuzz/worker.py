@@ -26,11 +26,18 @@ PRELOADED = (
     *("bench", "blind"),
 )
 
+READERS = (
+    *("h5py", "astropy.io.fits", "tifffile", "rawpy", "PIL.Image", "jax.numpy"),
+    *("cannoise_jax.sampling", "cannoise_jax.recordings.folders.store"),
+)
+
 
 def main() -> int:
     warnings.filterwarnings("ignore", category=RuntimeWarning, message=r".*fork.*")
     for name in PRELOADED:
         importlib.import_module(f"cannoise_jax.commands.{name}")
+    for name in READERS:
+        importlib.import_module(name)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a module prints is no answer
     for line in sys.stdin:
