@@ -47,10 +47,17 @@ class Worker:
             text=True,
         )
 
-    def run(self, case: Case, folder: Path, seconds: float = 8 * SECONDS, ready: Path | None = None) -> dict:
-        """seconds: until it is killed, counted from when `ready` is there, if named."""
+    def run(
+        self,
+        case: Case,
+        folder: Path,
+        seconds: float = 8 * SECONDS,
+        ready: Path | None = None,
+        cpu: float = SECONDS,
+    ) -> dict:
+        """seconds: until it is killed, counted from when `ready` is there, if named. cpu: time of a core."""
         job = {"target": case.target, "argv": case.argv, "cwd": str(folder), "ready": str(ready or "")}
-        job |= {"seconds": seconds, "cpu": SECONDS, "gigabytes": GIGABYTES}
+        job |= {"seconds": seconds, "cpu": cpu, "gigabytes": GIGABYTES}
         self.process.stdin.write(json.dumps(job) + "\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
