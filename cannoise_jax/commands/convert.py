@@ -48,6 +48,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     from cannoise_jax.recordings.join import join_recordings
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
+    from cannoise_jax.recordings.usable import copies
 
     missing = next((path for path in inputs if not path.exists() and not path.is_symlink()), None)
     if missing is not None:
@@ -58,7 +59,15 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         raise BadInput(f"{output}: exists: name another file, or replace it with --force")
     if not output.parent.is_dir():
         raise BadInput(f"{output}: no such folder {output.parent}")
-    recording = join_recordings([load_recording(path, **given) for path in inputs])
+    loaded = [load_recording(path, **given) for path in inputs]
+    recording = join_recordings(loaded)
+    twice = copies(loaded) if len(loaded) > 1 else {}
+    for number, first in twice.items():
+        print(
+            f"bin/convert: {inputs[number]}: the same pixels as {inputs[first]}: used once", file=sys.stderr
+        )
+    if twice:
+        recording = join_recordings([r for number, r in enumerate(loaded) if number not in twice])
     write_recording(output, recording)
     return recording
 
@@ -103,7 +112,8 @@ def _inside(path: Path, folder: Path) -> bool:
 
 def _line(path: Path, recording: Recording) -> str:
     size = "{} x {}".format(*recording.size)
-    return f"{path}: {recording.count} frames of {size}, {recording.cfa}, {recording.camera}"
+    frames = f"{recording.count} frame{'s' * (recording.count > 1)}"
+    return f"{path}: {frames} of {size}, {recording.cfa}, {recording.camera}"
 
 
 def _gathered(argv: list[str]) -> list[str]:

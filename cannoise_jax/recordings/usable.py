@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -44,6 +45,20 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
         raise BadInput(f"{lines[0]}{more}; too few frames are left")
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(f"{line}: left out" for line in lines)
+
+
+def copies(recordings: Sequence[Recording]) -> dict[int, int]:
+    """Recordings that hold the same pixels as an earlier one: the number of each, and of the earlier one."""
+    seen: dict[tuple, int] = {}
+    out: dict[int, int] = {}
+    for number, recording in enumerate(recordings):
+        whole = hashlib.blake2b(digest_size=16)
+        for part in chunks(recording.frames):
+            whole.update(part.tobytes())
+        first = seen.setdefault((tuple(recording.frames.shape), whole.digest()), number)
+        if first != number:
+            out[number] = first
+    return out
 
 
 def fault_of(frame: np.ndarray, white: float = 65536.0) -> str | None:
