@@ -92,14 +92,14 @@ def _write(arguments: argparse.Namespace, found: list[Comparison], result: Any) 
     from cannoise_jax.discovery.compare import document
     from cannoise_jax.discovery.compare.page import page
     from cannoise_jax.discovery.compare.report import better_document
-    from cannoise_jax.recordings.atomic import texts_in_place
+    from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
     report: dict[str, Any] = {"comparisons": [document(c) for c in found]}
     if result is not None:
         report["better"] = better_document(found[0], found[1], result)
     texts = (json.dumps(report, indent=1, allow_nan=False) + "\n", page(tuple(found), result))
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    with texts_in_place({arguments.out / n: t for n, t in zip(_FILES, texts, strict=True)}):
+    places = {arguments.out / n: t for n, t in zip(_FILES, texts, strict=True)}
+    with new_folder(arguments.out), texts_in_place(places):
         pass
 
 

@@ -7,6 +7,7 @@ from cannoise_jax.commands.simulate import main
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
+from cannoise_jax.recordings.recording import BadInput
 
 
 @pytest.fixture
@@ -186,3 +187,14 @@ def test_catalogue_entry_has_its_pictures_and_words():
     entry = catalogue.said_of(MECHANISMS["row_noise"])
     assert all(len(entry[name]) > 2000 for name in ("picture", "signature")) and entry["equation"]
     assert "darks" in entry["needs"] and "readout" in entry["place"] and "gain^1" in entry["scales"]
+
+
+def test_a_full_disk_leaves_no_folder(tmp_path, monkeypatch, capsys):
+    def full(path, recording):
+        raise BadInput(f"{path}: cannot be written: no space left on the disk")
+
+    monkeypatch.setattr("cannoise_jax.recordings.native.write_recording", full)
+    out = tmp_path / "a" / "b"
+    arguments = ["--sensor", "preset:sony_a7s2", "--clean", "dark", "--size", "16x16", "--out", str(out)]
+    assert main(arguments) == 2 and "no space" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()

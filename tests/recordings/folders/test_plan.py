@@ -289,3 +289,18 @@ def test_files_of_one_value_are_left_out_and_said(tmp_path):
         path.unlink()
     blanks = plan_folder(tmp_path)
     assert blanks.sets == () and "every pixel is 0" in blanks.problems[0]
+
+
+def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_path, monkeypatch):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    (cache / ".making-999999999-x").mkdir(parents=True)
+    capture_of(folder, Options({}), cache)
+    assert len(list(cache.iterdir())) == 1
+
+    def full(path, recording):
+        raise BadInput(f"{path}: cannot be written: no space left on the disk")
+
+    monkeypatch.setattr("cannoise_jax.recordings.folders.store.write_recording", full)
+    with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
+        capture_of(folder, Options({"camera": "X"}), cache)
+    assert len(list(cache.iterdir())) == 1
