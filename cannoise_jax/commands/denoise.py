@@ -70,7 +70,6 @@ def _train(arguments, argv) -> None:
     sensors = _sensors(labels, capture, arguments.workdir)
     for exposure, data in every.items():
         folder = arguments.workdir / "denoisers" / f"{_slug(data.camera)}_{exposure:g}s"
-        _make(folder)
         clean = None
         for label, name in labels.items():
             source = None
@@ -97,6 +96,7 @@ def _train(arguments, argv) -> None:
 
                     made = train_denoiser(recipe, source, clean, data.cfa, seed, about, tell)
                 made.about["seconds"] = round(time.monotonic() - started, 1)
+                _make(folder)
                 save_denoiser(path, made)
                 print(path, flush=True)
 
