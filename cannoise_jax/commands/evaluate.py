@@ -153,11 +153,12 @@ def _plain(value: Any) -> Any:
 def _text(table: dict[str, Any]) -> str:
     """A table for a terminal: values with half the width of their intervals."""
     from cannoise_jax.evaluation.results_page import number
+    from cannoise_jax.physics.transfer.table import aligned
 
     columns = [
         c for c in table["columns"] if not all(isinstance(r.get(c), str) for r in table["rows"].values())
     ]
-    lines = [table["title"], f"{'':<20}" + "".join(f"{c:>22}" for c in columns)]
+    rows = [["", *columns]]
     for name, row in table["rows"].items():
         cells = []
         for c in columns:
@@ -167,8 +168,8 @@ def _text(table: dict[str, Any]) -> str:
                 continue
             about = f" [{number(value['low'])}, {number(value['high'])}]" if value["low"] is not None else ""
             cells.append(number(value["value"]) + about)
-        lines.append(f"{name:<20}" + "".join(f"{c:>22}" for c in cells))
-    return "\n".join([*lines, table["note"], ""])
+        rows.append([name, *cells])
+    return "\n".join([table["title"], *aligned(rows), table["note"], ""])
 
 
 def _made(folder: Path) -> None:
