@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import cache_folder, command, counted, progress
 from cannoise_jax.commands.outputs import check_file
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--out",
         required=True,
-        type=Path,
+        type=place,
         metavar="FILE",
         help="the sensor.json to write; STEM_emva1288.html and others beside it",
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
         "NPY, NPZ, PGM, grey PNG, HDF5, and scene folders of SIDD. Names that tell the kind of a file "
         "or its folder: bias, zero, offset; dark; flat; light.",
     )
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help="inputs, and the output last")
+    parser.add_argument("paths", nargs="+", type=place, metavar="PATH", help="inputs, and the output last")
     parser.add_argument("--dry-run", action="store_true", help="print the plan of a folder and write nothing")
     add_recording_flags(parser, single=True)
     parser.add_argument("--force", action="store_true", help="replace outputs that exist")

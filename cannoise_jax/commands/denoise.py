@@ -20,7 +20,7 @@ from typing import Any
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.outputs import check_file, check_folder
-from cannoise_jax.commands.parser import OneLineParser, count, folder
+from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
@@ -337,10 +337,12 @@ def _parser() -> argparse.ArgumentParser:
     test.add_argument("--scenes", type=count, default=_TEST_SCENES, help="clean test images")
     test.add_argument("--force", action="store_true", help="replace results that exist")
     apply = verbs.add_parser("apply", help="denoises a recording of any size, tile by tile")
-    apply.add_argument("--denoiser", required=True, type=Path, metavar="FILE", help="RUN/denoisers/.../*.npz")
-    apply.add_argument("--recording", required=True, type=Path, metavar="FILE", help="of any format")
     apply.add_argument(
-        "--out", required=True, type=Path, metavar="FILE.npy", help="DN above black / full scale"
+        "--denoiser", required=True, type=place, metavar="FILE", help="RUN/denoisers/.../*.npz"
+    )
+    apply.add_argument("--recording", required=True, type=place, metavar="FILE", help="of any format")
+    apply.add_argument(
+        "--out", required=True, type=place, metavar="FILE.npy", help="DN above black / full scale"
     )
     apply.add_argument("--force", action="store_true", help="replace a file that exists")
     return parser

@@ -146,6 +146,13 @@ def assignment(text: str) -> tuple[str, str]:
     return pattern, kind
 
 
+def place(text: str) -> Path:
+    """The name of a file or folder. Raises argparse.ArgumentTypeError for an empty one."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("an empty name: name a file or folder")
+    return Path(text)
+
+
 def folder(text: str) -> Path:
     """The name of a folder. Raises argparse.ArgumentTypeError for an empty one: that is the current."""
     if not text.strip():

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
-from cannoise_jax.commands.parser import OneLineParser
+from cannoise_jax.commands.parser import OneLineParser, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--out",
         metavar="PATH",
-        type=Path,
+        type=place,
         required=True,
         help="folder for the recordings, SCENE_isoISO_EXPOSUREs.h5, or the page's file",
     )

@@ -16,6 +16,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
         ("in/none.h5", "out/a.h5"),
         ("in/a.h5", "out/a.h5", "--frobnicate"),
         ("in/a.h5", "in/a.h5"),
+        ("", "out/x"),
     ),
     "calibrate": (
         (),
@@ -49,6 +50,8 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
         ("--model", "in/none", "--clean", "in/a.h5", "--reference", "in/a.h5", "--out", "out"),
         ("--model", "in", "--clean", "in/a.h5", "--reference", "in/a.h5", "--out", "out", "--frames", "0"),
         ("--model", "in", "--clean", "in/a.h5", "--reference", "in/a.h5", "--out", "out", "--seed", "x"),
+        ("--model", "in", "--clean", "", "--reference", "in/a.h5", "--out", "out"),
+        ("--model", "in", "--clean", "in/a.h5", "--reference", "in/a.h5", "--out", ""),
     ),
     "train": (
         (),
