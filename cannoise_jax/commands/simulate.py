@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.commands.parser import OneLineParser, place
 from cannoise_jax.recordings.recording import BadInput
 
@@ -39,7 +40,8 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.catalogue:
             from cannoise_jax.mechanisms.catalogue import write_catalogue
 
-            write_catalogue(arguments.out)
+            check_file(arguments.out, ".html", arguments.force)
+            write_catalogue(arguments.out, tell=progress("drawing mechanisms"))
             print(f"{arguments.out}: the catalogue of mechanisms")
             return 0
         for path, recording in _recordings(arguments):
