@@ -160,7 +160,8 @@ def unsound(path: Path) -> list[str]:
         return [f"wrote what cannot be read: {error}"]
     stated = [recording.iso, recording.exposure_s, recording.temperature_c]
     numbers = [*recording.black_level, recording.white_level, *(v for v in stated if v is not None)]
-    if not (np.isfinite(numbers).all() and max(recording.black_level) < recording.white_level <= 65535):
+    # A white level beyond 16 bits is a mistake that can be found, and is kept as the file states it.
+    if not (np.isfinite(numbers).all() and max(recording.black_level) < recording.white_level <= 2**20):
         return [f"wrote levels {recording.black_level}, {recording.white_level}, {stated}"]
     return [] if values.ndim == 3 and values.size else [f"wrote frames {values.shape}"]
 
