@@ -16,6 +16,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from cannoise_jax.commands.parser import place
 from cannoise_jax.commands.published import FOLDER, Result, is_older, read_results, write_result
 from cannoise_jax.recordings.recording import BadInput
 
@@ -64,7 +65,8 @@ def block(result: Result, older: bool, root: Path, page: Path) -> str:
         path = Path(*[".."] * (len(page.relative_to(root).parts) - 1), "docs", figure["file"])
         if page.is_relative_to(root / "docs"):  # the site's pages see docs/ as their root
             path = Path(*[".."] * (len(page.relative_to(root / "docs").parts) - 1), figure["file"])
-        parts.append(f"![{figure['caption']}]({path.as_posix()})\n*{figure['caption']}*")
+        link = path.as_posix()
+        parts.append(f"[![{figure['caption']}]({link})]({link})\n*{figure['caption']}*")
     parts += result.notes
     parts.append(origin(result, older))
     return "\n\n".join(parts)
@@ -114,7 +116,7 @@ def add_docs(commands: Any) -> None:
     """The flags of `bin/bench docs`, to the parser's commands."""
     docs = commands.add_parser("docs", help="renders README.md and docs/ from docs/results")
     docs.add_argument("--check", action="store_true", help="write nothing; status 2 where a page differs")
-    docs.add_argument("--take", type=Path, metavar="FILE", help="a file that a command wrote, as a result")
+    docs.add_argument("--take", type=place, metavar="FILE", help="a file that a command wrote, as a result")
     docs.add_argument("--name", metavar="NAME", help="of the result that --take makes or replaces")
     docs.add_argument("--title", metavar="TEXT", help="its title (default: that of the one before, or NAME)")
     docs.add_argument(

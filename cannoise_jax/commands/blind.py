@@ -24,7 +24,7 @@ from typing import Any
 
 from cannoise_jax.blind.compose import PARTS, SHARES
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, count
+from cannoise_jax.commands.parser import OneLineParser, count, place
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 
@@ -222,8 +222,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/blind", description=__doc__.split("\n\n")[0])
     steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real|size")
     step = steps.add_parser("seal", prog="bin/blind seal", help="capture sets, and their truth elsewhere")
-    step.add_argument("--out", type=Path, required=True, help="folder for the sets")
-    step.add_argument("--truth", type=Path, required=True, help="file for the truth, outside of that folder")
+    step.add_argument("--out", type=place, required=True, help="folder for the sets")
+    step.add_argument("--truth", type=place, required=True, help="file for the truth, outside of that folder")
     step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
     step.add_argument("--sets", type=_whole, default=400, help="sets to diagnose")
     step.add_argument("--nulls", type=_whole, help="located only (default three for every four sets)")
@@ -236,30 +236,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     step.set_defaults(step=_seal)
     step = steps.add_parser("run", prog="bin/blind run", help="diagnose every set, commit to the claims")
-    step.add_argument("--sets", type=Path, required=True, help="folder that bin/blind seal wrote")
-    step.add_argument("--out", type=Path, required=True, help="folder for the claims")
+    step.add_argument("--sets", type=place, required=True, help="folder that bin/blind seal wrote")
+    step.add_argument("--out", type=place, required=True, help="folder for the claims")
     step.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help="part I of N of the sets")
     step.set_defaults(step=_run)
     step = steps.add_parser("score", prog="bin/blind score", help="open the truth, score the claims")
-    step.add_argument("--sets", type=Path, required=True, help="folder that bin/blind seal wrote")
-    step.add_argument("--claims", type=Path, required=True, help="folder that bin/blind run wrote")
-    step.add_argument("--truth", type=Path, required=True, help="file that bin/blind seal wrote")
-    step.add_argument("--out", type=Path, help="folder for blind.html and blind.json (that of the claims)")
+    step.add_argument("--sets", type=place, required=True, help="folder that bin/blind seal wrote")
+    step.add_argument("--claims", type=place, required=True, help="folder that bin/blind run wrote")
+    step.add_argument("--truth", type=place, required=True, help="file that bin/blind seal wrote")
+    step.add_argument("--out", type=place, help="folder for blind.html and blind.json (that of the claims)")
     step.add_argument("--quick", action="store_true", help="leave out the true model's gain and MDE")
     step.add_argument("--jobs", type=count, default=1, help="processes for those two")
     step.set_defaults(step=_score)
     step = steps.add_parser("develop", prog="bin/blind develop", help="figures of fixed development sets")
-    step.add_argument("--figures", type=Path, required=True, help="file of recorded figures, written anew")
+    step.add_argument("--figures", type=place, required=True, help="file of recorded figures, written anew")
     step.add_argument("--slow", action="store_true", help="the sixty sets, not the ten")
     step.add_argument(
-        "--work", type=Path, help="folder for sets and claims, to go on in later; else a temporary"
+        "--work", type=place, help="folder for sets and claims, to go on in later; else a temporary"
     )
     step.set_defaults(step=_develop)
     step = steps.add_parser(
         "real", prog="bin/blind real", help="concealment in real recordings of one camera"
     )
-    step.add_argument("--recordings", type=Path, required=True, help="folder of recordings of one camera")
-    step.add_argument("--out", type=Path, required=True, help="folder for real.json")
+    step.add_argument("--recordings", type=place, required=True, help="folder of recordings of one camera")
+    step.add_argument("--out", type=place, required=True, help="folder for real.json")
     step.add_argument(
         "--parts", type=_parts, default=PARTS, metavar="PART,...", help=f"some of {', '.join(PARTS)}"
     )
@@ -267,7 +267,7 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted")
     step.set_defaults(step=_real)
     step = steps.add_parser("size", prog="bin/blind size", help="false alarms of the search, by simulation")
-    step.add_argument("--out", type=Path, required=True, help="folder for the lines of all replicates")
+    step.add_argument("--out", type=place, required=True, help="folder for the lines of all replicates")
     step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
     step.add_argument("--replicates", type=count, default=2000, help="capture sets")
     step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="pixels")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import cache_folder, command, counted, progress
 from cannoise_jax.commands.outputs import check_file
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -44,13 +44,15 @@ def _run(arguments: argparse.Namespace) -> int:
     for path in beside.values():
         check_file(path, path.suffix, arguments.force)
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import check_usable
+    from cannoise_jax.recordings.usable import usable
 
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, file=sys.stderr, flush=True)
-    check_usable(capture)
+    capture, left_out = usable(capture)
+    for line in left_out:
+        print(f"bin/calibrate: {line}", file=sys.stderr, flush=True)
 
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model
@@ -162,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--out",
         required=True,
-        type=Path,
+        type=place,
         metavar="FILE",
         help="the sensor.json to write; STEM_emva1288.html and others beside it",
     )

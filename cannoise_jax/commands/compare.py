@@ -57,14 +57,16 @@ def main(argv: list[str] | None = None) -> int:
 def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tuple[list[Comparison], Any]:
     """One comparison a simulator, and which of two is nearer."""
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import check_usable
+    from cannoise_jax.recordings.usable import usable
 
     capture, plan = capture_of(
         arguments.recordings, options(arguments), cache_folder(), progress("reading files")
     )
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    check_usable(capture)
+    capture, left_out = usable(capture)
+    for line in left_out:
+        print(f"bin/compare: {line}", file=sys.stderr, flush=True)
 
     import jax
 
@@ -90,14 +92,14 @@ def _write(arguments: argparse.Namespace, found: list[Comparison], result: Any) 
     from cannoise_jax.discovery.compare import document
     from cannoise_jax.discovery.compare.page import page
     from cannoise_jax.discovery.compare.report import better_document
-    from cannoise_jax.recordings.atomic import texts_in_place
+    from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
     report: dict[str, Any] = {"comparisons": [document(c) for c in found]}
     if result is not None:
         report["better"] = better_document(found[0], found[1], result)
     texts = (json.dumps(report, indent=1, allow_nan=False) + "\n", page(tuple(found), result))
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    with texts_in_place({arguments.out / n: t for n, t in zip(_FILES, texts, strict=True)}):
+    places = {arguments.out / n: t for n, t in zip(_FILES, texts, strict=True)}
+    with new_folder(arguments.out), texts_in_place(places):
         pass
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     from cannoise_jax.recordings.join import join_recordings
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
+    from cannoise_jax.recordings.usable import copies
 
     missing = next((path for path in inputs if not path.exists() and not path.is_symlink()), None)
     if missing is not None:
@@ -58,7 +59,15 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         raise BadInput(f"{output}: exists: name another file, or replace it with --force")
     if not output.parent.is_dir():
         raise BadInput(f"{output}: no such folder {output.parent}")
-    recording = join_recordings([load_recording(path, **given) for path in inputs])
+    loaded = [load_recording(path, **given) for path in inputs]
+    recording = join_recordings(loaded)
+    twice = copies(loaded) if len(loaded) > 1 else {}
+    for number, first in twice.items():
+        print(
+            f"bin/convert: {inputs[number]}: the same pixels as {inputs[first]}: used once", file=sys.stderr
+        )
+    if twice:
+        recording = join_recordings([r for number, r in enumerate(loaded) if number not in twice])
     write_recording(output, recording)
     return recording
 
@@ -103,7 +112,8 @@ def _inside(path: Path, folder: Path) -> bool:
 
 def _line(path: Path, recording: Recording) -> str:
     size = "{} x {}".format(*recording.size)
-    return f"{path}: {recording.count} frames of {size}, {recording.cfa}, {recording.camera}"
+    frames = f"{recording.count} frame{'s' * (recording.count > 1)}"
+    return f"{path}: {frames} of {size}, {recording.cfa}, {recording.camera}"
 
 
 def _gathered(argv: list[str]) -> list[str]:
@@ -128,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
         "NPY, NPZ, PGM, grey PNG, HDF5, and scene folders of SIDD. Names that tell the kind of a file "
         "or its folder: bias, zero, offset; dark; flat; light.",
     )
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help="inputs, and the output last")
+    parser.add_argument("paths", nargs="+", type=place, metavar="PATH", help="inputs, and the output last")
     parser.add_argument("--dry-run", action="store_true", help="print the plan of a folder and write nothing")
     add_recording_flags(parser, single=True)
     parser.add_argument("--force", action="store_true", help="replace outputs that exist")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import json
-import os
 import re
 import shlex
 import sys
@@ -20,7 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, count
+from cannoise_jax.commands.outputs import check_file, check_folder
+from cannoise_jax.commands.parser import OneLineParser, count, folder, place
+from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 ORDER = ("gaussian", "pg", "calibrated", "discovered", "real_darks")
@@ -61,13 +62,14 @@ def _train(arguments, argv) -> None:
         batch_size=arguments.batch,
         scenes=arguments.scenes,
     )
+    check_folder(arguments.workdir, (), force=True)
     capture = load_capture_set(arguments.recordings)
     labels = _labels(arguments.noise)
+    _check_sources(labels)
+    every = {exposure: half_real(capture, exposure, arguments.full_scale) for exposure in arguments.exposure}
     sensors = _sensors(labels, capture, arguments.workdir)
-    for exposure in arguments.exposure:
-        data = half_real(capture, exposure, arguments.full_scale)
+    for exposure, data in every.items():
         folder = arguments.workdir / "denoisers" / f"{_slug(data.camera)}_{exposure:g}s"
-        _make(folder)
         clean = None
         for label, name in labels.items():
             source = None
@@ -94,6 +96,7 @@ def _train(arguments, argv) -> None:
 
                     made = train_denoiser(recipe, source, clean, data.cfa, seed, about, tell)
                 made.about["seconds"] = round(time.monotonic() - started, 1)
+                _make(folder)
                 save_denoiser(path, made)
                 print(path, flush=True)
 
@@ -112,9 +115,11 @@ def _test(arguments, argv) -> None:
     started = time.monotonic()
     found = [(p, load_denoiser(p)) for p in sorted((arguments.workdir / "denoisers").glob("*/*.npz"))]
     capture = load_capture_set(arguments.recordings)
+    path = arguments.workdir / f"denoising_{_slug(capture.camera)}.json"
     found = [(p, d) for p, d in found if d.about["camera"] == capture.camera]
     if not found:
         raise BadInput(f"{arguments.workdir}: no denoiser for {capture.camera}: bin/denoise train makes them")
+    check_file(path, ".json", arguments.force)
     out: dict[str, Any] = {}
     for exposure in sorted({d.about["exposure_s"] for _, d in found}):
         own = [d for _, d in found if d.about["exposure_s"] == exposure]
@@ -156,9 +161,8 @@ def _test(arguments, argv) -> None:
         "command": f"bin/denoise {shlex.join(argv)}", "version": importlib.metadata.version("cannoise-jax"),
         "interval": "90 %, seeds and scenes drawn again", "seconds": round(time.monotonic() - started, 1),
     }  # fmt: skip
-    path = arguments.workdir / f"denoising_{_slug(capture.camera)}.json"
-    _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
-    print(path)
+    with texts_in_place({path: json.dumps(record, indent=1, allow_nan=False) + "\n"}):
+        print(path)
 
 
 def _table(title: str, result: dict[str, Any]) -> str:
@@ -197,28 +201,24 @@ def _apply(arguments, argv) -> None:
     from cannoise_jax.tiles import filter_mosaic
     from cannoise_jax.training.denoise import applied, load_denoiser
 
-    if arguments.out.suffix != ".npy":
-        raise BadInput(f"{arguments.out}: --out names a .npy file")
-    if arguments.out.exists() and not arguments.force:
-        raise BadInput(f"{arguments.out}: exists: name another file, or replace it with --force")
+    check_file(arguments.out, ".npy", arguments.force)
     denoiser = load_denoiser(arguments.denoiser)
     recording = load_recording(arguments.recording)
     span = np.float32(denoiser.about["gain_dn_per_e"] * denoiser.about["full_scale_e"])
-    try:
-        made = np.lib.format.open_memmap(arguments.out, "w+", np.float32, (recording.count, *recording.size))
-    except OSError as error:
-        raise BadInput(f"{arguments.out}: cannot be written: {error.strerror}") from error
     network = applied(denoiser.recipe)
-    pixels = recording.count * recording.size[0] * recording.size[1]
-    with tqdm(total=pixels, unit="px", unit_scale=True) as bar:
+    shape = (recording.count, *recording.size)
+    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    bar = tqdm(total=int(np.prod(shape)), unit="px", unit_scale=True)
+    with bar, file_in_place(arguments.out) as file:
+        np.lib.format.write_array_header_1_0(file, header)
         for t in range(recording.count):
             frame = np.asarray(recording.frames[t : t + 1])[0].astype(np.float32)
             frame = (frame - recording.black_map()) / span
-            made[t] = filter_mosaic(
+            made = filter_mosaic(
                 partial(network, denoiser.variables), denoiser.recipe.module.reach, frame, recording.cfa,
                 progress=bar.update,
             )  # fmt: skip
-    made.flush()
+            file.write(np.asarray(made, "<f4").tobytes())
     print(arguments.out)
 
 
@@ -231,6 +231,18 @@ def _labels(names: str) -> dict[str, str]:
         stem = path.parent.name + "_" + path.stem if path.suffix and path.exists() else path.name
         out[f"{stem.strip('_')}{plus}{more}"] = name
     return out
+
+
+def _check_sources(labels: dict[str, str]) -> None:
+    """Raises BadInput, before anything is made, for the name of no noise model."""
+    from cannoise_jax.training.noise_sources import NAMED
+
+    known = (*NAMED, "calibrated", "discovered")
+    for name in (part for label in labels.values() for part in label.split("+")):
+        if name not in known and not Path(name).exists():
+            raise BadInput(
+                f"--noise {name}: neither {', '.join(known)}, nor a sensor.json or a trained model"
+            )
 
 
 def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
@@ -277,24 +289,12 @@ def _make(folder: Path) -> None:
         raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
 
 
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        try:
-            partial.write_text(text)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
-
-
 def _exposures(text: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if not values or min(values) < 0:
+    if not values or not all(0 <= value < 1e9 for value in values):
         raise argparse.ArgumentTypeError(f"{text!r}: give seconds, as 0.1,10,100")
     return values
 
@@ -319,28 +319,32 @@ def _parser() -> argparse.ArgumentParser:
     train = verbs.add_parser("train", help="one denoiser for each exposure, noise model and seed")
     test = verbs.add_parser("test", help="PSNR and SSIM of all denoisers of a workdir")
     for verb in (train, test):
-        verb.add_argument("--recordings", required=True, type=Path, metavar="DIR", help="flats and darks")
-        verb.add_argument("--workdir", required=True, type=Path, metavar="RUN")
+        verb.add_argument("--recordings", required=True, type=folder, metavar="DIR", help="flats and darks")
+        verb.add_argument("--workdir", required=True, type=folder, metavar="RUN", help="made or gone on with")
     add = train.add_argument
     add(
         "--noise", default=_DEFAULT, metavar="NAME,...",
         help="gaussian, gaussian_pooled, pg, pg_at_exposure, pg_estimated, random_phase, calibrated, "
-        "discovered, real_darks, a sensor.json, or a trained model; A+real_darks: five to one "
-        f"(default {_DEFAULT})",
+        "discovered, real_darks, a sensor.json, or a trained model; A+real_darks: five to one",
     )  # fmt: skip
-    add("--exposure", type=_exposures, default=(0.1, 10.0, 100.0), metavar="S,...", help="0.1,10,100")
-    add("--full-scale", type=_positive, default=100.0, metavar="E", help="electrons of full scale (100)")
-    add("--seeds", type=count, default=3)
-    add("--steps", type=count, default=600)
-    add("--batch", type=count, default=8)
+    add("--exposure", type=_exposures, default=(0.1, 10.0, 100.0), metavar="S,...", help="of the darks")
+    add("--full-scale", type=_positive, default=100.0, metavar="E", help="electrons of full scale")
+    add("--seeds", type=count, default=3, help="training runs of each")
+    add("--steps", type=count, default=600, help="of training")
+    add("--batch", type=count, default=8, help="patches a step")
     add("--features", type=count, default=32, help="of every layer; the paper: 64")
     add("--scenes", type=count, default=32, help="clean training images")
     test.add_argument("--scenes", type=count, default=_TEST_SCENES, help="clean test images")
+    test.add_argument("--force", action="store_true", help="replace results that exist")
     apply = verbs.add_parser("apply", help="denoises a recording of any size, tile by tile")
-    apply.add_argument("--denoiser", required=True, type=Path, metavar="FILE")
-    apply.add_argument("--recording", required=True, type=Path, metavar="FILE")
-    apply.add_argument("--out", required=True, type=Path, metavar="FILE.npy")
-    apply.add_argument("--force", action="store_true")
+    apply.add_argument(
+        "--denoiser", required=True, type=place, metavar="FILE", help="RUN/denoisers/.../*.npz"
+    )
+    apply.add_argument("--recording", required=True, type=place, metavar="FILE", help="of any format")
+    apply.add_argument(
+        "--out", required=True, type=place, metavar="FILE.npy", help="DN above black / full scale"
+    )
+    apply.add_argument("--force", action="store_true", help="replace a file that exists")
     return parser
 
 

@@ -7,11 +7,15 @@ import logging
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import cache_folder, command, progress
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
 from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.discovery.diagnose import Diagnosis
 
 _PREPARED, _FIRST_LOOK = 400_000, 160_000
 """Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
@@ -64,14 +68,16 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     from cannoise_jax.physics.core.sensor_json import check_place
     from cannoise_jax.recordings.crop import central
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import check_usable
+    from cannoise_jax.recordings.usable import usable
 
     check_place(arguments.out / "sensor.json")
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    check_usable(capture)
+    capture, left_out = usable(capture)
+    for line in left_out:
+        print(f"bin/diagnose: {line}", file=sys.stderr, flush=True)
     most = arguments.most_pixels or (_FIRST_LOOK if plan else _PREPARED)
     capture, size = central(capture, most)
     if size is not None:
@@ -93,6 +99,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
         tell=tell,
     )
+    for words in _stated_gains(found):
+        print(f"bin/diagnose: {words}", file=sys.stderr, flush=True)
     report = save(
         found,
         arguments.out,
@@ -102,6 +110,18 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         used=size,
     )
     return report, capture.camera
+
+
+def _stated_gains(found: Diagnosis) -> list[str]:
+    """The gain of the files against the measured one, at every setting."""
+    from cannoise_jax.physics.transfer.stated_gain import gain_note
+
+    notes = []
+    for baseline in found.first.baselines:
+        own = [r for r in found.capture.recordings if r.iso == baseline.iso]
+        known = (baseline.gain > 0) & (baseline.gain_error > 0)
+        notes.append(gain_note(own, baseline.gain[known].tolist(), baseline.gain_error[known].tolist()))
+    return [note for note in notes if note]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,16 +3,18 @@ word of how far it is."""
 
 from __future__ import annotations
 
+import _thread
 import functools
 import os
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-_SILENT_S, _EVERY_S = 2.0, 10.0
+_SILENT_S, _EVERY_S, _SOON_S = 2.0, 10.0, 0.05
 
 Main = Callable[..., int]
 
@@ -27,6 +29,7 @@ def command(name: str) -> Callable[[Main], Main]:
             os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
             with warnings.catch_warnings():
                 warnings.showwarning = functools.partial(_shown, name)
+                hook, sys.unraisablehook = sys.unraisablehook, _again
                 try:
                     status = main(*given, **more)
                     sys.stdout.flush()
@@ -38,10 +41,22 @@ def command(name: str) -> Callable[[Main], Main]:
                 except KeyboardInterrupt:
                     print(f"bin/{name}: interrupted", file=sys.stderr)
                     return 130
+                finally:
+                    sys.unraisablehook = hook
 
         return wrapped
 
     return around
+
+
+def _again(swallowed: Any) -> None:
+    """Ctrl-C inside a callback that cannot raise (JAX has one in the garbage collector) comes once more."""
+    if issubclass(swallowed.exc_type, KeyboardInterrupt):
+        later = threading.Timer(_SOON_S, _thread.interrupt_main)  # at once would still be inside of it
+        later.daemon = True
+        later.start()
+    else:
+        sys.__unraisablehook__(swallowed)
 
 
 def _shown(command_name: str, message, category, filename, lineno, file=None, line=None) -> None:

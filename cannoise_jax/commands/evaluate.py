@@ -9,7 +9,6 @@ import argparse
 import importlib.metadata
 import json
 import math
-import os
 import shlex
 import sys
 import time
@@ -17,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, count, folder
+from cannoise_jax.commands.outputs import check_folder
+from cannoise_jax.commands.parser import OneLineParser, count, folder, whole
+from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 SUITES = ("noise", "ablation", "encoder", "cameras", "iso")
@@ -40,15 +41,16 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments, argv: list[str]) -> None:
     out = arguments.workdir / "evaluation"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{out}: cannot be made: {error.strerror}") from error
+    chosen = SUITES if arguments.suite == "all" else (arguments.suite,)
+    check_folder(out, tuple(f"{name}.json" for name in chosen), arguments.force)
+    if math.isqrt(arguments.per_scene) ** 2 != arguments.per_scene:
+        raise BadInput(f"--per-scene {arguments.per_scene}: give a square number, as 4 or 9")
     from cannoise_jax.discovery.patch_area import two_sample_area
-    from cannoise_jax.evaluation.noise_models import baselines, make_bench, sensors
+    from cannoise_jax.evaluation.noise_models import BASELINES, baselines, make_bench, sensors
     from cannoise_jax.evaluation.results_page import results_page
     from cannoise_jax.evaluation.suites import SUITES as RUNS
     from cannoise_jax.evaluation.suites import Request
+    from cannoise_jax.physics.synthetic.virtual import virtual_cameras
     from cannoise_jax.sampling import MODEL_FILE, load_model
 
     begun = time.monotonic()
@@ -59,17 +61,17 @@ def _run(arguments, argv: list[str]) -> None:
     paths = arguments.model or ([arguments.workdir] if (arguments.workdir / MODEL_FILE).is_file() else [])
     models = [load_model(path) for path in paths]
     ablations = {name: [load_model(p) for p in runs] for name, runs in arguments.ablation}
+    fitted = {name: _sensor_files(path, virtual_cameras()) for name, path in arguments.sensors}
+    known = [*BASELINES, *fitted, *(["noise_flow"] if "noise" in chosen and arguments.flow_steps else [])]
+    unknown = sorted(set(arguments.noise) - set(known))
+    if unknown:
+        raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(known)}")
     tell("recording the virtual cameras")
     bench = make_bench(arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes)
     draws = baselines(bench)
-    fitted = {name: _sensor_files(path, bench.cameras) for name, path in arguments.sensors}
     draws |= {name: sensors(bench, by_camera) for name, by_camera in fitted.items()}
-    chosen = SUITES if arguments.suite == "all" else (arguments.suite,)
     if "noise" in chosen and arguments.flow_steps:
         draws["noise_flow"] = _flow(bench, arguments, tell)
-    unknown = sorted(set(arguments.noise) - set(draws))
-    if unknown:
-        raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(draws)}")
     needed = {"truth", "pg", "pg_estimated", "pg_recalibrated"}
     draws = {n: d for n, d in draws.items() if not arguments.noise or n in needed | set(arguments.noise)}
     request = Request(
@@ -89,13 +91,16 @@ def _run(arguments, argv: list[str]) -> None:
             "tables": [_plain(t) for t in outcome.tables], "figures": [_plain(f) for f in outcome.figures],
             "notes": outcome.notes,
         }  # fmt: skip
-        _write(out / f"{name}.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+        _made(out)
+        with texts_in_place({out / f"{name}.json": json.dumps(record, indent=1, allow_nan=False) + "\n"}):
+            pass
         for table in record["tables"]:
             print(_text(table), flush=True)
         for note in outcome.notes:
             print(f"not run: {note}")
     found = {n: json.loads((out / f"{n}.json").read_text()) for n in SUITES if (out / f"{n}.json").is_file()}
-    _write(out / "results.html", results_page(found))
+    with texts_in_place({out / "results.html": results_page(found)}):
+        pass
     print(out / "results.html")
 
 
@@ -148,11 +153,12 @@ def _plain(value: Any) -> Any:
 def _text(table: dict[str, Any]) -> str:
     """A table for a terminal: values with half the width of their intervals."""
     from cannoise_jax.evaluation.results_page import number
+    from cannoise_jax.physics.transfer.table import aligned
 
     columns = [
         c for c in table["columns"] if not all(isinstance(r.get(c), str) for r in table["rows"].values())
     ]
-    lines = [table["title"], f"{'':<20}" + "".join(f"{c:>22}" for c in columns)]
+    rows = [["", *columns]]
     for name, row in table["rows"].items():
         cells = []
         for c in columns:
@@ -162,20 +168,15 @@ def _text(table: dict[str, Any]) -> str:
                 continue
             about = f" [{number(value['low'])}, {number(value['high'])}]" if value["low"] is not None else ""
             cells.append(number(value["value"]) + about)
-        lines.append(f"{name:<20}" + "".join(f"{c:>22}" for c in cells))
-    return "\n".join([*lines, table["note"], ""])
+        rows.append([name, *cells])
+    return "\n".join([table["title"], *aligned(rows), table["note"], ""])
 
 
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+def _made(folder: Path) -> None:
     try:
-        try:
-            partial.write_text(text, encoding="utf-8")
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
 
 
 def _paths(text: str) -> list[Path]:
@@ -203,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
         "apart.",
     )
     add = parser.add_argument
-    add("--suite", required=True, choices=(*SUITES, "all"))
+    add("--suite", required=True, choices=(*SUITES, "all"), help="which experiment")
     add("--workdir", required=True, type=folder, metavar="RUN", help="results go to RUN/evaluation")
     add("--model", type=_paths, metavar="RUN,...", help="trained model, one for each seed; else that of RUN")
     add(
@@ -212,13 +213,14 @@ def _parser() -> argparse.ArgumentParser:
     add("--sensors", type=_sensor_folder, action="append", default=[], metavar="NAME=FOLDER",
         help="camera models as calibrated=DIR or discovered=DIR, one CAMERA.json each")  # fmt: skip
     add("--noise", type=lambda t: t.split(","), default=[], metavar="NAME,...", help="only these baselines")
-    add("--seeds", type=count, default=3)
+    add("--seeds", type=count, default=3, help="training runs of each noise model")
     add("--references", type=count, default=8, help="noisy patches that a model is shown")
     add("--scenes", type=count, default=20, help="test scenes, each taken by every camera")
     add("--per-scene", type=count, default=4, help="patches of a scene: a square number")
     add("--train-scenes", type=count, default=40, help="for what baselines are fitted to")
-    add("--flow-steps", type=int, default=1500, help="training steps of Noise Flow; 0: leave it out")
-    add("--seed", type=int, default=0, help="of the scenes")
+    add("--flow-steps", type=whole, default=1500, help="training steps of Noise Flow; 0: leave it out")
+    add("--seed", type=whole, default=0, help="of the scenes")
+    add("--force", action="store_true", help="replace results that exist")
     return parser
 
 

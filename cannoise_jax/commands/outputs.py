@@ -11,8 +11,9 @@ from cannoise_jax.recordings.recording import BadInput
 def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "the results") -> None:
     """Raises BadInput where files of these names could not be written into a folder, or exist (without
     force). Makes nothing."""
-    if out.exists() and not out.is_dir():
-        raise BadInput(f"{out}: is a file: name a folder for {what}")
+    nearest = next(p for p in (out, *out.parents) if p.exists())
+    if not nearest.is_dir():
+        raise BadInput(f"{nearest}: is a file: name a folder for {what}")
     if not out.exists() and not out.parent.is_dir() and not out.parent.parent.is_dir():
         raise BadInput(f"{out}: no such folder {out.parent}")
     for name in names:
@@ -20,7 +21,6 @@ def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "th
             raise BadInput(f"{out / name}: is a folder: name another one for {what}")
         if (out / name).exists() and not force:
             raise BadInput(f"{out / name}: exists: name another folder, or replace it with --force")
-    nearest = next(p for p in (out, *out.parents) if p.exists())
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise BadInput(f"{out}: cannot be written (no permission): name another folder")
 

@@ -108,6 +108,17 @@ def count(text: str) -> int:
     return value
 
 
+def whole(text: str) -> int:
+    """A whole number from 0. Raises argparse.ArgumentTypeError for anything else."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number, 0 or more")
+    return value
+
+
 def _between(least: float, most: float, words: str, *, open_: bool = False) -> Callable[[str], float]:
     def parse(text: str) -> float:
         try:
@@ -133,6 +144,13 @@ def assignment(text: str) -> tuple[str, str]:
     if not pattern or kind not in KINDS:
         raise argparse.ArgumentTypeError(f"{text!r}: give NAME*=KIND with one of {', '.join(KINDS)}")
     return pattern, kind
+
+
+def place(text: str) -> Path:
+    """The name of a file or folder. Raises argparse.ArgumentTypeError for an empty one."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("an empty name: name a file or folder")
+    return Path(text)
 
 
 def folder(text: str) -> Path:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, count, level, numbers
+from cannoise_jax.commands.parser import OneLineParser, count, level, numbers, place
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
 
@@ -42,13 +41,13 @@ def _parser() -> argparse.ArgumentParser:
         description="Writes synthetic noisy frames, in the native format, of clean images: recordings of any "
         "format (their clean signal, or the mean of their frames) or floating-point NPY mosaics in 0..1.",
     )
-    parser.add_argument("--model", required=True, type=Path, help="training folder, or model file")
-    parser.add_argument("--clean", required=True, type=Path, metavar="PATH", help="a file or a folder")
+    parser.add_argument("--model", required=True, type=place, help="training folder, or model file")
+    parser.add_argument("--clean", required=True, type=place, metavar="PATH", help="a file or a folder")
     parser.add_argument(
         "--reference", required=True, metavar="FILE|CAMERA", help="a recording, or a camera of the model"
     )
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR")
+    parser.add_argument("--out", required=True, type=place, metavar="DIR")
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
     parser.add_argument("--seed", type=_seed, default=0, help="of the noise")
     add = parser.add_argument

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.commands.entry import progress
+from cannoise_jax.recordings.atomic import new_folder
 from cannoise_jax.recordings.codes import detect_code_step
 from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
 from cannoise_jax.recordings.native import write_recording
@@ -91,10 +92,6 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
     for path in outputs:
         if path.exists() and not arguments.force:
             raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
-    try:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{arguments.out}: cannot be made: {error.strerror}") from error
     tell = progress("sampling pixels")
     pixels, done = arguments.frames * sum(source.image.size for source in sources), 0
 
@@ -103,25 +100,27 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
         done += count
         tell(done, pixels)
 
-    for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
-        frames = []
-        for t in range(arguments.frames):
-            key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
-            noise = sample_mosaic(
-                model, key, source.image, source.cfa, target.reference,
-                target.nlf if target.given else None, progress=told,
+    with new_folder(arguments.out):
+        for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
+            frames = []
+            for t in range(arguments.frames):
+                key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
+                noise = sample_mosaic(
+                    model, key, source.image, source.cfa, target.reference,
+                    target.nlf if target.given else None, progress=told,
+                )  # fmt: skip
+                frames.append(_codes(source.image + noise, black, white, target.code_step))
+            shot, read = (
+                per_channel(np.asarray(to_mosaic_order(np.broadcast_to(v, 4), source.cfa)))
+                for v in target.nlf
+            )
+            write_recording(
+                path,
+                Recording(
+                    np.stack(frames), source.cfa, black, white, target.camera, clean=source.image,
+                    iso=target.iso, shot=shot, read=read, code_step=target.code_step, reference="independent",
+                ),
             )  # fmt: skip
-            frames.append(_codes(source.image + noise, black, white, target.code_step))
-        shot, read = (
-            per_channel(np.asarray(to_mosaic_order(np.broadcast_to(v, 4), source.cfa))) for v in target.nlf
-        )
-        write_recording(
-            path,
-            Recording(
-                np.stack(frames), source.cfa, black, white, target.camera, clean=source.image,
-                iso=target.iso, shot=shot, read=read, code_step=target.code_step, reference="independent",
-            ),
-        )  # fmt: skip
     return outputs
 
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
-from cannoise_jax.commands.parser import OneLineParser
+from cannoise_jax.commands.outputs import check_file
+from cannoise_jax.commands.parser import OneLineParser, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.catalogue:
             from cannoise_jax.mechanisms.catalogue import write_catalogue
 
-            write_catalogue(arguments.out)
+            check_file(arguments.out, ".html", arguments.force)
+            write_catalogue(arguments.out, tell=progress("drawing mechanisms"))
             print(f"{arguments.out}: the catalogue of mechanisms")
             return 0
         for path, recording in _recordings(arguments):
@@ -66,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--out",
         metavar="PATH",
-        type=Path,
+        type=place,
         required=True,
         help="folder for the recordings, SCENE_isoISO_EXPOSUREs.h5, or the page's file",
     )
@@ -116,6 +118,7 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
 
     from cannoise_jax.commands.scenes import scenes
     from cannoise_jax.physics.core.sensor import Settings
+    from cannoise_jax.recordings.atomic import new_folder
     from cannoise_jax.recordings.native import write_recording
 
     model = _sensor(arguments.sensor, arguments.mechanisms)
@@ -138,17 +141,14 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     for size in {clean.values.shape for clean in clean_scenes}:
         # Raises BadInput where the unit's measured maps are of another size; draws nothing.
         jax.eval_shape(lambda size=size: model.with_maps(size).mechanisms)
-    try:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{arguments.out}: no folder can be made here ({error.strerror})") from error
     key, tell = jax.random.key(arguments.seed), progress("drawing recordings")
-    for number, clean in enumerate(clean_scenes):
-        path = arguments.out / _name(clean, settings, arguments.unit)
-        recording = record(model, jax.random.fold_in(key, number), clean, settings)
-        write_recording(path, recording)
-        yield path, recording
-        tell(number + 1, len(clean_scenes))
+    with new_folder(arguments.out):
+        for number, clean in enumerate(clean_scenes):
+            path = arguments.out / _name(clean, settings, arguments.unit)
+            recording = record(model, jax.random.fold_in(key, number), clean, settings)
+            write_recording(path, recording)
+            yield path, recording
+            tell(number + 1, len(clean_scenes))
 
 
 def _name(clean: Clean, settings: Settings, unit: int | None) -> str:

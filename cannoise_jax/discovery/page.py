@@ -11,7 +11,7 @@ import jinja2
 from cannoise_jax.discovery.card import lines as card_lines
 from cannoise_jax.discovery.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.diagnose import Diagnosis
-from cannoise_jax.discovery.pictures import quality_picture, where_picture
+from cannoise_jax.discovery.pictures import quality_pictures, where_pictures
 from cannoise_jax.discovery.report import listed_steps
 from cannoise_jax.recordings.recording import Recording
 
@@ -133,7 +133,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
         axis = steps[n].named.score.where.get("axis", "pixel")
         redrawn = steps[n].named.signature.axes.time == "redrawn"
-        pictures.append(where_picture(steps[n].before, after, axis, redrawn))
+        pictures.append(where_pictures(steps[n].before, after, axis, redrawn))
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(
         card_lines=card_lines,
@@ -150,5 +150,5 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         name=_name,
         advice=advice(report),
         definitions={id: term.definition for id, term in diagnosis.terms.items()},
-        quality=None if diagnosis.quality is None else quality_picture(diagnosis.quality),
+        quality=[] if diagnosis.quality is None else quality_pictures(diagnosis.quality),
     )

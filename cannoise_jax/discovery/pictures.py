@@ -1,9 +1,15 @@
-"""The pictures of a report, as PNGs in base64: where a finding lives, and the simulator before and after."""
+"""The pictures of a report: where a finding lives, and the simulator before and after.
+
+Every panel is a PNG of its own in base64, so that a page sets them side by side or, on a telephone, one
+below the other.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -17,14 +23,27 @@ from cannoise_jax.signatures.covariance import LAGS
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.line_sums import line_sums
 
+_INCHES = (3.9, 2.8)
 _BEFORE, _AFTER, _REAL = "#c8553d", "#2f6fd0", "#1c2430"
 
 
-def _png(figure) -> str:
+class Picture(NamedTuple):
+    """A PNG in base64, and what it shows."""
+
+    png: str
+    alt: str
+
+
+def _picture(draw: Callable[..., None], *more: Any) -> Picture:
+    """One panel, drawn by draw(panel, ...), which titles it."""
+    figure, panel = plt.subplots(figsize=_INCHES, layout="constrained")
+    draw(panel, *more)
+    panel.tick_params(labelsize=8)
+    alt = panel.get_title().replace("\n", " ")
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=90, bbox_inches="tight")
+    figure.savefig(buffer, format="png", dpi=110)
     plt.close(figure)
-    return base64.b64encode(buffer.getvalue()).decode()
+    return Picture(base64.b64encode(buffer.getvalue()).decode(), alt)
 
 
 def _maps(before: tuple[Fields, ...], after: tuple[Fields, ...], redrawn: bool) -> tuple[list, str]:
@@ -63,37 +82,42 @@ def _blocks(mean: np.ndarray) -> np.ndarray:
     return mean[:h, :w].reshape(h // b, b, w // b, b).mean((1, 3)) * b
 
 
-def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool) -> str:
+def where_pictures(
+    before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool
+) -> list[Picture]:
     """Where: the frozen map, or the difference of two frames for what is redrawn in each, and what the axis
     of the finding shows (power of lines, spectrum, offsets of frames, distribution of pixels), without and
     with the finding in the model."""
-    figure, axes = plt.subplots(1, 3, figsize=(11, 2.7), layout="constrained")
     whole, what = _maps(before, after, redrawn)
     maps = [_blocks(m) for m in whole]
     top = float(np.clip(np.quantile(np.abs(maps[0]), 0.995), 4, 400))
-    norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
-    for panel, image, title in zip(axes, maps, ("without it in the model", "with it"), strict=False):
-        shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
-        panel.set_title(f"{what}, {title}", fontsize=9)
-        panel.set_xticks([])
-        panel.set_yticks([])
-    ticks = [v for v in (-100, -30, -10, -3, 0, 3, 10, 30, 100) if abs(v) <= top]
-    bar = figure.colorbar(shown, ax=axes[1], ticks=ticks)
-    bar.ax.set_yticklabels([str(v) for v in ticks], fontsize=7)
-    bar.set_label("standard errors", fontsize=8)
+    titles = (f"{what},\n{side} it in the model" for side in ("without", "with"))
+    made = [_picture(_map, image, title, top) for image, title in zip(maps, titles, strict=True)]
     sides = ((before, whole[0], "without", _BEFORE), (after, whole[1], "with", _AFTER))
     if axis in ("row", "column") and redrawn:
-        _lines(axes[2], sides, axis)
-    elif axis in ("row", "column", "frequency"):
-        _spectra(axes[2], sides, "column" if axis == "column" else "row")
-    elif axis == "frame":
-        _frames(axes[2], sides)
-    else:
-        _distributions(axes[2], sides, what)
-    axes[2].tick_params(labelsize=8)
-    if axes[2].get_legend_handles_labels()[0]:
-        axes[2].legend(fontsize=8, frameon=False)
-    return _png(figure)
+        return [*made, _picture(_lines, sides, axis)]
+    if axis in ("row", "column", "frequency"):
+        return [*made, _picture(_spectra, sides, "column" if axis == "column" else "row")]
+    if axis == "frame":
+        return [*made, _picture(_frames, sides)]
+    return [*made, _picture(_distributions, sides, what)]
+
+
+def _map(panel, image: np.ndarray, title: str, top: float) -> None:
+    norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
+    shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
+    panel.set_title(title, fontsize=9)
+    panel.set_xticks([])
+    panel.set_yticks([])
+    ticks = [v for v in (-100, -30, -10, -3, 0, 3, 10, 30, 100) if abs(v) <= top]
+    bar = panel.figure.colorbar(shown, ax=panel, ticks=ticks)
+    bar.ax.set_yticklabels([str(v) for v in ticks], fontsize=7)
+    bar.set_label("standard errors", fontsize=8)
+
+
+def _legend(panel) -> None:
+    if panel.get_legend_handles_labels()[0]:
+        panel.legend(fontsize=8, frameon=False)
 
 
 def _lines(panel, sides, line: str) -> None:
@@ -102,8 +126,9 @@ def _lines(panel, sides, line: str) -> None:
         if values.size:
             panel.semilogy(np.arange(values.size) * width, values, lw=1, label=label, color=colour)
     panel.axhline(1, color="0.5", lw=0.7)
-    panel.set_title(f"power of {line} offsets between frames (white noise: 1)", fontsize=9)
+    panel.set_title(f"power of {line} offsets between frames\n(white noise: 1)", fontsize=9)
     panel.set_xlabel(line, fontsize=8)
+    _legend(panel)
 
 
 def _spectra(panel, sides, line: str) -> None:
@@ -113,8 +138,9 @@ def _spectra(panel, sides, line: str) -> None:
         panel.loglog(np.arange(1, power.size + 1), np.maximum(power, 1e-3), lw=1, label=label, color=colour)
     panel.axhline(1, color="0.5", lw=0.7)
     panel.set_ylim(bottom=0.03)
-    panel.set_title(f"spectrum of {line} means on the left (white noise: 1)", fontsize=9)
+    panel.set_title(f"spectrum of {line} means of these maps\n(white noise: 1)", fontsize=9)
     panel.set_xlabel("cycles per frame", fontsize=8)
+    _legend(panel)
 
 
 def _frames(panel, sides) -> None:
@@ -125,6 +151,7 @@ def _frames(panel, sides) -> None:
     panel.set_yscale("symlog", linthresh=3)
     panel.set_title("offsets between whole frames, standard errors", fontsize=9)
     panel.set_xlabel("differences of frames, all recordings", fontsize=8)
+    _legend(panel)
 
 
 def _distributions(panel, sides, what: str) -> None:
@@ -135,8 +162,9 @@ def _distributions(panel, sides, what: str) -> None:
         panel.semilogy(middle, np.maximum(counts / image.size / 0.25, 1e-7), lw=1, label=label, color=colour)
     panel.semilogy(middle, np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi), color="0.5", lw=0.7, label="normal")
     panel.set_ylim(1e-7, 1)
-    panel.set_title("distribution of the pixels on the left (beyond 10: at 10)", fontsize=9)
+    panel.set_title("distribution of the pixels\n(beyond 10: at 10)", fontsize=9)
     panel.set_xlabel(f"{what}, standard errors", fontsize=8)
+    _legend(panel)
 
 
 def _profile(fields: tuple[Fields, ...], line: str) -> tuple[np.ndarray, int]:
@@ -157,40 +185,48 @@ def _profile(fields: tuple[Fields, ...], line: str) -> tuple[np.ndarray, int]:
     return values[: size // width * width].reshape(-1, width).mean(1), width
 
 
-def quality_picture(quality: Quality) -> str:
-    """Spectra, covariance maps, photon-transfer curve and probability integral transform of the recordings
+def quality_pictures(quality: Quality) -> list[Picture]:
+    """Spectra, photon-transfer curve, covariance maps and probability integral transform of the recordings
     and of draws of the simulator before and after."""
-    figure, axes = plt.subplots(2, 4, figsize=(13, 5.4), layout="constrained")
     sides = (
         (quality.real, "recordings", _REAL, 1.6),
         (quality.before.curves, "draws before", _BEFORE, 1.0),
         (quality.after.curves, "draws after", _AFTER, 1.0),
     )
-    for panel, name in ((axes[0, 0], "row"), (axes[0, 1], "column")):
-        for curves, label, colour, width in sides:
-            frequency, power = _binned(getattr(curves, f"{name}_spectrum"))
-            panel.loglog(frequency, power, lw=width, label=label, color=colour)
-        panel.set_title(f"spectrum of {name} means (white noise: 1)", fontsize=9)
-        panel.set_xlabel("cycles per frame", fontsize=8)
-    axes[0, 0].legend(fontsize=8, frameon=False)
-    _transfer(axes[0, 2], axes[0, 3], sides)
     top = max(float(np.max(np.abs(quality.real.covariance))), 0.003)
-    for panel, (curves, label, _, _) in zip(axes[1, :3], sides, strict=True):
-        shown = panel.imshow(covariance_map(curves), cmap="RdBu_r", vmin=-top, vmax=top)
-        panel.set_title(f"correlation of neighbours, {label}", fontsize=9)
-        panel.set_xticks(range(0, 9, 2), [str(v) for v in range(-4, 5, 2)])
-        panel.set_yticks(range(0, 9, 2), [str(v) for v in range(-4, 5, 2)])
-    figure.colorbar(shown, ax=axes[1, 2])
+    return [
+        *(_picture(_spectrum, sides, name) for name in ("row", "column")),
+        *(_picture(draw, sides) for draw in (_transfer, _ratio)),
+        *(_picture(_neighbours, curves, label, top) for curves, label, _, _ in sides),
+        _picture(_ranks, quality),
+    ]
+
+
+def _spectrum(panel, sides, name: str) -> None:
+    for curves, label, colour, width in sides:
+        frequency, power = _binned(getattr(curves, f"{name}_spectrum"))
+        panel.loglog(frequency, power, lw=width, label=label, color=colour)
+    panel.set_title(f"spectrum of {name} means (white noise: 1)", fontsize=9)
+    panel.set_xlabel("cycles per frame", fontsize=8)
+    _legend(panel)
+
+
+def _neighbours(panel, curves: Curves, label: str, top: float) -> None:
+    shown = panel.imshow(covariance_map(curves), cmap="RdBu_r", vmin=-top, vmax=top)
+    panel.set_title(f"correlation of neighbours, {label}", fontsize=9)
+    panel.set_xticks(range(0, 9, 2), [str(v) for v in range(-4, 5, 2)])
+    panel.set_yticks(range(0, 9, 2), [str(v) for v in range(-4, 5, 2)])
+    panel.figure.colorbar(shown, ax=panel).ax.tick_params(labelsize=7)
+
+
+def _ranks(panel, quality: Quality) -> None:
     centre = (np.arange(quality.before.pit.size) + 0.5) / quality.before.pit.size
     for side, label, colour in ((quality.before, "before", _BEFORE), (quality.after, "after", _AFTER)):
-        axes[1, 3].plot(centre, side.pit * side.pit.size, lw=1.2, label=label, color=colour, marker=".")
-    axes[1, 3].axhline(1, color="0.5", lw=0.7)
-    axes[1, 3].set_title("probability integral transform (right: 1)", fontsize=9)
-    axes[1, 3].set_xlabel("share of draws below the recorded value", fontsize=8)
-    axes[1, 3].legend(fontsize=8, frameon=False)
-    for panel in axes.ravel():
-        panel.tick_params(labelsize=8)
-    return _png(figure)
+        panel.plot(centre, side.pit * side.pit.size, lw=1.2, label=label, color=colour, marker=".")
+    panel.axhline(1, color="0.5", lw=0.7)
+    panel.set_title("probability integral transform (right: 1)", fontsize=9)
+    panel.set_xlabel("share of draws below the recorded value", fontsize=8)
+    _legend(panel)
 
 
 def _binned(spectrum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -202,22 +238,33 @@ def _binned(spectrum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(middle), np.maximum([float(spectrum[a - 1 : b - 1].mean()) for a, b in pairs], 1e-3)
 
 
-def _transfer(curve, ratio, sides) -> None:
-    """Variance against signal, and the draws' variance over the recordings'."""
-    real = sides[0][0]
-    order = np.argsort(real.signal)
-    shown = np.maximum(real.signal, 1.0)
+def _transfer(panel, sides) -> None:
+    """Variance against signal."""
+    order, shown = _by_signal(sides)
     for curves, label, colour, width in sides:
-        curve.loglog(shown[order], curves.variance[order], ".-", lw=width, ms=4, label=label, color=colour)
-        if curves is not real:
-            share = curves.variance / np.maximum(real.variance, 1e-30)
-            ratio.semilogx(shown[order], share[order], ".-", lw=width, ms=4, color=colour)
-    curve.set_title("temporal variance against signal", fontsize=9)
-    curve.set_xlabel("DN above black", fontsize=8)
-    curve.set_ylabel("DN²", fontsize=8)
-    ratio.axhline(1, color="0.5", lw=0.7)
-    ratio.set_title("variance of draws over recordings", fontsize=9)
-    ratio.set_xlabel("DN above black", fontsize=8)
+        panel.loglog(shown[order], curves.variance[order], ".-", lw=width, ms=4, label=label, color=colour)
+    panel.set_title("temporal variance against signal", fontsize=9)
+    panel.set_xlabel("DN above black", fontsize=8)
+    panel.set_ylabel("DN²", fontsize=8)
+    _legend(panel)
+
+
+def _ratio(panel, sides) -> None:
+    """The draws' variance over the recordings'."""
+    order, shown = _by_signal(sides)
+    real = np.maximum(sides[0][0].variance, 1e-30)
+    for curves, label, colour, width in sides[1:]:
+        share = (curves.variance / real)[order]
+        panel.semilogx(shown[order], share, ".-", lw=width, ms=4, label=label, color=colour)
+    panel.axhline(1, color="0.5", lw=0.7)
+    panel.set_title("variance of draws over recordings", fontsize=9)
+    panel.set_xlabel("DN above black", fontsize=8)
+    _legend(panel)
+
+
+def _by_signal(sides) -> tuple[np.ndarray, np.ndarray]:
+    signal = sides[0][0].signal
+    return np.argsort(signal), np.maximum(signal, 1.0)
 
 
 def covariance_map(curves: Curves) -> np.ndarray:

@@ -108,6 +108,13 @@ def references_of(bench: Bench, count: int, seed: int, kind: str = "same") -> In
     return out
 
 
+BASELINES = (
+    *("gaussian", "gaussian_pooled", "pg", "pg_estimated", "pg_recalibrated", "eld", "random_phase"),
+    *("real_darks", "truth"),
+)
+"""The names that `baselines` gives."""
+
+
 def baselines(bench: Bench) -> dict[str, Draw]:
     """Every noise model that needs nothing but the bench."""
     test = bench.test

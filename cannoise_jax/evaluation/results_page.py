@@ -9,15 +9,15 @@ from typing import Any
 
 _COLOURS = ("#1f6feb", "#d1242f", "#1a7f37", "#9a6700", "#8250df", "#57606a", "#bf3989")
 _STYLE = """
-:root { color-scheme: light dark; }
+:root { color-scheme: light dark; --dim: light-dark(#57606a, #a3adba); }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 0 auto; padding: 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; } h3 { font-size: 1rem; }
-.wide { overflow-x: auto; } .note, .cost { color: #57606a; max-width: 48rem; }
+.wide { overflow-x: auto; } .note, .cost { color: var(--dim); max-width: 48rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }
 th, td { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #8884; vertical-align: top; }
 th:first-child, td.text { text-align: left; } td.text { min-width: 9rem; max-width: 16rem; }
-small { color: #57606a; display: block; white-space: nowrap; }
-svg { width: 100%; max-width: 44rem; height: auto; }
+small { color: var(--dim); display: block; white-space: nowrap; }
+svg { width: 100%; min-width: 36rem; max-width: 44rem; height: auto; }
 svg text { font: 12px system-ui, sans-serif; fill: currentColor; }
 code { overflow-wrap: anywhere; }
 @media (max-width: 40rem) { body { font-size: 14px; padding: .6rem; } th, td { padding: .2rem .4rem; } }
@@ -86,7 +86,7 @@ def number(value: float | None) -> str:
 def _figure(figure: Mapping[str, Any]) -> str:
     kinds: dict[str, Callable[[Any], str]] = {"bars": _bars, "points": _points, "lines": _lines}
     drawn = kinds[figure["kind"]](figure["data"])
-    return f"<h3>{escape(figure['title'])}</h3>{drawn}"
+    return f"<h3>{escape(figure['title'])}</h3><div class=wide>{drawn}</div>"
 
 
 def _bars(data: Mapping[str, Mapping[str, Any]]) -> str:

@@ -10,8 +10,7 @@ from __future__ import annotations
 import base64
 import functools
 import io
-import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core import chain
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
+from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 SIDE, FRAMES = 128, 24
@@ -187,24 +187,26 @@ _ACTS = {
 }
 
 
-def write_catalogue(path: str | Path, entries: Sequence[Entry] = ENTRIES) -> None:
-    """Writes the page of some mechanisms, atomically. Raises BadInput where it cannot be written."""
+def write_catalogue(
+    path: str | Path,
+    entries: Sequence[Entry] = ENTRIES,
+    tell: Callable[[int, int], None] = lambda number, total: None,
+) -> None:
+    """Writes the page of some mechanisms, atomically. tell: hears how many are done, of how many.
+
+    Raises BadInput where it cannot be written.
+    """
     path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
         raise BadInput(f"{path}: cannot be written: name a file in a folder that exists, as catalogue.html")
     matplotlib.rcParams["mathtext.fontset"] = "cm"
-    page = (
-        jinja2.Environment(autoescape=True)
-        .from_string(_PAGE)
-        .render(entries=[said_of(entry) for entry in entries], count=len(entries))
-    )
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(page, encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise BadInput(f"{path}: cannot be written ({error.strerror}): choose another place") from error
+    said = []
+    for number, entry in enumerate(entries, start=1):
+        said.append(said_of(entry))
+        tell(number, len(entries))
+    page = jinja2.Environment(autoescape=True).from_string(_PAGE).render(entries=said, count=len(said))
+    with texts_in_place({path: page}):
+        pass
 
 
 _PAGE = (Path(__file__).parent / "catalogue.html.jinja").read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from cannoise_jax.recordings.recording import BadInput
 
@@ -16,7 +17,7 @@ def remove_leftovers(path: Path) -> None:
     """Removes what writers of `path` that were killed left beside it, `.NAME.PID.partial`."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
         number = left.name.removesuffix(".partial").rpartition(".")[2]
-        if not number.isdigit() or int(number) == os.getpid() or _runs(int(number)):
+        if not number.isdigit() or int(number) == os.getpid() or is_running(int(number)):
             continue
         if left.is_dir():
             shutil.rmtree(left, ignore_errors=True)
@@ -24,7 +25,8 @@ def remove_leftovers(path: Path) -> None:
             left.unlink()
 
 
-def _runs(process: int) -> bool:
+def is_running(process: int) -> bool:
+    """Whether there is a process of this number."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -32,6 +34,44 @@ def _runs(process: int) -> bool:
     except OSError:
         return True
     return True
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Makes a folder, and its parents, for the block; where the block fails, those that are empty go again.
+
+    Raises BadInput where none can be made.
+    """
+    missing = [p for p in (folder, *folder.parents) if not p.exists()]
+    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInput(f"{folder}: no folder can be made here ({error.strerror})") from error
+        yield
+    except BaseException:
+        for made in missing:
+            with contextlib.suppress(OSError):
+                made.rmdir()
+        raise
+
+
+@contextlib.contextmanager
+def file_in_place(path: Path) -> Iterator[BinaryIO]:
+    """A file beside its place to write to, moved there when the block has ended without an error.
+
+    Raises BadInput where it cannot be written.
+    """
+    remove_leftovers(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with temporary.open("wb") as file:
+            yield file
+        os.replace(temporary, path)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror}): make room for it") from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -198,10 +198,9 @@ def _check_directories(path: str | Path, directories: list[_Directory]) -> None:
     if needed > size:
         raise BadInput(f"{path}: truncated: {size} bytes of at least {needed}")
     planes = _tag(directories, _CFA_PLANE_COLOUR)
-    if planes is not None and tuple(planes) != (0, 1, 2):
-        raise BadInput(
-            f"{path}: colour planes {tuple(planes)} are not red, green, blue: LibRaw would misname them"
-        )
+    listed = list(planes) if isinstance(planes, (bytes, tuple, list)) else [planes]
+    if planes is not None and listed != [0, 1, 2]:
+        raise BadInput(f"{path}: colour planes {listed} are not red, green, blue: LibRaw would misname them")
 
 
 def _mosaic(path: str | Path, raw: Any) -> tuple[str, np.ndarray]:

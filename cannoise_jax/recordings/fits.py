@@ -10,6 +10,7 @@ ROWORDER says that the file runs bottom up: BAYERPAT counts from the top row. Of
 from __future__ import annotations
 
 import contextlib
+import logging
 import warnings
 from collections.abc import Iterator
 from functools import partial
@@ -30,6 +31,7 @@ from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, p
 
 SUFFIXES = (".fits", ".fit", ".fts", ".fz", ".fits.gz", ".fit.gz", ".fts.gz")
 _COUNTS = ("", "adu", "adus", "dn", "count", "counts", "ct")
+_log = logging.getLogger(__name__)
 _PLANES = 0.1
 """Three planes whose medians differ by more than this share are colours, not frames."""
 
@@ -43,7 +45,10 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
     """
     check_overrides(overrides)
     opened = open_fits(path)
-    return make_recording(path, opened.frames, {"kind": "scene", **stated(opened.known)}, overrides)
+    known, words = stated(opened.known), opened.about.get("image_type")
+    if words and "kind" not in known and overrides.get("kind") is None:
+        _log.warning("%s: IMAGETYP %r is unknown: taken for a scene; --kind states it", path, words)
+    return make_recording(path, opened.frames, {"kind": "scene", **known}, overrides)
 
 
 def open_fits(path: str | Path) -> Opened:

@@ -22,6 +22,7 @@ _NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
 _KINDS = (("bias", "bias"), ("zero", "bias"), ("offset", "bias"), ("dark", "dark"), ("flat", "flat"))
 _SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
 _ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
+_EGAIN = ("EGAIN", "E-GAIN")
 _COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
 
 
@@ -53,6 +54,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "kind": kind_of(image_type) if image_type else None,
         "iso": 100 * 10 ** (decibels / 20) if iso is None and decibels is not None else iso,
         "gain_db": decibels if iso is None else None,
+        "egain": _egain(header, decibels is not None or iso is not None),
         "exposure_s": _number(header, ("EXPTIME", "EXPOSURE", "EXP_TIME"), 0),
         "temperature_c": _number(
             header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), _ABSOLUTE_ZERO_C
@@ -65,9 +67,8 @@ def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
     camera = _text(header, "INSTRUME", "CAMERA", "DETNAM") or None
     scaled = gain_db(header, camera) is not None or _number(header, _ISO, 1) is not None
     gain = _number(header, ("GAIN",), 0)
-    per_electron = _number(header, ("EGAIN", "E-GAIN"), 1e-6)
-    if per_electron is None and gain is not None and not scaled and gain != round(gain):
-        per_electron, gain = gain, None
+    if _number(header, _EGAIN, 1e-6) is None and _egain(header, scaled) is not None:
+        gain = None
     frames = _number(header, _COMBINED, 2)
     image_type = _text(header, "IMAGETYP", "FRAME", "OBSTYPE")
     words = next((w for w in ("master", "stacked", "combined", "super") if w in image_type.lower()), None)
@@ -83,7 +84,6 @@ def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "mode": _text(header, "READOUTM", "RDMODE") or None,
         "gain_setting": None if scaled else gain,
         "set_temperature_c": _number(header, ("SET-TEMP",), _ABSOLUTE_ZERO_C),
-        "egain": per_electron,
         "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
     }
 
@@ -94,6 +94,13 @@ def gain_db(header: Mapping[str, Any], camera: str | None) -> float | None:
     if tenths is None or not _TENTH_DB.search(f"{camera} {_text(header, 'SWCREATE')}" if camera else ""):
         return None
     return tenths / 10
+
+
+def _egain(header: Mapping[str, Any], scaled: bool) -> float | None:
+    """e-/DN as stated. GAIN is that where it has a fraction and no scale of its own."""
+    gain = _number(header, ("GAIN",), 0)
+    fraction = gain if gain is not None and not scaled and gain != round(gain) else None
+    return _number(header, _EGAIN, 1e-6) or fraction
 
 
 def section(text: Any) -> tuple[slice, slice, bool, bool] | None:

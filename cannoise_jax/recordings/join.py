@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -14,7 +15,9 @@ from cannoise_jax.recordings.metadata import FIELDS
 from cannoise_jax.recordings.recording import BadInput, Recording
 
 # What may drift from file to file while the setting stays the same.
-_DRIFTING = ("temperature_c",)
+ALIKE_KELVIN = 2.5
+"""Temperatures are one where each is this near to the next."""
+_DRIFTING = ("temperature_c", "egain")
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
@@ -24,6 +27,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     only some have a reference.
     """
     first, *others = recordings
+    _check_temperatures(recordings)
     for other in others:
         _check_alike(first, other)
     if not others:
@@ -36,6 +40,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         first,
         frames=frames,
         clean=clean,
+        egain=first.egain if {r.egain for r in recordings} == {first.egain} else None,
         temperature_c=float(np.mean(known)) if len(known) == len(recordings) else None,
     )
 
@@ -54,6 +59,17 @@ def _check_alike(first: Recording, other: Recording) -> None:
     if (first.clean is None) != (other.clean is None):
         without = first if first.clean is None else other
         raise BadInput(f"{without.path}: holds no reference, the other recordings do")
+
+
+def _check_temperatures(recordings: Sequence[Recording]) -> None:
+    known = sorted(
+        ((r.temperature_c, str(r.path)) for r in recordings if r.temperature_c is not None),
+    )
+    for (cold, first), (warm, other) in itertools.pairwise(known):
+        if warm - cold > ALIKE_KELVIN:
+            raise BadInput(
+                f"{other}: {warm:.1f} C, {first}: {cold:.1f} C: join equal settings, or set --temperature"
+            )
 
 
 def _one_a_frame(recording: Recording) -> Any:

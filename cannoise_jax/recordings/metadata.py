@@ -106,11 +106,12 @@ def make_recording(
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
         gain_db=_optional(path, stated, "gain_db"),
+        egain=_optional(path, stated, "egain", least=1e-6),
         exposure_s=_optional(path, stated, "exposure_s", least=0),
         temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
         shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
-        code_step=_optional(path, stated, "code_step", least=0, most=65536),
+        code_step=_code_step(path, stated),
         reference=_one_of(path, stated, "reference", REFERENCES),
         reference_frames=_count(path, stated, "reference_frames"),
         path=str(path),
@@ -296,6 +297,15 @@ def _optional(
     if number > most:
         raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
     return number
+
+
+def _code_step(path: str | Path, stated: Mapping[str, Any]) -> float | None:
+    step = _optional(path, stated, "code_step", least=0, most=65536)
+    if step is not None and 0 < step < 1:
+        raise BadInput(
+            f"{path}: code_step is {step:g}: stored codes are whole numbers, so 1 or more; 0: none"
+        )
+    return step
 
 
 def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:

@@ -49,6 +49,7 @@ class Recording:
     clean: expected noise-free signal, normalised; `float32[H, W]`, or `[T, H, W]`, maybe lazy like frames.
     code_step: spacing of the stored codes in DN; None: to be detected; 0: not on a lattice.
     gain_db: the camera's gain setting where it counts in dB; its iso is then 100 x 10^(gain_db / 20).
+    egain: the gain that the file states, e-/DN; what is measured never uses it.
     reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
     path: the file it was read from, for messages.
     """
@@ -70,6 +71,7 @@ class Recording:
     reference_frames: int | None = None
     path: str | None = None
     gain_db: float | None = None
+    egain: float | None = None
 
     @property
     def count(self) -> int:

@@ -1,57 +1,128 @@
-"""Whether recordings hold noise that can be measured: refused early, in the user's words."""
+"""Which frames hold noise that can be measured: the others are left out and said, in the user's words."""
 
 from __future__ import annotations
 
-import zlib
+import dataclasses
+import hashlib
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 
+from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import chunks
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Frames, Recording
 
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
+_MOST_NUMBERS = 4
+
+Seen = dict[tuple, tuple[object, int]]
+"""Where the pixels of a frame were met first: recording and number, by size and checksum."""
 
 
-def check_usable(capture: CaptureSet) -> None:
-    """Raises BadInput for frames that are too small, constant, copies of one another, or wholly above white.
+def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
+    """The capture set without frames that show no noise, and a line for each reason to leave some out.
 
-    Reads every frame once.
+    Left out are frames of one value, copies of an earlier frame, and frames wholly at the white level;
+    with its last frame a recording goes too. Reads every frame once. Raises BadInput for frames that are too
+    small, and where so much is lost that no two frames of one recording are left.
     """
+    kept: list[Recording] = []
+    lines: list[str] = []
+    seen: Seen = {}
     for recording in capture.recordings:
-        _check(recording)
+        _check_size(recording)
+        good, why = _judged(recording, seen)
+        lines += why
+        if len(good) == recording.count:
+            kept.append(recording)
+        elif good:
+            kept.append(_only(recording, good))
+    repeated = any(r.count > 1 for r in capture.recordings)
+    if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
+        more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
+        raise BadInput(f"{lines[0]}{more}; too few frames are left")
+    return dataclasses.replace(capture, recordings=tuple(kept)), tuple(f"{line}: left out" for line in lines)
 
 
-def _check(recording: Recording) -> None:
-    path = recording.path or recording.camera
-    if min(recording.size) < LEAST_SIDE:
-        raise BadInput(
-            f"{path}: frames of {recording.size[0]} x {recording.size[1]} pixels: at least "
-            f"{LEAST_SIDE} x {LEAST_SIDE} are needed, hundreds are better"
-        )
-    seen: dict[int, int] = {}
+def copies(recordings: Sequence[Recording]) -> dict[int, int]:
+    """Recordings that hold the same pixels as an earlier one: the number of each, and of the earlier one."""
+    seen: dict[tuple, int] = {}
+    out: dict[int, int] = {}
+    for number, recording in enumerate(recordings):
+        whole = hashlib.blake2b(digest_size=16)
+        for part in chunks(recording.frames):
+            whole.update(part.tobytes())
+        first = seen.setdefault((tuple(recording.frames.shape), whole.digest()), number)
+        if first != number:
+            out[number] = first
+    return out
+
+
+def fault_of(frame: np.ndarray, white: float = 65536.0) -> str | None:
+    """Why a frame holds no noise: one value everywhere, or all of it at or above the white level."""
+    low, high = int(frame.min()), int(frame.max())
+    if low >= white:
+        return f"every pixel is at or above the white level {white:g} (saturated, or state --white-level)"
+    if low == high:
+        why = "the camera cuts off below black: raise its offset" if low == 0 else "no frame of a sensor"
+        return f"every pixel is {low} ({why})"
+    return None
+
+
+def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
+    """The numbers of the frames to keep, and why the others are not."""
+    path: object = recording.path or recording.camera
+    good: list[int] = []
+    faults: dict[str, list[int]] = {}
     number = 0
     for part in chunks(recording.frames, 16 << 20):
         for frame in part:
-            check_frame(path, number, frame, recording.white_level)
-            print_ = zlib.crc32(np.ascontiguousarray(frame).tobytes())
-            if print_ in seen:
-                raise BadInput(
-                    f"{path}: frame {number + 1} is a copy of frame {seen[print_] + 1}: noise shows between "
-                    "frames, so each must be an exposure of its own"
-                )
-            seen[print_] = number
+            fault = fault_of(frame, recording.white_level)
+            if fault is None:
+                key = (frame.shape, hashlib.blake2b(frame.tobytes(), digest_size=16).digest())
+                first, at = seen.setdefault(key, (path, number))
+                if (first, at) != (path, number):
+                    of = "" if first == path else f" of {first}"
+                    fault = f"a copy of frame {at + 1}{of} (noise shows between exposures of their own)"
+            if fault is None:
+                good.append(number)
+            else:
+                faults.setdefault(fault, []).append(number + 1)
             number += 1
+    return good, [f"{path}: {_numbered(which)}: {fault}" for fault, which in faults.items()]
 
 
-def check_frame(path: object, number: int, frame: np.ndarray, white: float = 65536.0) -> None:
-    """Raises BadInput for a frame without noise: one value everywhere, or all of it above the white level."""
-    low, high = int(frame.min()), int(frame.max())
-    if low == high:
-        why = "the camera cuts off below black: raise its offset" if low == 0 else "no frame of a sensor"
-        raise BadInput(f"{path}: every pixel of frame {number + 1} is {low}: {why}")
-    if low >= white:
+def _numbered(which: list[int]) -> str:
+    if len(which) == 1:
+        return f"frame {which[0]}"
+    if which == list(range(which[0], which[-1] + 1)):
+        return f"frames {which[0]} to {which[-1]}"
+    more = f" and {len(which) - _MOST_NUMBERS} more" if len(which) > _MOST_NUMBERS else ""
+    return f"frames {', '.join(map(str, which[:_MOST_NUMBERS]))}{more}"
+
+
+def _check_size(recording: Recording) -> None:
+    if min(recording.size) < LEAST_SIDE:
         raise BadInput(
-            f"{path}: every pixel of frame {number + 1} is at or above the white level {white:g}: saturated, "
-            "or state --white-level"
+            f"{recording.path or recording.camera}: frames of {recording.size[0]} x {recording.size[1]} "
+            f"pixels: at least {LEAST_SIDE} x {LEAST_SIDE} are needed, hundreds are better"
         )
+
+
+def _only(recording: Recording, numbers: list[int]) -> Recording:
+    clean: Any = recording.clean
+    if clean is not None and clean.ndim == 3:
+        clean = _view(clean, numbers)
+    return dataclasses.replace(recording, frames=_view(recording.frames, numbers), clean=clean)
+
+
+def _view(frames: Frames, numbers: list[int]) -> LazyArray:
+    shape = (len(numbers), *frames.shape[1:])
+    return LazyArray(partial(_read, frames, tuple(numbers), shape), shape, np.dtype(frames.dtype))
+
+
+def _read(frames: Frames, numbers: tuple[int, ...], shape: tuple[int, ...], index: Any) -> np.ndarray:
+    return read_stack(lambda at: np.asarray(frames[numbers[at]]), shape, index)

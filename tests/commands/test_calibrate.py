@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from cannoise_jax.commands.calibrate import main
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings import Recording
-from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.native import read_recording, write_recording
 
 GAIN, READ, BLACK = 2.0, 3.0, 256.0
 
@@ -77,69 +78,45 @@ def test_overrides_reach_the_recordings(folder, tmp_path, capsys):
     capsys.readouterr()
 
 
-@pytest.mark.parametrize("trouble", ["no folder", "empty folder", "only darks", "not json", "broken file"])
-def test_trouble_is_one_line_and_keeps_the_old_result(trouble, folder, tmp_path, capsys):
-    out = tmp_path / ("sensor.txt" if trouble == "not json" else "sensor.json")
-    out.write_text("precious")
-    recordings = folder
-    if trouble == "no folder":
-        recordings = tmp_path / "nowhere"
-    elif trouble == "empty folder":
-        recordings = tmp_path / "empty"
-        recordings.mkdir()
-    elif trouble == "only darks":
-        (folder / "flat.h5").unlink()
-    elif trouble == "broken file":
-        (folder / "flat.h5").write_bytes(b"not a recording")
-    assert main(["--recordings", str(recordings), "--out", str(out), "--force"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("bin/calibrate: ") and error.count("\n") == 1
-    assert out.read_text() == "precious"
-    assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == [out.name]
+def spoilt(frames, trouble):
+    """Frames as they must not be."""
+    return {
+        "tiny": frames[:, :2, :2],
+        "zero": frames * 0,
+        "copies": frames[[0, 0, 0, 0]],
+        "white": frames + 5000,
+        "constant": np.full_like(frames, 700),
+    }[trouble].astype(np.uint16)
 
 
-def test_four_black_levels_or_one(capsys):
-    with pytest.raises(SystemExit):
-        main(["--recordings", ".", "--out", "x.json", "--black-level", "1,2"])
-    assert "1,2" in capsys.readouterr().err
-
-
-def test_flats_and_darks_that_state_their_light_are_taken(folder, tmp_path, capsys):
-    light = np.full((64, 96), 0.25, np.float32)
-    write(folder / "flat.h5", 2000.0, "flat", rows=2.0, clean=light, reference="independent")
-    write(folder / "dark.h5", 0.0, "dark", rows=2.0, clean=np.zeros((64, 96), np.float32))
-    assert main(["--recordings", str(folder), "--out", str(tmp_path / "sensor.json")]) == 0
-    assert "row_noise" in [f.mechanism for f in read_sensor(tmp_path / "sensor.json").mechanisms]
-
-
-def test_results_are_replaced_only_when_asked(folder, tmp_path, capsys):
-    out = tmp_path / "sensor.json"
-    (tmp_path / "sensor_profile.csv").write_text("precious")
-    assert main(["--recordings", str(folder), "--out", str(out)]) == 2
-    assert (
-        "sensor_profile.csv: exists: name another file, or replace it with --force" in capsys.readouterr().err
-    )
-    assert not out.exists()
+def noisy(seed=0):
+    return np.random.default_rng(seed).integers(300, 400, (4, 16, 16)).astype(np.uint16)
 
 
 @pytest.mark.parametrize("trouble", ["tiny", "zero", "copies", "white", "constant"])
-def test_frames_without_noise_are_refused_in_one_line(trouble, folder, tmp_path, capsys):
-    rng = np.random.default_rng(0)
-    frames = rng.integers(300, 400, (4, 16, 16)).astype(np.uint16)
-    frames = {
-        "tiny": frames[:, :2, :2],
-        "zero": frames * 0,
-        "copies": frames[[0, 1, 0, 2]],
-        "white": frames + 5000,
-        "constant": np.where(np.arange(4)[:, None, None] == 2, 700, frames),
-    }[trouble].astype(np.uint16)
-    levels = (BLACK,) * 4, 4000.0
-    write_recording(folder / "flat.h5", Recording(frames, "RGGB", *levels, kind="flat", camera="made"))
-    assert main(["--recordings", str(folder), "--out", str(tmp_path / "sensor.json")]) == 2
+def test_frames_that_all_lack_noise_are_refused_in_one_line(trouble, tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    made = Recording(spoilt(noisy(), trouble), "RGGB", (BLACK,) * 4, 4000.0, kind="flat", camera="made")
+    write_recording(tmp_path / "in" / "flat.h5", made)
+    assert main(["--recordings", str(tmp_path / "in"), "--out", str(tmp_path / "sensor.json")]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
-    words = {"tiny": "at least 8 x 8", "zero": "raise its offset", "copies": "is a copy of frame 1"}
-    assert (
-        words.get(trouble, {"white": "above the white level", "constant": "frame 3 is 700"}.get(trouble))
-        in error
-    )
-    assert not (tmp_path / "sensor.json").exists()
+    words = {"tiny": "at least 8 x 8", "zero": "raise its offset", "copies": "a copy of frame 1"}
+    words |= {"white": "above the white level", "constant": "every pixel is 700"}
+    assert words[trouble] in error and not (tmp_path / "sensor.json").exists()
+
+
+def test_darks_of_zeros_and_repeated_flats_are_left_out_with_a_line(folder, tmp_path, capsys):
+    """What remains is measured as if the others had not been there."""
+    alone = tmp_path / "alone.json"
+    assert main(["--recordings", str(folder), "--out", str(alone)]) == 0
+    capsys.readouterr()
+    zeros = Recording(np.zeros((4, 64, 96), np.uint16), "RGGB", (BLACK,) * 4, 16383.0, kind="dark")
+    write_recording(folder / "dark_off.h5", dataclasses.replace(zeros, camera="made"))
+    lit = read_recording(folder / "flat.h5")
+    again = np.concatenate([lit.frames[:], lit.frames[:3], np.full((1, 64, 96), 900, np.uint16)])
+    write_recording(folder / "flat.h5", dataclasses.replace(lit, frames=again))
+    assert main(["--recordings", str(folder), "--out", str(tmp_path / "more.json")]) == 0
+    said = capsys.readouterr().err
+    assert "dark_off.h5: frames 1 to 4: every pixel is 0 (" in said
+    assert "flat.h5: frame 20: every pixel is 900" in said and "frame 17: a copy of frame 1 (" in said
+    assert (tmp_path / "more.json").read_text() == alone.read_text()

@@ -168,3 +168,16 @@ def test_a_black_level_that_is_none_is_refused_in_one_line(level, capsys):
     assert caught.value.code == 2 and error.count("\n") == 1
     assert error.startswith("bin/convert: argument --black-level: ") and repr(level) in error
     assert "four as a,b,c,d" in error and error.endswith("(see --help)\n")
+
+
+def test_files_that_contradict_are_not_joined_and_copies_are_used_once(tmp_path, capsys):
+    levels = ("--black-level", 9, "--white-level", 1023, "--cfa", "RGGB")
+    cold, warm, near = (
+        write_fits(tmp_path / f"{n}.fits", FRAMES[n], **{"CCD-TEMP": t}) for n, t in enumerate((-10, -5, -4))
+    )
+    assert run(cold, warm, tmp_path / "out.h5", *levels) == 2
+    assert "-5.0 C" in capsys.readouterr().err and not (tmp_path / "out.h5").exists()
+    assert run(warm, near, near, warm, tmp_path / "out.h5", *levels) == 0
+    assert capsys.readouterr().err.count("the same pixels as") == 2
+    np.testing.assert_array_equal(read_recording(tmp_path / "out.h5").frames[:], FRAMES[[1, 2]])
+    assert run(cold, warm, tmp_path / "stated.h5", *levels, "--temperature", -7) == 0

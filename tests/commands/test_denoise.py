@@ -41,6 +41,7 @@ def test_train_test_and_apply(recordings, tmp_path, capsys):
     record = json.loads((tmp_path / "denoising_toy.json").read_text())["exposures_s"]["10"]
     assert set(record["psnr_db"]) == {"pg", "real_darks"} and record["seeds"] == 1
     assert "over pg [90 %]" in capsys.readouterr().out
+    assert main(["test", *run, "--scenes", "2"]) == 2 and "exists" in capsys.readouterr().err
     out = tmp_path / "clean.npy"
     apply = ["apply", "--denoiser", str(files[0]), "--recording", str(recordings / "b.h5"), "--out", str(out)]
     assert main(apply) == 0 and np.load(out).shape == (5, 64, 144)
@@ -53,7 +54,9 @@ def test_what_cannot_be_used_is_refused_in_one_line(recordings, tmp_path, capsys
         (["test", *run], "bin/denoise train makes them"),
         (["train", *run, "--exposure", "3"], "no two dark frames of 3 s"),
         (["train", *run, "--exposure", "10", "--noise", "nonsense"], "neither"),
+        (["train", *run, "--exposure", "10", "--noise", "pg+nonsense"], "neither"),
     ):
         assert main(arguments) == 2
         error = capsys.readouterr().err.splitlines()[-1]
         assert error.startswith("bin/denoise: ") and words in error
+        assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,10 @@ import pytest
 from cannoise_jax.commands import entry
 from cannoise_jax.physics.core.settings import ExtrapolationWarning
 
-COMMANDS = ("bench", "blind", "calibrate", "convert", "diagnose", "sample", "simulate", "test", "train")
+COMMANDS = (
+    *("bench", "blind", "calibrate", "compare", "convert", "denoise", "diagnose", "evaluate", "sample"),
+    *("simulate", "test", "train"),
+)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -42,6 +45,20 @@ def test_a_reader_that_closes_the_pipe_leaves_no_traceback():
         running.stdout.readline()
         running.stdout.close()
         assert running.stderr.read() == b"" and running.wait() == 141
+
+
+def test_an_interrupt_that_a_callback_swallows_comes_once_more():
+    """JAX hangs a callback on the garbage collector; what is raised in one is only printed."""
+    script = (
+        "import gc, os, signal, sys, time\nfrom cannoise_jax.commands.entry import command\n"
+        "def callback(phase, info):\n    gc.callbacks.clear()\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    sum(range(1000))\n"
+        "@command('x')\ndef main():\n    gc.callbacks.append(callback)\n    gc.collect()\n"
+        "    time.sleep(20)\n    print('went on')\n    return 0\n"
+        "sys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "bin/x: interrupted\n")
 
 
 def test_warnings_of_libraries_are_dropped_and_own_ones_are_a_line(capsys):

@@ -16,8 +16,7 @@ from cannoise_jax.sampling import Camera, Setting, make_model, save_model
 SHOT, READ, BLACK, WHITE = 1e-3, 1e-5, 64.0, 1023.0
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
+def write_model(folder):
     """A generator that hands on its initial noise: its zero start, with the other layers drawn small."""
     generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False)
     encoder = Encoder(1 / 64, hidden=4)
@@ -29,9 +28,13 @@ def model(tmp_path_factory):
     cameras = {
         "A": Camera(jnp.full((2, 32, 32, 4), 0.1), {"100": Setting(np.full(4, SHOT), np.full(4, READ))})
     }
-    folder = tmp_path_factory.mktemp("model")
     save_model(folder / "model.npz", make_model(generator, g, encoder, e, cameras))
     return folder
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return write_model(tmp_path_factory.mktemp("model"))
 
 
 def run(model, clean, reference, out, *more):

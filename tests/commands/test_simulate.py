@@ -7,6 +7,7 @@ from cannoise_jax.commands.simulate import main
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
+from cannoise_jax.recordings.recording import BadInput
 
 
 @pytest.fixture
@@ -177,7 +178,10 @@ def test_nothing_is_written_over(sensor, tmp_path, capsys):
 
 def test_catalogue_needs_a_place(tmp_path, capsys):
     assert main(["--catalogue", "--out", str(tmp_path / "absent" / "page.html")]) == 2
-    assert "folder that exists" in capsys.readouterr().err
+    assert "no such folder" in capsys.readouterr().err
+    (tmp_path / "page.html").write_text("precious")
+    assert main(["--catalogue", "--out", str(tmp_path / "page.html")]) == 2
+    assert "--force" in capsys.readouterr().err and (tmp_path / "page.html").read_text() == "precious"
 
 
 def test_catalogue_entry_has_its_pictures_and_words():
@@ -186,3 +190,14 @@ def test_catalogue_entry_has_its_pictures_and_words():
     entry = catalogue.said_of(MECHANISMS["row_noise"])
     assert all(len(entry[name]) > 2000 for name in ("picture", "signature")) and entry["equation"]
     assert "darks" in entry["needs"] and "readout" in entry["place"] and "gain^1" in entry["scales"]
+
+
+def test_a_full_disk_leaves_no_folder(tmp_path, monkeypatch, capsys):
+    def full(path, recording):
+        raise BadInput(f"{path}: cannot be written: no space left on the disk")
+
+    monkeypatch.setattr("cannoise_jax.recordings.native.write_recording", full)
+    out = tmp_path / "a" / "b"
+    arguments = ["--sensor", "preset:sony_a7s2", "--clean", "dark", "--size", "16x16", "--out", str(out)]
+    assert main(arguments) == 2 and "no space" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()

@@ -11,7 +11,14 @@ import pytest
 from cannoise_jax.commands.evaluate import _plain, main
 from cannoise_jax.discovery.patch_area import two_sample_area
 from cannoise_jax.evaluation.evaluators import Samples
-from cannoise_jax.evaluation.noise_models import KNOWS, baselines, draw_key, make_bench, references_of
+from cannoise_jax.evaluation.noise_models import (
+    BASELINES,
+    KNOWS,
+    baselines,
+    draw_key,
+    make_bench,
+    references_of,
+)
 from cannoise_jax.evaluation.results_page import number, results_page
 from cannoise_jax.evaluation.suites import Request, iso_suite, kl_by_unit, pooled_kl
 from cannoise_jax.evaluation.texture import lags, spectra
@@ -24,7 +31,9 @@ def bench():
 
 @pytest.fixture(scope="module")
 def draws(bench):
-    return baselines(bench)
+    made = baselines(bench)
+    assert tuple(made) == BASELINES
+    return made
 
 
 def noise_like(rng, shape=(24, 32, 32, 4), rows=0.0, columns=0.0, neighbours=0.0):

@@ -34,9 +34,11 @@ class Case(NamedTuple):
 
 
 class Kit(NamedTuple):
-    """The sound files: recordings by name, a sensor.json with maps, a model.npz, a published result."""
+    """The sound files: recordings by name, a night of FITS files, a sensor.json with maps, a model.npz, a
+    published result."""
 
     recordings: dict[str, Path]
+    night: Path
     sensor: Path
     model: Path
     result: Path
@@ -117,8 +119,26 @@ def odd_frames(kit: Kit, rng: random.Random, folder: Path) -> Case:
 def odd_header(kit: Kit, rng: random.Random, folder: Path) -> Case:
     """A keyword of a FITS file holds something else."""
     path = _put(kit, folder, rng.choice(("stack.fits", "packed.fits")))
+    _put_card(rng, path)
+    return _convert("header", path.name)
+
+
+def _put_card(rng: random.Random, path: Path) -> None:
+    """Replaces or adds one card of a FITS file's last header, by its bytes."""
     keys = ("BAYERPAT", "EXPTIME", "GAIN", "ISO", "CCD-TEMP", "IMAGETYP", "XBAYROFF", "ROWORDER", "BSCALE")
-    keys += ("BZERO", "NAXIS1", "NAXIS2", "BITPIX", "SATURATE", "INSTRUME", "BUNIT", "DATASEC", "BIASSEC")
+    keys += (
+        "BZERO",
+        "NAXIS1",
+        "NAXIS2",
+        "BITPIX",
+        "SATURATE",
+        "INSTRUME",
+        "BUNIT",
+        "DATASEC",
+        "BIASSEC",
+        "EGAIN",
+        "OFFSET",
+    )
     card = fits.Card(
         rng.choice(keys), rng.choice([v for v in ODD_NUMBERS if v == v and abs(v) < 1e300] + ["", "x"])
     )
@@ -133,7 +153,6 @@ def odd_header(kit: Kit, rng: random.Random, folder: Path) -> Case:
             end = next(at for at in reversed(starts) if data[at : at + 80] == b"END".ljust(80))
             data[end : end + 160] = line + b"END".ljust(80)
     path.write_bytes(bytes(data))
-    return _convert("header", path.name)
 
 
 def broken_side_car(kit: Kit, rng: random.Random, folder: Path) -> Case:
@@ -200,6 +219,58 @@ def odd_thing(kit: Kit, rng: random.Random, folder: Path) -> Case:
     return _convert(f"thing {name}", path.name, "refuse")
 
 
+def odd_folder(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A night of FITS files of which one is damaged, headed otherwise, or something else."""
+    place = folder / "in"
+    for path in kit.night.iterdir():
+        shutil.copy(path, place)
+    victim = rng.choice(sorted(place.iterdir()))
+    how = rng.choice(("bytes", "bytes", "header", "header", "kind", "twice", "blank", "foreign", "link"))
+    if how == "bytes":
+        victim.write_bytes(damaged_bytes(rng, victim.read_bytes())[0])
+    elif how == "header":
+        _put_card(rng, victim)
+    elif how == "kind":
+        victim.rename(
+            victim.with_name(rng.choice(("x.fits", "master_dark.fits", "a b\n.fits", "flat.FIT.gz")))
+        )
+    elif how == "twice":
+        shutil.copy(victim, victim.with_name("again.fits"))
+    elif how == "blank":
+        fits.writeto(victim, np.full((24, 32), rng.choice((0, 700, 65535)), np.uint16), overwrite=True)
+    elif how == "foreign":
+        shutil.copy(kit.recordings[rng.choice(("raw.dng", "stack.npy", "native.h5"))], place)
+    else:
+        (place / "link.fits").symlink_to("nowhere.fits")
+    return Case(
+        f"folder {how}", "convert", ["in", "out/night", *(["--dry-run"] if rng.random() < 0.2 else [])]
+    )
+
+
+def odd_calibration(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A flat and a dark of one camera of which one states or holds something odd."""
+    dark = np.rint(np.random.default_rng(1).normal(64, 3, (4, 24, 32))).astype(np.uint16)
+    stacks, fields = {"flat": frames(), "dark": dark}, {k: dict(FIELDS, kind=k) for k in ("flat", "dark")}
+    victim = rng.choice(("flat", "dark"))
+    how = rng.choice(("field", "field", "zero", "one value", "copies", "one frame", "white", "size"))
+    if how == "field":
+        fields[victim][rng.choice(list(FIELDS))] = rng.choice(ODD_VALUES)
+    stacks[victim] = {
+        "zero": lambda s: s * 0,
+        "one value": lambda s: np.full_like(s, 300),
+        "copies": lambda s: s[[0, 0, 0, 1]],
+        "one frame": lambda s: s[:1],
+        "white": lambda s: s | 0x3FF,
+        "size": lambda s: s[:, :2, :2],
+    }.get(how, lambda s: s)(stacks[victim])
+    for kind, stack in stacks.items():
+        try:
+            native(folder / "in" / f"{kind}.h5", stack, fields[kind])
+        except (TypeError, ValueError, OverflowError, RuntimeError, UnicodeError):  # no attribute of HDF5
+            native(folder / "in" / f"{kind}.h5", stack, {**FIELDS, "kind": kind})
+    return Case(f"calibrate {how}", "calibrate", ["--recordings", "in", "--out", "out/sensor.json"])
+
+
 def broken_sensor(kit: Kit, rng: random.Random, folder: Path) -> Case:
     """A sensor.json, or the maps beside it, damaged."""
     for path in (kit.sensor, kit.sensor.with_suffix(".npz")):
@@ -250,4 +321,5 @@ def wrong_call(kit: Kit, rng: random.Random, folder: Path) -> Case:
 MAKERS: tuple[tuple[Callable[[Kit, random.Random, Path], Case], float], ...] = (
     (broken_file, 6), (odd_attribute, 2), (odd_frames, 1), (odd_header, 1.5), (broken_side_car, 2),
     (odd_thing, 1.5), (broken_sensor, 3), (broken_model, 1), (broken_result, 1), (wrong_call, 3),
+    (odd_folder, 2), (odd_calibration, 0.3),
 )  # fmt: skip

@@ -20,13 +20,14 @@ import pytest
 
 from cannoise_jax import SensorModel
 from cannoise_jax.networks import Generator
-from cannoise_jax.physics.core.sensor_json import write_sensor
+from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import Camera, Setting, make_model, save_model
 from tests.conftest import ROOT
 from tests.fuzz.cases import Case, Kit, make_case
 from tests.fuzz.samples import write_samples
+from tests.recordings.folders.night import night
 
 SECONDS, GIGABYTES = 20.0, 4.0
 """What one case may take, in time of a core. Loading JAX takes a second and some 3 GB of addresses."""
@@ -46,10 +47,17 @@ class Worker:
             text=True,
         )
 
-    def run(self, case: Case, folder: Path, seconds: float = 8 * SECONDS, ready: Path | None = None) -> dict:
-        """seconds: until it is killed, counted from when `ready` is there, if named."""
+    def run(
+        self,
+        case: Case,
+        folder: Path,
+        seconds: float = 8 * SECONDS,
+        ready: Path | None = None,
+        cpu: float = SECONDS,
+    ) -> dict:
+        """seconds: until it is killed, counted from when `ready` is there, if named. cpu: time of a core."""
         job = {"target": case.target, "argv": case.argv, "cwd": str(folder), "ready": str(ready or "")}
-        job |= {"seconds": seconds, "cpu": SECONDS, "gigabytes": GIGABYTES}
+        job |= {"seconds": seconds, "cpu": cpu, "gigabytes": GIGABYTES}
         self.process.stdin.write(json.dumps(job) + "\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
@@ -82,7 +90,7 @@ def kit(tmp_path_factory) -> Kit:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         samples = write_samples(folder / "samples")
-    return Kit(samples, folder / "sensor.json", folder / "model.npz", result)
+    return Kit(samples, night(folder / "night"), folder / "sensor.json", folder / "model.npz", result)
 
 
 def prepared(folder: Path) -> Path:
@@ -121,7 +129,8 @@ def faults(case: Case, answer: dict, before: dict, after: dict, folder: Path) ->
             found.append(f"{len(lines)} lines: {' / '.join(lines)[:300]}")
         elif max(map(len, lines)) > 900:  # some name every mechanism there is
             found.append(f"a line of {max(map(len, lines))} characters")
-        if answer["out"].strip() and case.target != "train":  # which says what it is about to read
+        tells = case.kind.startswith("folder") or case.target in ("train", "calibrate")
+        if answer["out"].strip() and not tells:  # these say what they read and measured
             found.append(f"printed: {answer['out'][:100]}")
         if before != after:
             found.append(f"files changed: {sorted(before.items() ^ after.items())[:3]}")
@@ -133,8 +142,12 @@ def faults(case: Case, answer: dict, before: dict, after: dict, folder: Path) ->
         changed = {name for name in before if before[name] != after.get(name)}
         if changed:
             found.append(f"inputs changed: {sorted(changed)[:3]}")
-        if case.target == "convert":
-            found += unsound(folder / "out" / "made.h5")
+        for path in (folder / "out").rglob("*.h5"):
+            found += unsound(path)
+        for path in (folder / "out").glob("sensor.json"):
+            read_sensor(path)
+        if case.target in ("convert", "calibrate") and "--dry-run" not in case.argv:
+            found += [] if any((folder / "out").iterdir()) else ["wrote nothing"]
     return found
 
 
@@ -147,7 +160,8 @@ def unsound(path: Path) -> list[str]:
         return [f"wrote what cannot be read: {error}"]
     stated = [recording.iso, recording.exposure_s, recording.temperature_c]
     numbers = [*recording.black_level, recording.white_level, *(v for v in stated if v is not None)]
-    if not (np.isfinite(numbers).all() and max(recording.black_level) < recording.white_level <= 65535):
+    # A white level beyond 16 bits is a mistake that can be found, and is kept as the file states it.
+    if not (np.isfinite(numbers).all() and max(recording.black_level) < recording.white_level <= 2**20):
         return [f"wrote levels {recording.black_level}, {recording.white_level}, {stated}"]
     return [] if values.ndim == 3 and values.size else [f"wrote frames {values.shape}"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import resource
 import shutil
@@ -16,13 +17,15 @@ import pytest
 
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from cannoise_jax.recordings.native import read_recording, write_recording
+from tests.commands.test_sample import write_model
 from tests.conftest import ROOT
+from tests.discovery.capture import capture_set
 from tests.fuzz import killed
 from tests.fuzz.cases import Case
 from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.test_fuzz import Worker, prepared
 
-FEW, MANY = 3, 200
+FEW, MANY, SOME = 3, 200, 50
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +130,73 @@ def test_convert_that_is_killed_leaves_nothing_or_all(worker, tmp_path, request)
     assert worker.run(case, folder)["status"] == 0
     assert [p.name for p in (folder / "out").iterdir()] == ["made.h5"]
     assert set(ended) <= {0, "hung"}
+
+
+def sound(path: Path) -> bool:
+    """Whether a result is whole by its own reader."""
+    if path.suffix == ".h5":
+        return np.asarray(read_recording(path).frames[:]).ndim == 3
+    if path.name == "sensor.json":
+        return bool(read_sensor(path).camera)
+    text = path.read_text()
+    return bool(json.loads(text)) if path.suffix == ".json" else text.rstrip().endswith("</html>")
+
+
+def survives(worker: Worker, case: Case, folder: Path, kills: int, seed: int, cpu: float = 20) -> int:
+    """Kills a command at random times from its start to its end; what it leaves is whole each time, and the
+    next run ends as one that was never killed. Returns how many were killed."""
+    worker.run(case, folder, 1000, cpu=cpu)  # what it compiles the others load
+    whole = worker.run(case, folder, 1000, cpu=cpu)
+    assert whole["status"] == 0, whole["err"][-600:]
+    names = {p.name for p in (folder / "out").iterdir()}
+    rng, killed_ = random.Random(seed), 0
+    for number in range(kills):
+        if number % 2:  # as often into an empty folder as over what is there
+            shutil.rmtree(folder / "out")
+            (folder / "out").mkdir()
+        answer = worker.run(case, folder, rng.uniform(0, 1.05) * whole["seconds"], cpu=cpu)
+        assert answer["status"] in ("hung", 0), answer["err"][-600:]
+        killed_ += answer["status"] == "hung"
+        left = [p for p in (folder / "out").iterdir() if not p.name.startswith(".")]
+        assert {p.name for p in left} <= names and all(sound(p) for p in left)
+    assert worker.run(case, folder, 1000, cpu=cpu)["status"] == 0
+    assert {p.name for p in (folder / "out").iterdir()} == names
+    assert all(sound(p) for p in (folder / "out").iterdir())
+    return killed_
+
+
+def drawing(folder: Path, command: str) -> Case:
+    """A call of simulate or sample that draws three recordings."""
+    rng = np.random.default_rng(0)
+    (folder / "in" / "clean").mkdir()
+    for name in "abc":
+        np.save(folder / "in" / "clean" / f"{name}.npy", rng.uniform(0, 0.9, (64, 64)).astype(np.float32))
+    more = ["--clean", "in/clean", "--frames", "8", "--out", "out", "--force"]
+    if command == "simulate":
+        return Case("", "simulate", ["--sensor", "preset:sony_a7s2", *more])
+    write_model(folder / "in")
+    levels = ["--black-level", "64", "--white-level", "1023"]
+    return Case("", "sample", ["--model", "in", "--reference", "A", "--iso", "100", *levels, *more])
+
+
+@pytest.mark.parametrize("command", ["simulate", pytest.param("sample", marks=pytest.mark.slow)])
+def test_drawing_that_is_killed_leaves_whole_recordings(command, worker, tmp_path, request):
+    folder = prepared(tmp_path / "case")
+    kills = SOME if request.config.getoption("--slow") else FEW
+    count = survives(worker, drawing(folder, command), folder, kills, 5)
+    print(f"{command}: {count} of {kills} killed before their end")
+    assert count
+
+
+@pytest.mark.slow
+def test_a_diagnosis_that_is_killed_leaves_whole_reports(worker, tmp_path):
+    folder = prepared(tmp_path / "case")
+    for recording in capture_set(5, kinds="df", size=(48, 64)).recordings:
+        write_recording(folder / "in" / recording.path, recording)
+    case = Case("", "diagnose", ["--recordings", "in", "--out", "out", "--force"])
+    count = survives(worker, case, folder, SOME, 6, cpu=1000)
+    print(f"diagnose: {count} of {SOME} killed before their end")
+    assert count > SOME // 2
 
 
 def limited(size: int):

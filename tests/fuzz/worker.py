@@ -21,13 +21,23 @@ import time
 import traceback
 import warnings
 
-PRELOADED = ("convert", "calibrate", "sample", "simulate", "train", "diagnose", "bench", "blind")
+PRELOADED = (
+    *("convert", "calibrate", "sample", "simulate", "train", "diagnose", "compare", "evaluate", "denoise"),
+    *("bench", "blind"),
+)
+
+READERS = (
+    *("h5py", "astropy.io.fits", "tifffile", "rawpy", "PIL.Image", "jax.numpy"),
+    *("cannoise_jax.sampling", "cannoise_jax.recordings.folders.store"),
+)
 
 
 def main() -> int:
     warnings.filterwarnings("ignore", category=RuntimeWarning, message=r".*fork.*")
     for name in PRELOADED:
         importlib.import_module(f"cannoise_jax.commands.{name}")
+    for name in READERS:
+        importlib.import_module(name)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a module prints is no answer
     for line in sys.stdin:

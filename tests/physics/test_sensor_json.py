@@ -299,3 +299,13 @@ def test_a_model_saves_and_loads_itself(tmp_path):
         model.save(path)
     model.without("row_noise").save(path, force=True)
     assert not SensorModel.load(path).mechanisms
+
+
+def test_a_name_of_any_length_is_refused_in_a_line_of_some_length(tmp_path):
+    camera = SensorModel.poisson_gaussian(0.5, 3.0, 64, 1023, "RGGB").with_mechanism("prnu", sigma=0.01)
+    write_sensor(tmp_path / "s.json", camera)
+    text = (tmp_path / "s.json").read_text()
+    (tmp_path / "s.json").write_text(text.replace('"prnu"', '"' + "a" * 5000 + '"'))
+    with pytest.raises(BadInput, match="it is no mechanism") as refused:
+        read_sensor(tmp_path / "s.json")
+    assert len(str(refused.value)) < 1200

@@ -194,7 +194,7 @@ def test_amplifiers_are_put_where_they_lie(tmp_path):
 )
 def test_a_gain_is_no_iso(tmp_path, camera, gain, expected):
     opened = open_fits(write(tmp_path / "a.fits", FRAMES[0], INSTRUME=camera, GAIN=gain))
-    said = (opened.known["iso"], opened.known["gain_db"], opened.about["gain_setting"], opened.about["egain"])
+    said = (opened.known["iso"], opened.known["gain_db"], opened.about["gain_setting"], opened.known["egain"])
     assert said == (None if expected[0] is None else pytest.approx(expected[0]), *expected[1:])
 
 
@@ -204,3 +204,11 @@ def test_three_planes_of_a_developed_picture(tmp_path):
         load_recording(write(tmp_path / "a.fits", colours), cfa="MONO", **LEVELS)
     frames = np.random.default_rng(0).normal(900, 5, (3, 6, 10)).astype(np.uint16)
     assert load_recording(write(tmp_path / "b.fits", frames), cfa="MONO", **LEVELS).count == 3
+
+
+def test_a_kind_that_is_not_known_is_said(tmp_path, caplog):
+    path = write(tmp_path / "a.fits", FRAMES[0], IMAGETYP="Zorbl")
+    assert load_recording(path, cfa="MONO", **LEVELS).kind == "scene"
+    assert "IMAGETYP 'Zorbl' is unknown: taken for a scene" in caplog.text
+    caplog.clear()
+    assert load_recording(path, cfa="MONO", kind="dark", **LEVELS).kind == "dark" and not caplog.text

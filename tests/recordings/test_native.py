@@ -129,6 +129,7 @@ BAD = {
     "unknown reference 'guess'": {"reference": "guess"},
     "exposure_s is -1": {"exposure_s": -1.0},
     "shot .*expected 1 or 4": {"shot": [1e-3, 1e-3]},
+    "code_step is 0.5: stored codes are whole": {"code_step": 0.5},
     "reference_frames is 0": {"reference_frames": 0},
 }
 

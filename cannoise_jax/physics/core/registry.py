@@ -23,7 +23,7 @@ def mechanism(id: str) -> Mechanism:
     """The mechanism of a name. Raises ValueError for one that the package does not have."""
     found = packaged().get(id)
     if found is None:
-        raise ValueError(f"{id}: it is no mechanism of the package; known: {', '.join(packaged())}")
+        raise ValueError(f"{id:.80}: it is no mechanism of the package; known: {', '.join(packaged())}")
     return found
 
 

@@ -6,6 +6,7 @@ from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outc
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
 from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.shape import dark_lines, lamp_notes
+from cannoise_jax.physics.transfer.stated_gain import gain_note
 
 
 def format_transfer(result: PhotonTransfer) -> str:
@@ -30,6 +31,8 @@ def format_transfer(result: PhotonTransfer) -> str:
     if darks:
         out += ["", "Darks over exposure, DN, all channels:", *aligned(darks)]
     notes += lamp_notes(result.statistics)
+    stated = _stated_gain(result)
+    notes += [stated] if stated else []
     if notes:
         out += ["", *dict.fromkeys(notes)]
     if missing:
@@ -48,6 +51,12 @@ def format_outcome(outcome: Outcome) -> str:
         digits += 1
     value, low, high = (f"{v:.{digits}f}" for v in (outcome.value, *outcome.ci90))
     return f"{value} [{low}, {high}]" if width > 0 else f"{outcome.value:g}"
+
+
+def _stated_gain(result: PhotonTransfer) -> str | None:
+    found = [o for o in result.outcomes("system gain") if isinstance(o, Estimate)]
+    recordings = [s.recording for s in result.statistics]
+    return gain_note(recordings, [o.value for o in found], [o.stderr for o in found])
 
 
 def _cells(group: list[Quantity], names: tuple[str, ...]) -> list[str]:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.recordings.folders.shots import Shot
+from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import KINDS
 
 _ALIKE = 0.02
 """Exposures that differ by less than this share are one setting: shutters are that exact."""
-_KELVIN = 2.5
-"""Temperatures are one where each is this near to the next."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ def _clusters(values: Sequence[float | None]) -> list[float | None]:
     order = sorted({v for v in values if v is not None})
     chains: list[list[float]] = []
     for value in order:
-        if chains and value - chains[-1][-1] <= _KELVIN:
+        if chains and value - chains[-1][-1] <= ALIKE_KELVIN:
             chains[-1].append(value)
         else:
             chains.append([value])

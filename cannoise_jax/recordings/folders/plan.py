@@ -126,6 +126,10 @@ def _settings(group: Group) -> str:
 
 def _notes(found: Scan) -> list[str]:
     notes = [f"{name}: an average, no frame ({why}): left out" for name, why in found.averages]
+    by_fault: dict[str, list[str]] = {}
+    for name, fault in found.duds:
+        by_fault.setdefault(fault, []).append(name)
+    notes += [f"{_listed(names)}: {fault}: left out" for fault, names in by_fault.items()]
     notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
     if found.unread:
         counts = ", ".join(f"{n} {suffix}" for suffix, n in sorted(found.unread.items()))

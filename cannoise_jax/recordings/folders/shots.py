@@ -17,7 +17,7 @@ from cannoise_jax.recordings.load import is_supported, load_recording, open_file
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.opened import stated
 from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
-from cannoise_jax.recordings.usable import check_frame
+from cannoise_jax.recordings.usable import fault_of
 
 _SAMPLE = 1 << 20
 _DEVELOPED = (".jpg", ".jpeg", ".bmp", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf")
@@ -49,13 +49,18 @@ class Shot(NamedTuple):
 
 class Scan(NamedTuple):
     """The files of a folder. averages: masters and stacks, with the words that say so. failures: why a file
-    cannot be used. unread: of other formats, by suffix."""
+    cannot be used. duds: files whose frames hold no noise, and why. unread: of other formats, by suffix."""
 
     shots: tuple[Shot, ...]
     averages: tuple[tuple[str, str], ...]
+    duds: tuple[tuple[str, str], ...]
     copies: tuple[tuple[str, str], ...]
     failures: tuple[tuple[str, str], ...]
     unread: dict[str, int]
+
+
+class _Dud(BadInput):
+    """A file none of whose frames holds noise."""
 
 
 def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, total: None) -> Scan:
@@ -65,7 +70,7 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
     """
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
-    shots, averages, failures, copies = [], [], [], []
+    shots, averages, failures, copies, duds = [], [], [], [], []
     unread: dict[str, int] = {}
     found = list(_files(folder, tuple(leave_out), unread))
     if not found:
@@ -77,6 +82,9 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
         tell(number, len(found))
         try:
             shot = _shot(path, name)
+        except _Dud as error:
+            duds.append((name, str(error)))
+            continue
         except BadInput as error:
             named = named_average(Path(name))
             if named:  # averages hold fractions, which no reader takes
@@ -95,7 +103,7 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
         seen[key] = name
         shots.append(shot)
     tell(len(found), len(found))
-    return Scan(tuple(shots), tuple(averages), tuple(copies), tuple(failures), unread)
+    return Scan(tuple(shots), tuple(averages), tuple(duds), tuple(copies), tuple(failures), unread)
 
 
 def matches(name: str, pattern: str) -> bool:
@@ -142,12 +150,17 @@ def _shot(path: Path, name: str) -> Shot:
         if field == "gain_setting" and ("iso" in known or "gain_setting" in about):
             continue
         (about if field in ("gain_setting", "binning") else known).setdefault(field, value)
-    check, top = 0, 0
-    first = np.asarray(opened.frames[0])
+    check, top, first, fault = 0, 0, None, None
     for number in range(shape[0]):
-        frame = first if number == 0 else np.asarray(opened.frames[number])
-        check_frame(path, number, frame)
+        frame = np.asarray(opened.frames[number])
+        wrong = fault_of(frame)
+        if wrong is not None:
+            fault = fault or wrong
+            continue
+        first = frame if first is None else first
         check, top = zlib.crc32(np.ascontiguousarray(frame).tobytes(), check), max(top, int(frame.max()))
+    if first is None:
+        raise _Dud(fault)
     sites = [
         np.median(first[s // 2 :: 2, s % 2 :: 2]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)
     ]

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cannoise_jax.recordings.atomic import is_running
 from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder, text
 from cannoise_jax.recordings.folders.shots import Tell
@@ -30,6 +31,7 @@ from cannoise_jax.recordings.sidd import is_instance
 
 _KEPT = 6
 """Conversions that a cache keeps."""
+_MAKING = ".making-"
 _LAYOUT = "1"
 """Of what is cached: entries of another layout are not used."""
 
@@ -174,7 +176,7 @@ def _into_cache(plan: Plan, entry: Path) -> None:
     try:
         entry.parent.mkdir(parents=True, exist_ok=True)
         _prune(entry.parent)
-        temporary = Path(tempfile.mkdtemp(prefix=".making-", dir=entry.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=f"{_MAKING}{os.getpid()}-", dir=entry.parent))
     except OSError as error:
         raise BadInput(f"{entry.parent}: cannot be written ({error.strerror}): set XDG_CACHE_HOME") from error
     try:
@@ -186,13 +188,27 @@ def _into_cache(plan: Plan, entry: Path) -> None:
             os.replace(temporary, entry)
         except OSError:  # another process was faster
             shutil.rmtree(temporary, ignore_errors=True)
+    except (BadInput, OSError) as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if not str(error).startswith(str(temporary)) and not isinstance(error, OSError):
+            raise
+        why = error.strerror if isinstance(error, OSError) else str(error).rpartition(": ")[2]
+        raise BadInput(
+            f"{entry.parent}: the cache of converted folders cannot be written: {why}: make room, or set "
+            "XDG_CACHE_HOME"
+        ) from error
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
 
 
 def _prune(cache: Path) -> None:
-    entries = sorted((p for p in cache.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
+    for left in cache.glob(f"{_MAKING}*"):  # of a run that was killed
+        process = left.name.removeprefix(_MAKING).partition("-")[0]
+        if not (process.isdigit() and is_running(int(process))):
+            shutil.rmtree(left, ignore_errors=True)
+    made = (p for p in cache.iterdir() if p.is_dir() and not p.name.startswith("."))
+    entries = sorted(made, key=lambda p: p.stat().st_mtime)
     for old in entries[: max(len(entries) - _KEPT + 1, 0)]:
         shutil.rmtree(old, ignore_errors=True)
 

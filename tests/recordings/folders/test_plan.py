@@ -275,3 +275,32 @@ def test_a_real_night(real_data):
         "black_level": (992.5,) * 4,
         "white_level": 65535.0,
     }
+
+
+def test_files_of_one_value_are_left_out_and_said(tmp_path):
+    night(tmp_path)
+    for n in range(3):
+        blank = np.zeros((32, 48), np.uint16)
+        fits.writeto(tmp_path / f"dark_blank{n}.fits", blank, fits.Header({"IMAGETYP": "Dark", "EXPTIME": 9}))
+    plan = plan_folder(tmp_path)
+    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2} and not plan.problems
+    assert "dark_blank0.fits, dark_blank1.fits, dark_blank2.fits: every pixel is 0 (" in notes(plan)
+    for path in tmp_path.glob("*[1-2].fits"):
+        path.unlink()
+    blanks = plan_folder(tmp_path)
+    assert blanks.sets == () and "every pixel is 0" in blanks.problems[0]
+
+
+def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_path, monkeypatch):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    (cache / ".making-999999999-x").mkdir(parents=True)
+    capture_of(folder, Options({}), cache)
+    assert len(list(cache.iterdir())) == 1
+
+    def full(path, recording):
+        raise BadInput(f"{path}: cannot be written: no space left on the disk")
+
+    monkeypatch.setattr("cannoise_jax.recordings.folders.store.write_recording", full)
+    with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
+        capture_of(folder, Options({"camera": "X"}), cache)
+    assert len(list(cache.iterdir())) == 1

@@ -1,0 +1,55 @@
+"""Frames without noise are left out, and what is left is what was there."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.usable import usable
+
+RNG = np.random.default_rng(0)
+
+
+def recording(frames, **more):
+    return Recording(np.asarray(frames, np.uint16), "MONO", (64,) * 4, 1023.0, kind="flat", **more)
+
+
+def noisy(count=5):
+    return RNG.integers(100, 900, (count, 12, 14)).astype(np.uint16)
+
+
+def test_sound_frames_are_left_as_they_are():
+    capture = CaptureSet("c", (recording(noisy()), recording(noisy(1))))
+    kept, lines = usable(capture)
+    assert kept.recordings == capture.recordings and lines == ()
+
+
+@pytest.mark.parametrize("index", [slice(None), 1, slice(1, 3), (slice(0, 2), slice(2, 7)), [2, 0]])
+def test_the_others_keep_their_order_and_their_own_reference(index):
+    frames = noisy(6)
+    frames[2], frames[4] = frames[1], 1023
+    clean = np.arange(6, dtype=np.float32)[:, None, None] * np.ones((12, 14), np.float32)
+    kept, lines = usable(CaptureSet("c", (dataclasses.replace(recording(frames), clean=clean),)))
+    good = [0, 1, 3, 5]
+    np.testing.assert_array_equal(kept.recordings[0].frames[index], frames[good][index])
+    np.testing.assert_array_equal(kept.recordings[0].clean[index], clean[good][index])
+    assert kept.recordings[0].count == 4 and len(lines) == 2
+
+
+def test_a_copy_in_another_recording_is_one_too():
+    frames = noisy()
+    both = recording(frames, path="a.h5"), recording(frames[[3, 1]], path="b.h5")
+    kept, lines = usable(CaptureSet("c", both))
+    assert [r.path for r in kept.recordings] == ["a.h5"]
+    assert "b.h5: frame 1: a copy of frame 4 of a.h5" in lines[0]
+
+
+def test_too_few_that_are_left_are_refused_but_single_frames_are_not():
+    lone = recording(noisy(1))
+    assert usable(CaptureSet("c", (lone,)))[0].recordings == (lone,)
+    copies = recording(noisy()[[0, 0]])
+    for recordings in ((copies,), (copies, lone)):
+        with pytest.raises(BadInput, match="copy of frame 1") as refused:
+            usable(CaptureSet("c", recordings))
+        assert "\n" not in str(refused.value)
