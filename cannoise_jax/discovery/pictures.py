@@ -64,35 +64,36 @@ def _blocks(mean: np.ndarray) -> np.ndarray:
 
 
 def where_picture(before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool) -> str:
-    """Where: the frozen map, or the difference of two frames for what is redrawn in each, and what the axis
-    of the finding shows (power of lines, spectrum, offsets of frames, distribution of pixels), without and
-    with the finding in the model."""
-    figure, axes = plt.subplots(1, 3, figsize=(11, 2.7), layout="constrained")
+    """Where: what the finding takes out of the frozen map, or of the difference of two frames for what is
+    redrawn in each, and what its axis shows (power of lines, spectrum, offsets of frames, distribution of
+    pixels), without and with the finding in the model."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 2.9), layout="constrained", width_ratios=(1.2, 1))
     whole, what = _maps(before, after, redrawn)
-    maps = [_blocks(m) for m in whole]
-    top = float(np.clip(np.quantile(np.abs(maps[0]), 0.995), 4, 400))
-    norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
-    for panel, image, title in zip(axes, maps, ("without it in the model", "with it"), strict=False):
-        shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
-        panel.set_title(f"{what}, {title}", fontsize=9)
-        panel.set_xticks([])
-        panel.set_yticks([])
-    ticks = [v for v in (-100, -30, -10, -3, 0, 3, 10, 30, 100) if abs(v) <= top]
-    bar = figure.colorbar(shown, ax=axes[1], ticks=ticks)
+    taken = _blocks(whole[0] - whole[1])
+    moved = bool(np.abs(taken).max() > 1e-3)
+    image = taken if moved else _blocks(whole[0])
+    top = float(np.clip(np.quantile(np.abs(image), 0.995), 1, 400))
+    norm = SymLogNorm(linthresh=min(3.0, top / 2), vmin=-top, vmax=top)
+    shown = axes[0].imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
+    axes[0].set_title(f"{what}: what the finding takes out" if moved else what, fontsize=9)
+    axes[0].set_xticks([])
+    axes[0].set_yticks([])
+    ticks = [v for v in (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100) if abs(v) <= top]
+    bar = figure.colorbar(shown, ax=axes[0], ticks=ticks)
     bar.ax.set_yticklabels([str(v) for v in ticks], fontsize=7)
     bar.set_label("standard errors", fontsize=8)
     sides = ((before, whole[0], "without", _BEFORE), (after, whole[1], "with", _AFTER))
     if axis in ("row", "column") and redrawn:
-        _lines(axes[2], sides, axis)
+        _lines(axes[1], sides, axis)
     elif axis in ("row", "column", "frequency"):
-        _spectra(axes[2], sides, "column" if axis == "column" else "row")
+        _spectra(axes[1], sides, "column" if axis == "column" else "row")
     elif axis == "frame":
-        _frames(axes[2], sides)
+        _frames(axes[1], sides)
     else:
-        _distributions(axes[2], sides, what)
-    axes[2].tick_params(labelsize=8)
-    if axes[2].get_legend_handles_labels()[0]:
-        axes[2].legend(fontsize=8, frameon=False)
+        _distributions(axes[1], sides, what)
+    axes[1].tick_params(labelsize=8)
+    if axes[1].get_legend_handles_labels()[0]:
+        axes[1].legend(fontsize=8, frameon=False)
     return _png(figure)
 
 
