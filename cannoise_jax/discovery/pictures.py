@@ -85,14 +85,14 @@ def _blocks(mean: np.ndarray) -> np.ndarray:
 def where_pictures(
     before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool
 ) -> list[Picture]:
-    """Where: the frozen map, or the difference of two frames for what is redrawn in each, and what the axis
-    of the finding shows (power of lines, spectrum, offsets of frames, distribution of pixels), without and
-    with the finding in the model."""
+    """Where: what the finding takes out of the frozen map, or of the difference of two frames for what is
+    redrawn in each, and what its axis shows (power of lines, spectrum, offsets of frames, distribution of
+    pixels), without and with the finding in the model."""
     whole, what = _maps(before, after, redrawn)
-    maps = [_blocks(m) for m in whole]
-    top = float(np.clip(np.quantile(np.abs(maps[0]), 0.995), 4, 400))
-    titles = (f"{what},\n{side} it in the model" for side in ("without", "with"))
-    made = [_picture(_map, image, title, top) for image, title in zip(maps, titles, strict=True)]
+    taken = _blocks(whole[0] - whole[1])
+    moved = bool(np.abs(taken).max() > 1e-3)
+    image = taken if moved else _blocks(whole[0])
+    made = [_picture(_map, image, f"{what}:\nwhat the finding takes out" if moved else what)]
     sides = ((before, whole[0], "without", _BEFORE), (after, whole[1], "with", _AFTER))
     if axis in ("row", "column") and redrawn:
         return [*made, _picture(_lines, sides, axis)]
@@ -103,13 +103,14 @@ def where_pictures(
     return [*made, _picture(_distributions, sides, what)]
 
 
-def _map(panel, image: np.ndarray, title: str, top: float) -> None:
-    norm = SymLogNorm(linthresh=3, vmin=-top, vmax=top)
+def _map(panel, image: np.ndarray, title: str) -> None:
+    top = float(np.clip(np.quantile(np.abs(image), 0.995), 1, 400))
+    norm = SymLogNorm(linthresh=min(3.0, top / 2), vmin=-top, vmax=top)
     shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
     panel.set_title(title, fontsize=9)
     panel.set_xticks([])
     panel.set_yticks([])
-    ticks = [v for v in (-100, -30, -10, -3, 0, 3, 10, 30, 100) if abs(v) <= top]
+    ticks = [v for v in (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100) if abs(v) <= top]
     bar = panel.figure.colorbar(shown, ax=panel, ticks=ticks)
     bar.ax.set_yticklabels([str(v) for v in ticks], fontsize=7)
     bar.set_label("standard errors", fontsize=8)
