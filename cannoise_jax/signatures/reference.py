@@ -36,9 +36,12 @@ equal.
 """
 
 
-def scale_score(fields: tuple[Fields, ...], *, span: float, common: bool) -> Score | None:
+def scale_score(
+    fields: tuple[Fields, ...], *, span: float, common: bool, rounded: float = 0.0
+) -> Score | None:
     """Slope of every scene's mean against its reference: what all scenes share is an error of the description
-    (white level, units), what they differ in one of the references."""
+    (white level, units), what they differ in one of the references. rounded: how far the stated black level,
+    from which the reference counts, may be rounded, DN."""
     values, errors, levels = [], [], []
     for f in fields:
         if f.kind != "scene" or f.static is None or f.clean is None:
@@ -69,7 +72,7 @@ def scale_score(fields: tuple[Fields, ...], *, span: float, common: bool) -> Sco
         # The scatter between references bounds what is common to them.
         chi2 = float(np.sum(((v - mean) / e) ** 2))
         error *= max(np.sqrt(chi2 / max(len(v) - 1, 1)), 1.0)
-        z = mean / error
+        z = max(abs(mean) - rounded / span, 0.0) / error
         return Score(
             log_p=normal_log_p(z),
             gain=0.5 * z**2,
@@ -185,7 +188,7 @@ def scaled(recorded: Recorded, *, name: str, common: bool, covers: tuple[str, ..
         name=name,
         axes=Axes("reference", "channel" if common else "frame", "frozen", "signal", "scale"),
         reads=STATIC | {"mean", "signal"},
-        score=partial(scale_score, span=recorded.span, common=common),
+        score=partial(scale_score, span=recorded.span, common=common, rounded=recorded.tolerance),
         absorb=unchanged,
         covers=covers,
         predict=NO_LAW,
