@@ -295,7 +295,15 @@ def load_model(workdir: str | Path) -> Model:
         return _model(arrays)
     except BadInput:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        EOFError,
+        zipfile.BadZipFile,
+        NotImplementedError,
+    ) as error:
         raise BadInput(f"{path}: not a readable model: train it again or name another") from error
 
 

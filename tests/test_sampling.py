@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -244,3 +246,15 @@ def test_a_clean_image_in_dn_is_refused(model):
         sample_noise(
             model, jax.random.key(0), 1000 * scene(32, 32) + 64, noisy(jax.random.key(1)), (1e-3, 1e-5)
         )
+
+
+def test_an_archive_of_another_making_is_refused_in_a_line(tmp_path):
+    """Its entries claim a compression that nothing here reads."""
+    with zipfile.ZipFile(tmp_path / "model.npz", "w") as archive:
+        archive.writestr("a.npy", b"x" * 100)
+    data = bytearray((tmp_path / "model.npz").read_bytes())
+    for at in (data.index(b"PK\3\4") + 8, data.index(b"PK\1\2") + 10):
+        data[at : at + 2] = (77).to_bytes(2, "little")
+    (tmp_path / "model.npz").write_bytes(data)
+    with pytest.raises(BadInput, match="not a readable model"):
+        load_model(tmp_path)

@@ -174,6 +174,7 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
     except Exception as error:
         texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
         reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__
+        reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}..."
         raise BadInput(f"{path}: {failure}: {reason}") from error
 
 

@@ -123,7 +123,7 @@ def _read_npz(path: str, name: str) -> np.ndarray:
 
 
 def _read_page(number: int, *, path: str) -> np.ndarray:
-    with reading(path, f"cannot read page {number}"):
+    with reading(path, f"cannot read page {number}"), quiet("tifffile"):
         return tifffile.imread(path, key=number)
 
 
