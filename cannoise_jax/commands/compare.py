@@ -1,4 +1,5 @@
-"""bin/compare: what still differs between recordings and a simulator; which of two simulators is nearer."""
+"""bin/compare: what still differs between recordings and a simulator; which of two simulators is nearer,
+by their draws or by the reports of two diagnoses."""
 
 from __future__ import annotations
 
@@ -32,6 +33,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
 
     try:
+        if arguments.reports:
+            return _of_reports(arguments)
+        if arguments.recordings is None:
+            raise BadInput("give --recordings, or two reports of bin/diagnose")
         simulators = arguments.simulator or ["poisson-gaussian"]
         if len(simulators) > 2:
             raise BadInput(f"{len(simulators)} simulators: give one, or two to set side by side")
@@ -51,6 +56,27 @@ def main(argv: list[str] | None = None) -> int:
     _show(found, result)
     if arguments.out is not None:
         print(arguments.out / "comparison.html")
+    return 0
+
+
+def _of_reports(arguments: argparse.Namespace) -> int:
+    """Two reports of diagnoses of the same recordings."""
+    from cannoise_jax.discovery.compare.reports import lines, read_report, side_by_side
+
+    if len(arguments.reports) != 2 or arguments.recordings is not None or arguments.simulator:
+        raise BadInput("reports: give two of them and nothing to draw from")
+    if arguments.out is not None:
+        check_folder(arguments.out, _FILES[:1], arguments.force, "the comparison")
+    result = side_by_side(*(read_report(path) for path in arguments.reports))
+    print("\n".join(lines(result)))
+    if arguments.out is not None:
+        from cannoise_jax.recordings.atomic import texts_in_place
+
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        with texts_in_place(
+            {arguments.out / _FILES[0]: json.dumps(result, indent=1, allow_nan=False) + "\n"}
+        ):
+            pass
     return 0
 
 
@@ -106,8 +132,12 @@ def _write(arguments: argparse.Namespace, found: list[Comparison], result: Any) 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/compare", description=__doc__)
     parser.add_argument(
-        "--recordings", type=folder, required=True, metavar="DIR", help="recordings of one camera"
+        "reports",
+        nargs="*",
+        metavar="REPORT",
+        help="report.json (or its folder) of two diagnoses, and no more",
     )
+    parser.add_argument("--recordings", type=folder, metavar="DIR", help="recordings of one camera")
     parser.add_argument(
         "--simulator",
         action="append",

@@ -1,4 +1,4 @@
-"""The seven verbs in a row: declare, calibrate, locate, name, fit, prove; `report` writes down what
+"""The verbs in a row: declare, calibrate, locate, name, fit, prove, gate, check; `report` writes down what
 came out."""
 
 from __future__ import annotations
@@ -16,12 +16,18 @@ from jaxtyping import Array, Key
 
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
+from cannoise_jax.discovery.check import Checked, check, source_of
+from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.fit import Fitted, Step, part_of, stepwise
+from cannoise_jax.discovery.gate import Gated, gate
 from cannoise_jax.discovery.locate import locate
+from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
-from cannoise_jax.discovery.quality import Quality, compare_models, composite_proofs
+from cannoise_jax.discovery.quality import Quality, composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.sides import Sides, handed_simulators, simulators
 from cannoise_jax.discovery.simulate import Draw, Simulator, open_simulator, simulate_like
+from cannoise_jax.discovery.twosample import differs as told_apart
+from cannoise_jax.discovery.verdict import Verdict, verdict_of
 from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -36,6 +42,7 @@ ROWS = Axes("readout", "row", "redrawn", "additive", "white")
 """Offsets of rows, of which some are added to draws for the control of the two-sample test."""
 CALIBRATED, STATED = "poisson-gaussian", "nlf"
 """Simulators by name: calibrated from the recordings, or as the files state it."""
+AFTER = "the simulator handed back"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +67,35 @@ class Diagnosis:
     proven: Proofs
     quality: Quality | None
     model: SensorModel
+    gated: Gated | None = None
+    remains: Checked | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """What all of it says together: findings, the layer that knows no names, and the two-sample test."""
+        steps = self.fitted.steps if self.gated is None else self.gated.steps
+        aside = part_of(self.fitted.steps)
+        kept = [s.named.mechanism for n, s in enumerate(self.fitted.steps) if n not in aside and s in steps]
+        before, after = (self.differs(which) for which in (0, 1))
+        return verdict_of(
+            # Where nothing may be named, what is left of the battery still looks for structures.
+            tested=bool(self.testable or self.fitted.first.scores),
+            named=any(m != UNKNOWN for m in kept),
+            unnamed=UNKNOWN in self.findings,
+            differs_before=bool(before) or bool(self.findings),
+            differs_after=after,
+            remainder=self.gated is not None and self.gated.remainder,
+        )
+
+    def differs(self, which: int) -> bool | None:
+        """Whether the simulator before (0) or after (1) is told from the recordings; None: unknown."""
+        seen: list[bool] = []
+        if self.remains is not None:
+            seen.append(bool((self.remains.before, self.remains.after)[which].differences))
+        if self.quality is not None and self.quality.two_sample is not None:
+            areas = (self.quality.two_sample.before, self.quality.two_sample.after)
+            seen.append(told_apart(areas[which], float(np.log(self.alpha * SHARED.network))))
+        return any(seen) if seen else None
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -117,7 +153,7 @@ def diagnose(
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     key = jax.random.key(0) if key is None else key
-    log_alpha = float(np.log(alpha))
+    log_alpha = float(np.log(alpha * (SHARED.names if compare else 1.0)))
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)
 
@@ -139,10 +175,20 @@ def diagnose(
         tell("prove: on the frames held back")
         proven = prove(fitted, splits)
     sides = judged.sides(first, fitted.steps, own)
-    quality = compared(raw, fitted, proven, sides, key, tell) if compare and splits.can_prove else None
-    if quality is not None and not sides.likelihood:
-        tell("prove: composite score without each finding")
-        proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
+    gated = remains = quality = None
+    if compare and splits.can_prove:
+        panel = open_panel(*judged_by(raw, fitted, sides, key))
+        if panel is not None:
+            tell("gate: draws of the simulator before and after")
+            rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
+            gated = gate(panel, sides, fitted.steps, proven, rest)
+            quality = quality_of(panel, gated.before, gated.after)
+            if not sides.likelihood:
+                tell("prove: composite score without each finding")
+                proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
+    if compare:
+        tell("check: what still differs")
+        remains = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
     return Diagnosis(
         judged.capture,
         judged.label,
@@ -156,7 +202,9 @@ def diagnose(
         fitted,
         unconfirmed(proven if sides.likelihood else proven.without_likelihood(), fitted.steps),
         quality,
-        sides.exported,
+        sides.exported if gated is None else gated.model,
+        gated,
+        remains,
     )
 
 
@@ -213,23 +261,35 @@ def opened(
     return Judged(as_simulated(capture, drawn), handed.label, True, handed, drawn)
 
 
-def compared(
-    raw: Splits,
-    fitted: Fitted,
-    proven: Proofs,
-    sides: Sides,
-    key: Key[Array, ""],
-    tell: Callable[[str], None],
-) -> Quality | None:
-    """Draws of the simulator before and after against the frames held back."""
-    tell("prove: draws of the simulator before and after")
+def judged_by(
+    raw: Splits, fitted: Fitted, sides: Sides, key: Key[Array, ""]
+) -> tuple[Key[Array, ""], Prepared, Prepared, Sides, float | None]:
+    """What draws of simulators are measured with: frames that looked and frames held back, and the row
+    noise (DN) of the control of the two-sample test."""
     seen, unseen = raw.looking, raw.held_back
     row = fitted.first.scores.get(next((s.name for s in seen.signatures if s.axes == ROWS), ""))
     # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
     share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
-    sigma = 2 * row.mde * share**0.25 if row else None
-    composite = proven.after is None or not sides.likelihood
-    return compare_models(jax.random.fold_in(key, 2), seen, unseen, sides, sigma, composite)
+    return jax.random.fold_in(key, 2), seen, unseen, sides, 2 * row.mde * share**0.25 if row else None
+
+
+def checked(
+    judged: Judged, sides: Sides, gated: Gated | None, splits: Splits, alpha: float, key: Key[Array, ""]
+) -> Checked | None:
+    """What differs between the frames held back and draws before and after; None: none can be drawn."""
+    before = source_of(sides.model, sides.plain, judged.label, key)
+    model = sides.exported if gated is None else gated.model
+    same = model is sides.model
+    try:
+        return check(
+            judged.capture,
+            splits.frames,
+            before,
+            None if same else lambda: source_of(model, sides.plain, AFTER, key),
+            alpha * SHARED.layer,
+        )
+    except BadInput:
+        return None
 
 
 def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
@@ -270,7 +330,8 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     scores = diagnosis.fitted.first.scores
     mine = [s for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in scores]
     mine = [s for s in mine if s.decides][:1] or mine
-    log_p = float(np.log(diagnosis.alpha / diagnosis.fitted.first.tests))
+    share = SHARED.names if diagnosis.remains else 1.0
+    log_p = float(np.log(diagnosis.alpha * share / diagnosis.fitted.first.tests))
     looks = tuple(p.fields for p in (diagnosis.first, diagnosis.second) if p is not None)
     share = SHARED.together if diagnosis.second else 1.0
     found = [
@@ -280,3 +341,20 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     ]
     best = min(found, default=np.inf)
     return (float(best), diagnosis.terms[mechanism].unit) if np.isfinite(best) else None
+
+
+def absorbed_by(diagnosis: Diagnosis, mechanism: str) -> list[str]:
+    """Findings that took away what spoke for a mechanism; none where nothing ever spoke for it. Its
+    statistic stood out before anything was taken out, so that no limit says that it is not there."""
+    first, steps = diagnosis.fitted.first, diagnosis.fitted.steps
+    mine = [s for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in first.scores]
+    level = float(np.log(diagnosis.alpha))
+    if not any(first.log_p.get(s.name, 0.0) < level for s in mine):
+        return []
+    names = {s.name for s in mine}
+    over = {s.axes.varies_over for s in mine}
+    taken = [
+        s.named for s in steps if names & {*s.named.signature.covers, *s.named.signature.hides(s.named.score)}
+    ]
+    taken = taken or [s.named for s in steps if s.named.signature.axes.varies_over in over]
+    return list(dict.fromkeys(n.mechanism for n in taken or [s.named for s in steps]))

@@ -9,10 +9,12 @@ from typing import Any
 import jinja2
 
 from cannoise_jax.discovery.card import lines as card_lines
+from cannoise_jax.discovery.compare.report import percent
 from cannoise_jax.discovery.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.pictures import quality_pictures, where_pictures
 from cannoise_jax.discovery.report import listed_steps
+from cannoise_jax.discovery.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
 from cannoise_jax.recordings.recording import Recording
 
 _MEASURES = (
@@ -82,21 +84,75 @@ def _listed(value: Any) -> str:
 
 def verdict(report: dict[str, Any]) -> str:
     """The page's first sentence."""
-    if report["verdict"] == "match":
-        return "No mismatch: nothing that was tested differs from the simulator."
-    if report["verdict"] == "not_testable":
+    said = report["verdict"]
+    if said == NOT_TESTABLE:
         return "Nothing could be tested with these recordings: see below what to record."
-    sure = [f for f in report["findings"] if _confirmed(f)]
-    rest = [f for f in report["findings"] if not _confirmed(f)]
-    said = f"The recordings differ from the simulator by {_counted(sure or rest)}."
-    if rest and sure:
-        return f"{said} Found, but not confirmed on new frames: {_counted(rest)}."
-    return f"{said[:-1]}, not confirmed on new frames." if rest else said
+    if said == MATCH:
+        return "Match: nothing that was tested differs from the simulator."
+    left = _largest(report)
+    if said == NO_CAUSE:
+        return f"Differs, and no cause was found.{left}"
+    sure = [f for f in report["findings"] if f["confirmed"]]
+    rest = [f for f in report["findings"] if not f["confirmed"]]
+    start = "Explained" if said == EXPLAINED else "Partly explained"
+    names = f"{start}: {_counted(sure or rest)}"
+    if not sure:
+        return f"{names}, not confirmed on frames held back.{left}"
+    more = f" Found, but not confirmed on frames held back: {_counted(rest)}." if rest else ""
+    return f"{names}.{more}{left}"
 
 
-def _confirmed(finding: dict[str, Any]) -> bool:
-    gain = finding["heldout_gain_nats_per_pixel"]
-    return gain is not None and gain["ci90"][0] is not None and gain["ci90"][0] > 0
+def _largest(report: dict[str, Any]) -> str:
+    """What differs most once all is in the simulator, as a sentence; nothing where nothing does."""
+    remains = report.get("remains")
+    if not remains or not remains["after"]:
+        return ""
+    most = remains["after"][0]
+    sizes = ", ".join(f"{number(most[k])} {most['unit']} {k}" for k in ("recorded", "simulated"))
+    has = f"of which the simulator has {most['simulator_has']} ({sizes})"
+    return f" What still differs most: {most['what']}, {has}."
+
+
+def size(finding: dict[str, Any]) -> str:
+    """The strength of a finding with its unit, a fraction in percent."""
+    value, of = finding["amplitude"]["value"], finding["amplitude"]["unit"]
+    if of in (None, "1"):
+        return f"{100 * value:.3g} %" if abs(value) < 1 else f"{value:.3g}"
+    return f"{value:.3g} {of}"
+
+
+def sites(values: list[float]) -> str:
+    """A number of every mosaic site, once where all are alike."""
+    said = [f"{v:.3g}" for v in values]
+    return said[0] if len(set(said)) == 1 else ", ".join(said)
+
+
+def share(part: float | None) -> str:
+    """A share as the page prints it."""
+    return "not measured" if part is None else percent(part)
+
+
+def rows(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """The table at the top: what was found, the largest share first, and the remainder."""
+    out = [
+        {
+            "name": _name(f["mechanism"]),
+            "anchor": f"finding-{n + 1}",
+            "size": size(f),
+            "sign": f["sign"],
+            "share": share(f["share"]),
+            "part": f["share"] or 0.0,
+            "confirmed": "yes" if f["confirmed"] else "no",
+            "in_simulator": f["in_simulator"],
+        }
+        for n, f in enumerate(report["findings"])
+    ]
+    rest = report["remainder_share"]
+    if rest is not None:
+        name = "remainder: no name explains it"
+        kept = {"name": name, "anchor": "remains", "size": "", "sign": "too little", "part": rest}
+        out.append({**kept, "share": percent(rest), "confirmed": "yes", "in_simulator": True})
+    return sorted(out, key=lambda r: -r["part"])
 
 
 def _counted(findings: list[dict[str, Any]]) -> str:
@@ -141,6 +197,10 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         camera="Recordings" if diagnosis.capture.camera == Recording.camera else diagnosis.capture.camera,
         r=report,
         verdict=verdict(report),
+        rows=rows(report),
+        percent=percent,
+        sites=sites,
+        size=size,
         pictures=pictures,
         measures=_MEASURES,
         number=number,

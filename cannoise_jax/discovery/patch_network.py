@@ -36,12 +36,14 @@ class Patches(NamedTuple):
 
 def cut(fields: tuple[Fields, ...], parity: int, seed: int) -> Patches:
     """Non-overlapping patches of every other site of a checkerboard; recordings of one frame and no modelled
-    mean are left out."""
+    mean are left out. The level of a lit frame is the lamp's, and taken out of each colour."""
     values, frame, recording, number = [], [], [], 0
     for f in fields:
         if not len(f.contrasts):
             continue
         stack = spread_codes(f, np.random.default_rng((seed, f.number)))
+        if f.lit:
+            stack = _without_level(stack)
         t, h, w = stack.shape
         ny, nx = h // SIDE, w // SIDE
         tiles = stack[:, : ny * SIDE, : nx * SIDE].reshape(t, ny, SIDE, nx, SIDE).transpose(0, 1, 3, 2, 4)
@@ -54,6 +56,14 @@ def cut(fields: tuple[Fields, ...], parity: int, seed: int) -> Patches:
     if not values:
         return Patches(np.zeros((0, SIDE, SIDE), np.float32), np.zeros(0, int), np.zeros(0, int))
     return Patches(np.concatenate(values), np.concatenate(frame), np.concatenate(recording))
+
+
+def _without_level(stack: Float[np.ndarray, "t h w"]) -> Float[np.ndarray, "t h w"]:
+    for y in (0, 1):
+        for x in (0, 1):
+            part = stack[:, y::2, x::2]
+            part -= part.mean((1, 2), keepdims=True)
+    return stack
 
 
 def cosines(length: int, number: int) -> np.ndarray:

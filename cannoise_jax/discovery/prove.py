@@ -43,7 +43,7 @@ class Proof(NamedTuple):
 
     score: its fit there. gain: of the fit of those that looked, nats, with a 90 % interval (nan where the
     frames are too few for one). basis: 'likelihood', 'statistic' or 'composite'; log_e: natural log of the
-    e-value, None without a likelihood.
+    e-value, None without a likelihood. shown: whether the finding is confirmed where `gain` does not say.
     """
 
     score: Score | None
@@ -53,10 +53,14 @@ class Proof(NamedTuple):
     pixels: int
     basis: str = "statistic"
     log_e: float | None = None
+    shown: bool | None = None
 
     @property
     def confirmed(self) -> bool:
-        """Whether the whole interval of the gain lies above zero."""
+        """Whether the frames held back show the finding by themselves: the whole 90 % interval of what it
+        gains there lies above zero. Of the finding's own evidence, whatever simulator is judged."""
+        if self.shown is not None:
+            return self.shown
         return self.gain is not None and self.gain > 0 and bool(self.low > 0)
 
 
@@ -81,7 +85,7 @@ def unproven(steps: tuple[Step, ...]) -> Proofs:
 def unconfirmed(proofs: Proofs, steps: tuple[Step, ...]) -> Proofs:
     """The proofs without gains of findings that took all frames to see: none is left to confirm them."""
     each = (
-        p._replace(gain=None, low=np.nan, high=np.nan, pixels=0, log_e=None) if s.late else p
+        p._replace(gain=None, low=np.nan, high=np.nan, pixels=0, log_e=None, shown=False) if s.late else p
         for p, s in zip(proofs.each, steps, strict=True)
     )
     return proofs._replace(each=tuple(each))
@@ -131,8 +135,12 @@ def prove(
             reference = complete_model[cut]
             without = score_frames(first, second, chosen, rest, masks, law)
             gain, low, high = frame_interval(reference, without)
-            scored = int(reference.pixels.sum())
-            out.append(Proof(score, gain, low, high, scored, "likelihood", gain - _NUISANCES / 2))
+            scored, shown = int(reference.pixels.sum()), None
+            if not np.isfinite(low) and score is not None and signature is not None:
+                own = held_out_gain(step.named.score, score)  # one frame has no scatter: parts of it do
+                shown = own > 0 and jackknife_interval(signature, fields, step.named.score, own)[0] > 0
+            log_e = gain - _NUISANCES / 2
+            out.append(Proof(score, gain, low, high, scored, "likelihood", log_e, shown))
         elif score is None or signature is None or not pixels:
             out.append(Proof(None, None, np.nan, np.nan, 0))
         else:

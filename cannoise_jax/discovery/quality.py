@@ -7,6 +7,8 @@ neighbour covariances, photon-transfer curve, a composite score per frame, and a
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -19,7 +21,8 @@ from cannoise_jax.discovery.heldout import Scored
 from cannoise_jax.discovery.patch_network import SIDE
 from cannoise_jax.discovery.prove import Proof, Proofs, frame_interval
 from cannoise_jax.discovery.sides import Drawings, Sides
-from cannoise_jax.discovery.twosample import TwoSample, two_sample
+from cannoise_jax.discovery.twosample import Area, Pair, TwoSample, areas_of, controlled, judge
+from cannoise_jax.discovery.twosample import Scored as TwoSampleScores
 from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
 from cannoise_jax.physics.likelihood.composite import Profile, composite_score, profile, ruler
 from cannoise_jax.signatures.covariance import LAGS, lag_sums
@@ -76,21 +79,72 @@ class Quality(NamedTuple):
     half: Prepared
 
 
-def compare_models(
-    key: Key[Array, ""],
-    first: Prepared,
-    second: Prepared,
-    sides: Sides,
-    control_sigma: float | None,
-    composite: bool,
-) -> Quality | None:
-    """A simulator before and after against the frames held back; the network of the two-sample test
-    learns on the others.
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """What every candidate for the extended simulator is measured by, all of them alike.
 
-    control_sigma: row noise that is added to draws of the baseline for the control, DN. composite: whether to
-    score the frames by it too. None where no recording shows new noise in both splits.
+    halves: the recordings that looked and those held back which show new noise in both and which the
+    simulator
+    draws; span: of the signal, DN; patches: to a decision of the two-sample test, control: its area for the
+    row noise put in, None and nan where frames are too small or too few for the test; plain: draws of the
+    simulator that is judged.
     """
-    plain, extended, control = sides.plain, sides.extended, sides.control
+
+    key: Key[Array, ""]
+    halves: tuple[Prepared, Prepared]
+    span: float
+    patches: int | None
+    control: float
+    plain: Pair
+
+    @property
+    def real(self) -> Pair:
+        """The recordings."""
+        return self.halves[0].fields, self.halves[1].fields
+
+    @property
+    def seed(self) -> int:
+        """Of the two-sample test."""
+        return int(jax.random.randint(self.key, (), 0, 2**31 - 1))
+
+    def look(self, draw: Drawings, number: int, composite: bool = True) -> Looked:
+        """One simulator; number: of the candidate, for its random numbers."""
+        pair = self.plain if number == PLAIN else _pair(draw, self.halves, _keys(self.key)[number])
+        scores = (
+            composite_scores(jax.random.fold_in(self.key, number), self.halves[1], draw)
+            if composite
+            else None
+        )
+        side = _side(self.real[1], pair[1], self.span, scores)
+        told = judge(self.real, pair, self.seed) if self.patches else None
+        return Looked(side, told)
+
+    def areas(self, looked: list[Looked]) -> list[Area] | None:
+        """Areas of the two-sample test with 90 % intervals, under the same resampling of frames."""
+        told = [one.told for one in looked]
+        if self.patches is None or any(t is None for t in told):
+            return None
+        return areas_of(told, self.patches, self.seed)[0]  # type: ignore[arg-type]
+
+    def change(self, before: Looked, after: Looked) -> Area | None:
+        """How much nearer to one half the area came."""
+        if self.patches is None or before.told is None or after.told is None:
+            return None
+        return areas_of([before.told, after.told], self.patches, self.seed)[1]
+
+
+class Looked(NamedTuple):
+    """One simulator on a panel: its measures, and what the network says of patches of it."""
+
+    side: Side
+    told: TwoSampleScores | None
+
+
+def open_panel(
+    key: Key[Array, ""], first: Prepared, second: Prepared, sides: Sides, control_sigma: float | None
+) -> Panel | None:
+    """The panel of a run; control_sigma: row noise that is added to draws of the baseline for the control,
+    DN. None where no recording shows new noise in both splits."""
     shown = [
         {f.number for f in p.fields if len(f.contrasts) and f.usable.mean() > _LEAST_USABLE}
         for p in (first, second)
@@ -98,30 +152,47 @@ def compare_models(
     names = shown[0] & shown[1]
     if not names:
         return None
-    halves = [_only(p, names) for p in (first, second)]
-    draws = [plain, control, *([extended] if extended else []), *([] if sides.calibrated else [control])]
+    halves = _only(first, names), _only(second, names)
+    keys = _keys(key)
     drawn = [
         [draw_like(d(own), half) for half, own in zip(halves, jax.random.split(k), strict=True)]
-        for d, k in zip(draws, jax.random.split(key, len(draws)), strict=True)
+        for d, k in ((sides.plain, keys[PLAIN]), (sides.control, keys[_CONTROL]))
     ]
     known = set.intersection(*(set(frames) for pair in drawn for frames in pair))
-    halves = [_only(p, known) for p in halves]
     if not known:
         return None
-    fields = [tuple(as_fields(p, f) for p, f in zip(halves, pair, strict=True)) for pair in drawn]
-    real = (halves[0].fields, halves[1].fields)
+    halves = _only(halves[0], known), _only(halves[1], known)
+    plain, control = ((as_fields(halves[0], a), as_fields(halves[1], b)) for a, b in drawn)
+    panel = Panel(key, halves, first.span, None, float("nan"), plain)
+    if min(panel.real[0][0].mean.shape) < 2 * SIDE or judge(panel.real, plain, panel.seed) is None:
+        return panel
+    quiet = plain if sides.calibrated else _pair(sides.control, panel.halves, keys[_QUIET])
+    size, reached = controlled((control, quiet), control_sigma, panel.seed)
+    return dataclasses.replace(panel, patches=size, control=reached)
+
+
+PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST = range(6)
+"""Numbers of the simulators that are drawn, for their random numbers."""
+
+
+def _keys(key: Key[Array, ""]) -> Key[Array, "n"]:
+    return jax.random.split(key, WITH_REST + 1)
+
+
+def _pair(draw: Drawings, halves: tuple[Prepared, Prepared], key: Key[Array, ""]) -> Pair:
+    return tuple(
+        as_fields(p, draw_like(draw(own), p)) for p, own in zip(halves, jax.random.split(key), strict=True)
+    )  # type: ignore[return-value]
+
+
+def quality_of(panel: Panel, before: Looked, after: Looked) -> Quality:
+    """Before and after as they are reported."""
     tested = None
-    if min(real[0][0].mean.shape) >= 2 * SIDE:
-        last = fields[2] if extended else None
-        seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
-        quiet = fields[0] if sides.calibrated else fields[-1]
-        tested = two_sample(seed, real, fields[0], last, (fields[1], quiet), control_sigma)  # type: ignore[arg-type]
-    judged = []
-    for n, draw in ((0, plain), (2, extended)):
-        if draw is not None:
-            scores = composite_scores(jax.random.fold_in(key, n), halves[1], draw) if composite else None
-            judged.append(_side(real[1], fields[n][1], first.span, scores))
-    return Quality(judged[0], judged[-1], curves(real[1]), tested, halves[1])
+    areas = panel.areas([before, after])
+    if areas is not None and panel.patches is not None:
+        change = None if after is before else panel.change(before, after)
+        tested = TwoSample(areas[0], areas[1], change, panel.patches, panel.control)
+    return Quality(before.side, after.side, curves(panel.real[1]), tested, panel.halves[1])
 
 
 def _only(prepared: Prepared, names: set[int]) -> Prepared:
@@ -199,7 +270,8 @@ def composite_proofs(key: Key[Array, ""], proven: Proofs, quality: Quality, side
     for proof, without in zip(proven.each, sides.less, strict=True):
         rest = composite_scores(jax.random.fold_in(key, 2), half, without)
         gain, low, high = frame_interval(full, Scored(rest * pixels, alike, pixels))
-        out.append(Proof(proof.score, gain, low, high, int(pixels.sum()), "composite"))
+        sure = proof.confirmed
+        out.append(Proof(proof.score, gain, low, high, int(pixels.sum()), "composite", shown=sure))
     return Proofs(tuple(out), None, None)
 
 

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery import outcome
 from cannoise_jax.discovery.card import card
 from cannoise_jax.discovery.declare import kinds
-from cannoise_jax.discovery.diagnose import Diagnosis, detectable
+from cannoise_jax.discovery.diagnose import Diagnosis, absorbed_by, detectable
 from cannoise_jax.discovery.fit import Step, part_of
 from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.wording import sentence
 from cannoise_jax.signatures.score import Score
 
-SCHEMA = "cannoise/diagnosis/1"
+SCHEMA = "cannoise/diagnosis/2"
 _PLACES: dict[str, tuple[str, ...]] = {
     "row": ("index",),
     "column": ("index",),
@@ -62,16 +63,23 @@ def document(
 
     schema, version, key, alpha (family-wise), simulator: of the run. inputs: file, kind, frames,
     frames_used, settings (iso, exposure_s, temperature_c, reference) and sha256 of every recording.
-    verdict: match, mismatch or not_testable. testable: ids; not_testable: mechanism and needs, what to
+    verdict: see `verdict`. baseline: of the simulator that is handed back; gate: how it was chosen;
+    remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain. testable: ids;
+    not_testable: mechanism and needs, what to
     record. Every id that the run may name is in exactly one of them, and every testable one in findings or
     not_found. findings: by held-out gain, largest first, see `finding`. not_found: mechanism and
     smallest_detectable, the amplitude (value, unit) that this run finds with probability 0.5, None where it
     is no strength; ambiguous marks members of an ambiguous finding's group, part_of what is the slow part of
-    a finding. before, after: see `quality`;
+    a finding, absorbed_by findings that took away what spoke for it (then nothing excludes it). before,
+    after: see `quality`;
     two_sample: see `two_sample`. seconds, peak_memory_mb: of the process, given by the caller.
     """
     steps = diagnosis.fitted.steps
-    findings = [finding(diagnosis, steps[n], diagnosis.proofs[n]) for n in listed_steps(diagnosis)]
+    listed_n = listed_steps(diagnosis)
+    findings = [finding(diagnosis, steps[n], diagnosis.proofs[n]) for n in listed_n]
+    share, rest = outcome.shares(diagnosis, listed_n)
+    for entry, n, part in zip(findings, listed_n, share, strict=True):
+        entry.update(share=part, in_simulator=outcome.entered(diagnosis, n))
     parts = {steps[n].named.mechanism: steps[m].named.mechanism for n, m in part_of(steps).items()}
     named = {f["mechanism"] for f in findings}
     listed = {c["mechanism"] for f in findings for c in f["candidates"] if f["outcome"] == "AMBIGUOUS"}
@@ -79,7 +87,8 @@ def document(
     for id in diagnosis.testable:
         if id in named:
             continue
-        limit = detectable(diagnosis, id)
+        absorbed = absorbed_by(diagnosis, id)
+        limit = None if absorbed else detectable(diagnosis, id)
         smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}
         missing.append(
             {
@@ -87,6 +96,7 @@ def document(
                 "smallest_detectable": smallest,
                 **({"ambiguous": True} if id in listed else {}),
                 **({"part_of": parts[id]} if id in parts else {}),
+                **({"absorbed_by": absorbed} if absorbed and id not in parts else {}),
             }
         )
     inputs = []
@@ -94,9 +104,6 @@ def document(
     for line, recording, (look, show) in lines:
         used = len(look) + len(show)
         inputs.append({**line, "frames_used": used, "sha256": _digest(recording.path)})
-    # Where nothing may be named, what is left of the battery still looks for structures without a name.
-    tested = diagnosis.testable or diagnosis.fitted.first.scores
-    verdict = "mismatch" if findings else "match" if tested else "not_testable"
     # A name that a signature of another mechanism may give was looked for, too.
     also = [id for id in diagnosis.ids if id in named and id not in diagnosis.testable]
     return plain(
@@ -107,16 +114,20 @@ def document(
             "alpha": diagnosis.alpha,
             "simulator": diagnosis.simulator,
             "inputs": inputs,
-            "verdict": verdict,
+            "verdict": diagnosis.verdict,
+            "baseline": outcome.baseline(diagnosis),
             "testable": [*diagnosis.testable, *also],
             "not_testable": [
                 {"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable if id not in also
             ],
             "findings": findings,
+            "remainder_share": rest if diagnosis.gated and diagnosis.gated.remainder else None,
             "not_found": missing,
             "before": quality(diagnosis, 0),
             "after": quality(diagnosis, 1),
             "two_sample": two_sample(diagnosis),
+            "gate": outcome.gate(diagnosis),
+            "remains": outcome.remains(diagnosis),
             "seconds": seconds,
             "peak_memory_mb": peak_memory_mb,
         }
@@ -189,7 +200,10 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     bbox, channel, period_px and direction, range, period. amplitude and parameters: value, unit, ci90.
     p_value: family-wise. log_e_value: natural log, of findings with a likelihood. heldout_gain_nats: on
     heldout_pixels pixels of the other frames; heldout_basis: of the codes' likelihood, of the finding's own
-    statistic, or the change of the composite score. heldout_gain_nats_per_pixel: value and ci90. sentence:
+    statistic, or the change of the composite score. heldout_gain_nats_per_pixel: value and ci90.
+    confirmed: whether that interval of
+    the finding's own evidence lies above zero. sign: what of it the simulator has. share: of the whole gain,
+    in_simulator: whether it is in the one that is handed back, see `outcome`. sentence:
     for a reader.
     """
     mechanism, steps = step.named.mechanism, diagnosis.fitted.steps
@@ -232,6 +246,8 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         "heldout_basis": proof.basis if proof.gain is not None else None,
         "heldout_pixels": proof.pixels or None,
         "heldout_gain_nats_per_pixel": per_pixel,
+        "confirmed": proof.confirmed,
+        "sign": _sign(step, score),
     }
     moved = [n for n, slope in part_of(steps).items() if steps[slope] is step]
     for part in (steps[n].named.score for n in moved):
@@ -241,6 +257,13 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof, term.definition)
     return out
+
+
+def _sign(step: Step, score: Score) -> str:
+    """Which way the simulator is wrong: it lacks what was found, but for gain or read noise stated too
+    high."""
+    less = step.named.signature.restates and score.parameters.get("relative_error", (0.0,))[0] < 0
+    return "too much" if less else "too little"
 
 
 def _unit(score: Score) -> str:

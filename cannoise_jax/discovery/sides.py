@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -29,7 +30,8 @@ class Sides(NamedTuple):
     """plain: the simulator that was judged. extended: with everything found; None: nothing was. less: the
     extended one without each finding, where it has no likelihood. control: the fitted baseline. exported: the
     extended camera model. likelihood: whether the simulator has one. calibrated: whether it is the baseline
-    itself."""
+    itself. model: the judged simulator where it is a camera model. of: the camera model with some of the
+    findings alone."""
 
     plain: Drawings
     extended: Drawings | None
@@ -38,6 +40,8 @@ class Sides(NamedTuple):
     exported: SensorModel
     likelihood: bool
     calibrated: bool
+    model: SensorModel | None
+    of: Callable[[tuple[Step, ...]], SensorModel]
 
 
 def of_model(model: SensorModel) -> Drawings:
@@ -50,9 +54,11 @@ def simulators(
 ) -> Sides:
     """Of a run on Poisson-Gaussian noise, calibrated or with gain and read noise as `stated`."""
     plain, bare = baseline_model(capture, first, stated), baseline_model(capture, first)
-    model = extended_model(capture, first, steps)
+    of = partial(extended_model, capture, first)
+    model = of(steps)
     extended = of_model(model) if steps else None
-    return Sides(of_model(plain), extended, (), of_model(bare), model, True, stated is None)
+    calibrated = stated is None
+    return Sides(of_model(plain), extended, (), of_model(bare), model, True, calibrated, plain, of)
 
 
 def handed_simulators(
@@ -69,9 +75,10 @@ def handed_simulators(
     bare = baseline_model(capture, first)
     control = of_model(bare)
     if handed.model is not None:
-        model = extended_model(capture, first, steps, handed.model)
+        of = partial(extended_model, capture, first, start=handed.model)
+        model = of(steps)
         extended = of_model(model) if steps else None
-        return Sides(of_model(handed.model), extended, (), control, model, True, False)
+        return Sides(of_model(handed.model), extended, (), control, model, True, False, handed.model, of)
     parameters = drawn_parameters(drawn, first.baselines, first.step)
 
     def plain(key: Key[Array, ""]) -> Drawing:
@@ -92,8 +99,13 @@ def handed_simulators(
         return draws
 
     less = tuple(changed_by(tuple(s for s in steps if s is not gone)) for gone in steps)
-    exported = extended_model(capture, first, (*own, *steps))
-    return Sides(plain, changed_by(steps) if steps else None, less, control, exported, False, False)
+
+    def beside_own(some: tuple[Step, ...]) -> SensorModel:
+        return extended_model(capture, first, (*own, *some))
+
+    extended = changed_by(steps) if steps else None
+    exported = beside_own(steps)
+    return Sides(plain, extended, less, control, exported, False, False, None, beside_own)
 
 
 def noise_ratio(capture: CaptureSet, first: Prepared, drawn: tuple, gain_too: bool, read_too: bool) -> Ratio:

@@ -32,6 +32,8 @@ _GROUPINGS = 4
 """Random groupings of patches over which a decision is averaged."""
 _RESAMPLED = 400
 """Bootstrap draws of an interval: the 5 % quantile of so many is known to 0.1 standard deviations."""
+_LEAST_AREA = 0.03
+"""Distance from one half that a baseline fitted on few frames shows by itself."""
 
 
 class Scored(NamedTuple):
@@ -57,11 +59,14 @@ class Compared(NamedTuple):
 
 
 class Area(NamedTuple):
-    """Area under the curve with its 90 % interval by resampling frames."""
+    """Area under the curve with its 90 % interval by resampling frames, its standard error by the same and
+    the degrees of freedom of that."""
 
     value: float
     low: float
     high: float
+    error: float = float("nan")
+    freedom: int = 1
 
 
 class TwoSample(NamedTuple):
@@ -203,6 +208,47 @@ def decision_size(control: Scored, seed: int) -> tuple[int, float]:
     return 1, alone
 
 
+def controlled(control: tuple[Pair, Pair], sigma: float | None, seed: int) -> tuple[int, float]:
+    """Patches to a decision and the area of the control: two draws of the baseline, to the first of which row
+    noise of `sigma` DN is added; one patch and nan without any."""
+    if sigma is None:
+        return 1, float("nan")
+    rng = np.random.default_rng(seed)
+    injected = tuple(with_row_noise(rng, f, sigma) for f in control[0])
+    told = judge(injected, control[1], seed)  # type: ignore[arg-type]
+    assert told is not None
+    return decision_size(told, seed)
+
+
+def areas_of(scored: list[Scored], size: int, seed: int) -> tuple[list[Area], Area]:
+    """Areas of several simulators with their intervals, and the change of the distance from 0.5 between the
+    first and the last, all under the same resampling of frames."""
+    drawn = resampled(scored, size, seed)
+    values = [decided(s, size, seed) for s in scored]
+    low, high = np.quantile(drawn, (0.05, 0.95), axis=1)
+    areas = [
+        Area(v, float(a), float(b), float(d.std()), freedom(scored[0]))
+        for v, a, b, d in zip(values, low, high, drawn, strict=True)
+    ]
+    moved = np.abs(drawn[-1] - 0.5) - np.abs(drawn[0] - 0.5)
+    value = abs(values[-1] - 0.5) - abs(values[0] - 0.5)
+    least, most = (float(q) for q in np.quantile(moved, (0.05, 0.95)))
+    change = Area(value, least, most, float(moved.std()), areas[0].freedom)
+    return areas, change
+
+
+def freedom(scored: Scored) -> int:
+    """Frames less strata: degrees of freedom of what resampling frames tells."""
+    return max(scored.strata.size - np.unique(scored.strata).size, 1)
+
+
+def differs(area: Area, log_alpha: float) -> bool:
+    """Whether the recordings are told from the draws, at an error rate: by a t law of the area's own scatter
+    over frames; by no less than `_LEAST_AREA`, which a baseline fitted on few frames loses by itself."""
+    limit = float(stats.t.isf(np.exp(log_alpha), area.freedom)) * max(area.error, 1e-3)
+    return area.value - 0.5 > max(limit, _LEAST_AREA)
+
+
 def two_sample(
     seed: int,
     real: Pair,
@@ -213,28 +259,12 @@ def two_sample(
 ) -> TwoSample | None:
     """Recordings against draws of the simulator before and after (None: nothing was added to it).
 
-    control: two draws of the baseline, to the first of which row noise of `control_sigma` DN is added. None
-    where there are too few frames.
+    control: as `controlled` takes it. None where there are too few frames.
     """
     first = judge(real, before, seed)
     if first is None:
         return None
-    size, reached = 1, float("nan")
-    if control_sigma is not None:
-        rng = np.random.default_rng(seed)
-        injected = tuple(with_row_noise(rng, f, control_sigma) for f in control[0])
-        told = judge(injected, control[1], seed)  # type: ignore[arg-type]
-        assert told is not None
-        size, reached = decision_size(told, seed)
+    size, reached = controlled(control, control_sigma, seed)
     second = None if after is None else judge(real, after, seed)
-    both = [first] if second is None else [first, second]
-    drawn = resampled(both, size, seed)
-    values = [decided(s, size, seed) for s in both]
-    low, high = np.quantile(drawn, (0.05, 0.95), axis=1)
-    areas = [Area(v, float(a), float(b)) for v, a, b in zip(values, low, high, strict=True)]
-    change = None
-    if second is not None:
-        moved = np.abs(drawn[1] - 0.5) - np.abs(drawn[0] - 0.5)
-        value = abs(values[1] - 0.5) - abs(values[0] - 0.5)
-        change = Area(value, *(float(q) for q in np.quantile(moved, (0.05, 0.95))))
-    return TwoSample(areas[0], areas[-1], change, size, reached)
+    areas, change = areas_of([first] if second is None else [first, second], size, seed)
+    return TwoSample(areas[0], areas[-1], None if second is None else change, size, reached)

@@ -61,3 +61,32 @@ def test_bad_input_is_one_line(folders, capsys):
         assert main(flags) == 2
         said = capsys.readouterr().err.strip().splitlines()
         assert said[-1].startswith("bin/compare: ") and "Traceback" not in "".join(said)
+
+
+def report(area, lines):
+    """As much of a report as is read."""
+    kept = ("what", "time", "simulator_has", "recorded", "simulated", "unit", "nats")
+    return {
+        "schema": "cannoise/diagnosis/2",
+        "verdict": "partly explained",
+        "inputs": [{"file": "d.h5", "kind": "dark", "frames": 8, "sha256": "ab"}],
+        "after": {"two_sample_auc": area, "two_sample_auc_ci90": [area - 0.02, area + 0.02]},
+        "remains": {"after": [dict(zip(kept, line, strict=True)) for line in lines]},
+    }
+
+
+def test_two_reports_say_which_simulator_is_nearer_and_what_changed(tmp_path, capsys):
+    rows = ("rows", "frame to frame", "too little", 1.0, 0.1, "DN rms", 900.0)
+    tails = ("heavy tails", "frame to frame", "too much", 0.1, 0.3, "kurtosis", 80.0)
+    for name, content in (("a", report(0.9, [rows, tails])), ("b", report(0.6, [tails]))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.json").write_text(json.dumps(content))
+    for given, said in ((("a", "b"), "the second is nearer"), (("b", "a"), "the first is nearer")):
+        assert main([str(tmp_path / n) for n in given]) == 0
+        assert capsys.readouterr().out.startswith(said)
+    assert main([str(tmp_path / n) for n in ("a", "a")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("nothing says which is nearer") and "too much, 0.1 recorded" in printed
+    (tmp_path / "b" / "report.json").write_text("{}")
+    assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 2
+    assert "is no report of bin/diagnose" in capsys.readouterr().err

@@ -27,21 +27,27 @@ def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
 
 
 def test_page_counts_names_and_tells_what_is_not_confirmed():
-    def found(mechanism, low):
-        gain = None if low is None else {"value": 1.0, "ci90": [low, 2.0]}
-        return {"mechanism": mechanism, "heldout_gain_nats_per_pixel": gain}
+    def found(mechanism, sure):
+        return {"mechanism": mechanism, "confirmed": sure}
 
     report = {
-        "verdict": "mismatch",
-        "findings": [found("dsnu", 0.1), found("dsnu", 0.1), found("prnu", 0.2), found("unknown", -0.1)],
+        "verdict": "partly explained",
+        "findings": [found("dsnu", True), found("dsnu", True), found("prnu", True), found("unknown", False)],
     }
     assert verdict(report) == (
-        "The recordings differ from the simulator by dsnu (2 times) and prnu. "
-        "Found, but not confirmed on new frames: a structure without a name."
+        "Partly explained: dsnu (2 times) and prnu. "
+        "Found, but not confirmed on frames held back: a structure without a name."
     )
-    report["findings"] = [found("banding", None)]
-    assert (
-        verdict(report) == "The recordings differ from the simulator by banding, not confirmed on new frames."
+    report = {"verdict": "explained", "findings": [found("banding", False)]}
+    assert verdict(report) == "Explained: banding, not confirmed on frames held back."
+
+
+def test_the_first_sentence_says_what_differs_most_and_which_way():
+    line = {"what": "rows", "simulator_has": "too much", "recorded": 0.1, "simulated": 1.0, "unit": "DN rms"}
+    report = {"verdict": "differs, no cause found", "findings": [], "remains": {"after": [line]}}
+    assert verdict(report) == (
+        "Differs, and no cause was found. What still differs most: rows, of which the simulator has too much "
+        "(0.1 DN rms recorded, 1 DN rms simulated)."
     )
 
 

@@ -83,7 +83,7 @@ def check_finding(f):
     assert set(f) - {"card"} == {
         "mechanism", "class", "outcome", "candidates", "where", "amplitude", "parameters", "p_value",
         "log_e_value", "heldout_gain_nats", "heldout_basis", "heldout_pixels", "heldout_gain_nats_per_pixel",
-        "sentence",
+        "sentence", "confirmed", "sign", "share", "in_simulator",
     }  # fmt: skip
     assert f["mechanism"] in VOCABULARY and f["class"] in ("sensor", "capture", "bookkeeping")
     assert f["outcome"] in ("FOUND", "AMBIGUOUS", "UNKNOWN_STRUCTURE")
@@ -110,11 +110,13 @@ def check_report(r, ids=IDS):
     """Everything that the schema promises."""
     assert set(r) == {
         "schema", "version", "key", "alpha", "simulator", "inputs", "verdict", "testable", "not_testable",
-        "findings", "not_found", "before", "after", "two_sample", "seconds", "peak_memory_mb",
+        "findings", "not_found", "before", "after", "two_sample", "seconds", "peak_memory_mb", "baseline",
+        "remainder_share", "gate", "remains",
     }  # fmt: skip
-    assert r["schema"] == "cannoise/diagnosis/1" and isinstance(r["key"], int) and 0 < r["alpha"] < 1
-    assert r["verdict"] in ("match", "mismatch", "not_testable")
-    assert (r["verdict"] == "mismatch") == bool(r["findings"])
+    assert r["schema"] == "cannoise/diagnosis/2" and isinstance(r["key"], int) and 0 < r["alpha"] < 1
+    said = ("match", "explained", "partly explained", "differs, no cause found", "not_testable")
+    assert r["verdict"] in said
+    assert not (r["verdict"] == "match" and r["findings"])
     for entry in r["inputs"]:
         assert set(entry) == {"file", "kind", "frames", "frames_used", "settings", "sha256"}
         assert set(entry["settings"]) == {"iso", "exposure_s", "temperature_c", "reference"}
@@ -130,7 +132,7 @@ def check_report(r, ids=IDS):
     known = [g for g in gains if g is not None]
     assert known == sorted(known, reverse=True) and gains == known + [None] * (len(gains) - len(known))
     for n in r["not_found"]:
-        assert set(n) - {"ambiguous"} == {"mechanism", "smallest_detectable"}
+        assert set(n) - {"ambiguous", "absorbed_by"} == {"mechanism", "smallest_detectable"}
         if n["smallest_detectable"] is not None:
             check_measured(n["smallest_detectable"], interval=False)
             assert n["smallest_detectable"]["value"] > 0

@@ -53,11 +53,12 @@ def measure(
     step: of the codes, DN."""
     families: dict[str, Family] = {}
     n, size = len(seen.z), seen.kept.size
+    coarse = is_coarse(variance, step)
     share = float(max(seen.kept.mean(), 1e-6))
     power = None
     if n and seen.kept.any():
         kept = seen.kept.astype(np.float32)
-        rows = [_unit(z, kept, share) for z in seen.z]
+        rows = [_unit(z, kept, share, coarse) for z in seen.z]
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             families[f"{TEMPORAL}: {name}"] = Family(law, np.stack([r[name] for r in rows]), width)
         power = np.sum([bank.power(z, share) for z in seen.z], 0)
@@ -65,9 +66,11 @@ def measure(
         over = [(seen.steadiness[seen.usable] > t).sum() for t in limits]
         under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in (1e-2, 1e-3)]
         families["pixels: unsteady"] = _count(np.array([[*over, *under]]))
-        families["pixels: one frame only"] = _count(seen.single[:, None])
-        if n > 1:
-            families["next frame: products"] = _next(seen, share)
+        frames = seen.single.size
+        if frames > 1:
+            families["pixels: one frame only"] = _count(seen.single[:, None])
+        if frames > 2:
+            families["next frame: products"] = _next(seen._replace(z=seen.z[: frames - 1]), share)
     families["rails"] = _count(seen.rails)
     broad = np.repeat([np.sqrt(np.mean(variance)) > BROAD * m * step for m in RESIDUES], RESIDUES)
     families["codes"] = _count((seen.codes * broad)[None])
@@ -76,11 +79,14 @@ def measure(
         families["level"] = Family("mean", seen.level, own)
     if seen.static is not None and seen.static_kept.any():
         share = float(max(seen.static_kept.mean(), 1e-6))
-        row = _unit(seen.static, seen.static_kept.astype(np.float32), share)
+        kept = seen.static_kept.astype(np.float32)
+        row = _unit(seen.static, kept, share, coarse)
+        if coarse:
+            row["tails"] = _tails(seen.static + kept * _spread_codes(seen, variance, step))
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             if name == "structure":
                 width = width * ~absorbed(seen.kept.shape, degree).ravel()
-            families[f"{STATIC}: {name}"] = Family(law, row[name][None], width, n + 1)
+            families[f"{STATIC}: {name}"] = Family(law, row[name][None], width, seen.single.size)
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
             families[f"{STATIC}: smooth maps"] = Family(
@@ -123,7 +129,12 @@ def _unit_families(shape: tuple[int, int], pixels: float) -> list[tuple[str, str
     ]
 
 
-def _unit(z: np.ndarray, kept: np.ndarray, share: float) -> dict[str, np.ndarray]:
+def is_coarse(variance: Float[np.ndarray, "4"], step: float) -> bool:
+    """Whether the noise is less than a code."""
+    return bool(np.sqrt(np.mean(variance)) < step)
+
+
+def _unit(z: np.ndarray, kept: np.ndarray, share: float, coarse: bool) -> dict[str, np.ndarray]:
     """One field. Its level is the energies' and the second moment's to tell: all else is of the field divided
     by its own root mean square, so that a noisier one is not skewed, tailed or correlated for that."""
     own = z / np.float32(np.sqrt(max(float(np.mean(z * z)) / share, 1e-9)))
@@ -136,8 +147,21 @@ def _unit(z: np.ndarray, kept: np.ndarray, share: float) -> dict[str, np.ndarray
         "neighbours": together,
         "neighbours by parity": apart,
         "moments": moments.ravel(),
-        "tails": np.array([(own < t).sum() if t < 0 else (own > t).sum() for t in TAILS], float),
+        "tails": _tails(z if coarse else own),
     }
+
+
+def _tails(z: np.ndarray) -> np.ndarray:
+    return np.array([(z < t).sum() if t < 0 else (z > t).sum() for t in TAILS], float)
+
+
+def _spread_codes(seen: View, variance: np.ndarray, step: float) -> np.ndarray:
+    """What spreads the few values of a mean of codes over the steps between them, in the units of the
+    static map: no limit then lies between two of them."""
+    width = step / np.sqrt(np.mean(variance) * seen.single.size)
+    return (np.random.default_rng(0).random(seen.kept.shape, np.float32) - np.float32(0.5)) * np.float32(
+        width
+    )
 
 
 def _next(seen: View, share: float) -> Family:

@@ -1,8 +1,11 @@
 """The remainder: what a simulator leaves out, measured and drawn as it was measured (`mechanisms.residual`).
 
 Fixed maps are the recorded means less the simulator's, drawn towards zero by as much as noise of the mean
-makes of them (Wiener); the spectrum is that of the recorded contrasts less the simulator's where it stands
-out of its own scatter, so that what the simulator already has is not added twice.
+makes of
+them (Wiener, frequency by frequency); spectra are those of the recorded contrasts less the simulator's, so
+that what
+the simulator already has is not added twice. Noise that has too little power at some frequencies cannot be
+had by adding to it: most of the white read noise is handed over to the spectrum first.
 """
 
 from __future__ import annotations
@@ -12,37 +15,49 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 from scipy import fft, ndimage, stats
 
 from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.calibrate import gain_groups
-from cannoise_jax.discovery.compare.light import light_for
+from cannoise_jax.discovery.compare.light import SITES, Light, light_for
 from cannoise_jax.discovery.compare.run import asked_signal
-from cannoise_jax.discovery.compare.sources import modelled
-from cannoise_jax.discovery.compare.view import FAR, Raw, noise_of, reduce, trimmed
-from cannoise_jax.discovery.stacks import code_step, iso_numbers
-from cannoise_jax.mechanisms.residual import RESIDUAL
+from cannoise_jax.discovery.compare.sources import Source, modelled
+from cannoise_jax.discovery.compare.view import Raw, noise_of, reduce, trimmed
+from cannoise_jax.discovery.stacks import code_step, iso_numbers, steady
+from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 
-_SURE = 3.0
+SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
+_LOWEST, _SPARE, _LEAST_LEFT = 0.02, 0.02, 0.02
+_WIDE = 7
+_SURE, _LIKELY = 3.0, 2.0
+"""Standard errors from which a part of a spectrum is not what it is elsewhere: of fixed maps, of redrawn
+noise."""
 
 
 class _Part(NamedTuple):
     """One recording beside the simulator's draws: fixed residual (DN), its variance by noise, exposure,
-    signal (DN), power beyond the simulator's and variance of every pixel (DN^2), that of the bulk, and the
-    number of contrasts."""
+    signal (DN),
+    power beyond the simulator's (DN^2) and its standard error, variance of every pixel over that of the
+    bulk, which pixels stand out by it, variance of the bulk (DN^2), number of contrasts;
+    read, own: variance of the simulator's read noise, and of all its noise (DN^2); gain: DN/e-; unit:
+    variance of every pixel over the mean, by which all of these are divided."""
 
     dark: bool
-    residual: Float[np.ndarray, "h w"]
+    residual: Float[np.ndarray, "h w"] | None
     noise: float
     exposure_s: float
     signal: Float[np.ndarray, "h w"]
     excess: Float[np.ndarray, "h w"]
-    variance: Float[np.ndarray, "h w"]
+    ratio: Float[np.ndarray, "h w"]
     level: float
     contrasts: int
+    read: float
+    own: float
+    gain: float
+    unit: Float[np.ndarray, "h w"]
 
 
 def with_remainder(
@@ -51,151 +66,336 @@ def with_remainder(
     key: Key[Array, ""],
     tell: Callable[[str], None] = lambda text: None,
 ) -> SensorModel:
-    """The model with the remainder that the frames that look show; unchanged without darks.
+    """The model with the remainder that the frames that look show; unchanged where none shows new noise.
 
-    Maps are those of this camera unit and of frames of this size: other units and crops draw none.
+    Maps are those of this camera unit and of frames of this size: other units draw none.
     """
+    less = shares(capture, modelled(model, key), tell)
+    if less is None:
+        return model
+    # What is missing is measured beside what the baseline has left.
+    maps = measured(capture, modelled(_added(model, less), key), tell)
+    return _added(model, {**maps, **{name: less[name] for name in SHARES}})
+
+
+def _added(model: SensorModel, maps: dict[str, np.ndarray]) -> SensorModel:
+    full = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
+    return model.with_mechanism(RESIDUAL, maps=full)
+
+
+def shares(
+    capture: CaptureSet, source: Source, tell: Callable[[str], None] = lambda text: None
+) -> dict[str, np.ndarray] | None:
+    """Maps of `mechanisms.residual` that take away as much of the baseline's noise as the frames that look
+    have too little of at any spatial frequency, and nothing else; None where none shows new noise."""
+    darks, lit = _parts(capture, source, tell)
+    if not any(p.contrasts for p in (*darks, *lit)):
+        return None
+    maps = _empty(capture)
+    if darks:
+        zero = np.zeros(darks[0].signal.shape)
+        maps.update(dict.fromkeys(("offset", "rate", "spread", "growth", "spectrum"), zero))
+        maps["keep"] = np.full((1, 1), _left(_still(darks, _fixed(darks)[1])[1], True))
+    for k, p in enumerate(lit):
+        zero = np.zeros(p.signal.shape)
+        left = np.full((1, 1), _left([p], False))
+        maps.update(
+            {f"{n}{k}": v for n, v in zip(LIT, (p.signal, zero, zero, zero, p.unit, left), strict=True)}
+        )
+    return maps
+
+
+def _left(parts: list[_Part], dark: bool) -> float:
+    """Share of the variance of the baseline's noise (of darks its read noise) that may stay."""
+    weight = [p.contrasts for p in parts]
+    level = float(np.average([p.level for p in parts], weights=weight))
+    own = float(np.average([p.read if dark else p.own for p in parts], weights=weight))
+    missing = _SPARE * level - float(np.quantile(_spectrum(parts, False), _LOWEST))
+    return float(np.clip(1 - missing / max(own, 1e-12), _LEAST_LEFT, 1.0))
+
+
+def measured(
+    capture: CaptureSet, source: Source, tell: Callable[[str], None] = lambda text: None
+) -> dict[str, np.ndarray]:
+    """All other maps of `mechanisms.residual`, of the frames that look beside draws of `source`."""
+    darks, lit = _parts(capture, source, tell)
+    maps = _empty(capture)
+    if darks:
+        maps.update(_of_darks(darks))
+    for k, p in enumerate(lit):
+        maps.update(zip([f"{n}{k}" for n in LIT], _of_lit(p), strict=False))
+    return maps
+
+
+def _empty(capture: CaptureSet) -> dict[str, np.ndarray]:
+    maps = {name: np.full((1, 1), float(name.startswith(("keep", "left")))) for name in MAPS}
+    maps["pixels"] = np.full((1, 1), float(np.prod(capture.recordings[0].size)))
+    return maps
+
+
+def _parts(
+    capture: CaptureSet, source: Source, tell: Callable[[str], None]
+) -> tuple[list[_Part], list[_Part]]:
+    """Darks (none where no two frames show what is redrawn), and lit recordings at their knots."""
     step, isos = code_step(capture), iso_numbers(gain_groups(capture))
     parts = []
     for n, (r, (look, _)) in enumerate(zip(capture.recordings, split_recordings(capture), strict=True)):
-        if not look or r.kind == "scene":
+        # One gain setting alone: what is left of another is another remainder.
+        if not look or r.iso != capture.recordings[0].iso:
             continue
         tell(f"remainder: recording {n + 1} of {len(capture.recordings)}")
-        parts.append(_part(r, n, look, model, key, step, isos[r.iso]))
+        part = _part(r, n, look, source, step, isos[r.iso])
+        if part is not None:
+            parts.append(part)
     darks = [p for p in parts if p.dark]
-    if not darks:
-        return model
-    maps = _fixed(parts)
-    maps["spread"] = _spread(darks)
-    maps["spectrum"] = _spectrum(darks)
-    return model.with_mechanism(RESIDUAL, maps={k: jnp.asarray(v, jnp.float32) for k, v in maps.items()})
+    lit = [p for p in parts if not p.dark and p.contrasts and p.signal.mean() > 0]
+    return (
+        darks if any(p.contrasts for p in darks) else [],
+        _spread_out(sorted(lit, key=lambda p: float(p.signal.mean()))),
+    )
+
+
+def _spread_out(lit: list[_Part]) -> list[_Part]:
+    """At most `KNOTS` of them, over all signals; of those of one signal the one with most frames."""
+    apart: list[_Part] = []
+    for p in lit:
+        if apart and p.signal.mean() < 1.02 * apart[-1].signal.mean():
+            apart[-1] = max(apart[-1], p, key=lambda q: q.contrasts)
+        else:
+            apart.append(p)
+    chosen = np.unique(np.linspace(0, len(apart) - 1, min(len(apart), KNOTS)).round().astype(int))
+    return [apart[n] for n in chosen]
 
 
 def _part(
-    r: Recording,
-    number: int,
-    look: list[int],
-    model: SensorModel,
-    key: Key[Array, ""],
-    step: float,
-    iso: float,
-) -> _Part:
-    """One recording reduced beside twice as many drawn frames."""
-    dark = r.kind in ("dark", "bias")
+    r: Recording, number: int, look: list[int], source: Source, step: float, iso: float
+) -> _Part | None:
+    """One recording reduced beside twice as many drawn frames; None for one that is not drawn."""
+    dark = r.kind in DARK
     high = min(float(r.white_level), 65535.0)
     raw = reduce(np.stack([np.asarray(r.frames[t : t + 1])[0] for t in look]), high, dark, step)
-    light = light_for(r, raw.mean, raw.usable, dark)
-    assert light is not None
+    known = light_for(r, raw.mean, raw.usable, dark)
+    if known is None and len(look) < 2:
+        return None
+    light = Light(0, raw.mean) if known is None else known
     fitted = light.fit(raw.mean, raw.usable)
-    source = modelled(model, key)
     clean = asked_signal(r, fitted, source, dark)
     exposure = r.exposure_s if r.exposure_s is not None else 0.01
-    settings = Settings(iso, exposure, r.temperature_c, max(2 * raw.frames, 4))
-    frames = source.frames(0, number, clean, settings)
-    assert frames is not None
+    frames = source.frames(0, number, clean, Settings(iso, exposure, r.temperature_c, max(2 * raw.frames, 4)))
+    if frames is None:
+        return None
     drawn = reduce(frames, high, dark, step)
     expected = light.fit(drawn.mean, drawn.usable)
-    noise = noise_of([drawn], expected, step)
-    typical = float(np.mean([np.mean(v) for v in noise.variance]))
+    variance = noise_of([drawn], expected, step).sigma(expected) ** 2
+    typical = float(np.mean(variance))
+    # Colours of a flat differ in noise: all are brought to that of the mean.
+    unit = np.ones_like(variance) if dark else variance / typical
+    raw, drawn = (
+        d._replace(contrasts=(d.contrasts if dark else _steady(d)) / np.sqrt(unit)) for d in (raw, drawn)
+    )
     n = len(raw.contrasts)
     own = np.mean(raw.contrasts**2, 0) if n else np.full(raw.mean.shape, typical)
     bulk = trimmed(own.ravel(), n) if n else typical
-    # Of darks the level is the simulator's to tell; of flats the light took it.
-    residual = raw.mean - (expected if dark else fitted)
+    residual = None
+    if known is not None:
+        # Of darks the level is the simulator's to tell; of flats the light took it. What the simulator has
+        # of a
+        # pattern is in its draws.
+        residual = raw.mean - (expected if dark else fitted) - (drawn.mean - expected)
+        residual = np.where(raw.usable, residual, 0.0)
     excess = _power(raw, bulk) - _power(drawn, typical) if n else np.zeros(raw.mean.shape)
+    noise = bulk / raw.frames + typical / drawn.frames
+    signal = np.maximum(fitted - np.mean(r.black_level), 0)
+    ratio = own / max(bulk, 1e-12)
+    white = max(typical - step**2 / 12, 1e-3 * typical)
+    read = white if source.read is None else min(source.read, white)
+    gain = source.gain or 0.0
     return _Part(
-        dark, residual, bulk / raw.frames, exposure, np.maximum(fitted - np.mean(r.black_level), 0), excess,
-        own, bulk, n,
+        dark, residual, noise, exposure, signal, excess, ratio, bulk, n, read, white, gain, unit
     )  # fmt: skip
+
+
+def _steady(raw: Raw) -> Float[np.ndarray, "n h w"]:
+    """The contrasts without an offset and a factor of each colour of the frame: those are the lamp's."""
+    out = np.empty_like(raw.contrasts)
+    for y, x in SITES:
+        for n, contrast in enumerate(raw.contrasts):
+            out[n, y::2, x::2] = steady(contrast[y::2, x::2], raw.mean[y::2, x::2])
+    return out
 
 
 def _power(raw: Raw, bulk: float) -> Float[np.ndarray, "h w"]:
     """Mean periodogram of the contrasts, DN^2, outlying pixels at zero."""
     own = np.mean(raw.contrasts**2, 0)
     n = len(raw.contrasts)
-    kept = own <= bulk * stats.chi2.isf(FAR, n) / n
+    kept = ~_odd(own / max(bulk, 1e-12), n) & raw.usable
     total = np.zeros(raw.mean.shape)
     for c in raw.contrasts:
         total += np.abs(fft.fft2(c * kept)) ** 2
     return total / (n * raw.mean.size * max(float(kept.mean()), 1e-6))
 
 
-def _fixed(parts: list[_Part]) -> dict[str, np.ndarray]:
-    """Offset, rate and response by least squares over the recordings, pixel by pixel, each shrunk."""
-    darks = [p for p in parts if p.dark]
-    weight = np.array([1 / p.noise for p in darks])
-    times = np.array([p.exposure_s for p in darks])
-    values = np.stack([p.residual for p in darks])
-    zero = np.zeros(values.shape[1:])
+def _of_darks(darks: list[_Part]) -> dict[str, np.ndarray]:
+    """Offset and rate by least squares over the exposures, noise of single pixels and the shared spectrum."""
+    offset, rate = _fixed(darks)
+    growing, still = _still(darks, rate)
+    own, growth = _alone(still)
+    spectrum = np.maximum(_spectrum(still, True), 0)
+    return {"offset": offset, "rate": rate, "spread": own, "growth": growth + growing, "spectrum": spectrum}
+
+
+def _fixed(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
+    """What stays, DN, and what grows with the exposure, DN/s."""
+    known = [p for p in darks if p.residual is not None]
+    weight = np.array([1 / p.noise for p in known])
+    times = np.array([p.exposure_s for p in known])
+    values = np.stack([p.residual for p in known])  # type: ignore[misc]
     centre = float(np.average(times, weights=weight))
     spread = float(np.sum(weight * (times - centre) ** 2))
-    rate = zero
+    offset, noise = np.tensordot(weight, values, 1) / weight.sum(), 1 / float(weight.sum())
+    rate = np.zeros(offset.shape)
     if len(set(times)) > 1 and spread > 0:
-        rate = np.tensordot(weight * (times - centre), values, 1) / spread
-        rate = _wiener(rate, 1 / spread, 1)
-    offset = np.tensordot(weight, values - times[:, None, None] * rate, 1) / weight.sum()
-    offset = _wiener(offset, 1 / float(weight.sum()), 2)
-    lit = [p for p in parts if not p.dark and p.signal.mean() > 0]
-    response = zero
-    if lit:
-        information = np.sum([p.signal**2 / p.noise for p in lit], 0)
-        response = np.sum([p.signal / p.noise * (p.residual - offset) for p in lit], 0) / information
-        response = _wiener(response, float(np.mean(1 / information)), 3)
-    return {"offset": offset, "rate": rate, "response": response}
+        slope = np.tensordot(weight * (times - centre), values, 1) / spread
+        offset, noise = offset - centre * slope, noise + centre**2 / spread
+        rate = _wiener(slope, 1 / spread, 1)
+    return _wiener(offset, noise, 2), rate
+
+
+def _still(darks: list[_Part], rate: np.ndarray) -> tuple[np.ndarray, list[_Part]]:
+    """Variance of every pixel that grows by the second (DN^2/s), and the darks without it: the charge
+    brings shot
+    noise of its own, and the bulk may become noisier beyond that. A clamp may let the level fall while
+    charge is collected."""
+    moving = [p for p in darks if p.contrasts]
+    shot = darks[0].gain * np.maximum(rate - min(float(np.median(rate)), 0.0), 0.0)
+    growing = max(_slope(moving) - _bulk(shot), 0.0) + shot
+    return growing, [_less(p, growing) for p in moving]
+
+
+def _bulk(values: np.ndarray) -> float:
+    """Mean without the pixels that stand out."""
+    return float(values[values <= np.quantile(values, 0.975)].mean())
+
+
+def _slope(darks: list[_Part]) -> float:
+    """By how much the variance of the bulk grows in a second, DN^2."""
+    times = np.array([p.exposure_s for p in darks])
+    levels = np.array([p.level for p in darks])
+    weight = np.array([p.contrasts for p in darks]) / levels**2
+    centre = float(np.average(times, weights=weight))
+    spread = float(np.sum(weight * (times - centre) ** 2))
+    if not spread > 0:
+        return 0.0
+    slope = float(np.sum(weight * (times - centre) * levels)) / spread
+    error = float(np.sqrt(2 / (darks[0].excess.size * spread)))
+    return slope if slope > _SURE * error else 0.0
+
+
+def _less(p: _Part, growing: np.ndarray) -> _Part:
+    """A dark without the noise that grows with the exposure; its pixels beside what each is expected to
+    have."""
+    grown = growing * p.exposure_s
+    level = max(p.level - _bulk(grown), 0.1 * p.level)
+    unit = 1 + grown / level
+    return p._replace(
+        excess=p.excess - _bulk(grown), ratio=p.ratio * p.level / (level * unit), level=level, unit=unit
+    )
+
+
+def _alone(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
+    """Variance (DN^2) that single pixels have beyond what is expected of them, and by how much it grows in a
+    second: of pixels that stand out in all darks together."""
+    dof = sum(p.contrasts for p in darks)
+    odd = _odd(np.sum([p.contrasts * p.ratio for p in darks], 0) / dof, dof)
+    times = np.array([p.exposure_s for p in darks])[:, None, None]
+    beyond = np.stack([p.level * p.unit * (p.ratio - 1) for p in darks])
+    weight = np.stack([p.contrasts / (p.level * p.unit) ** 2 for p in darks])
+    centre = np.sum(weight * times, 0) / weight.sum(0)
+    spread = np.sum(weight * (times - centre) ** 2, 0)
+    growth = np.sum(weight * (times - centre) * beyond, 0) / np.maximum(spread, 1e-30)
+    growth = np.maximum(growth, 0.0) * (spread > 0)
+    own = np.sum(weight * (beyond - times * growth), 0) / weight.sum(0)
+    return np.where(odd, np.maximum(own, 0), 0.0), np.where(odd, growth, 0.0)
+
+
+def _odd(ratio: np.ndarray, dof: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels noisier than the bulk by more than chance makes them."""
+    return ratio > stats.chi2.isf(1e-3, dof) / dof
+
+
+def _of_lit(p: _Part) -> tuple[np.ndarray, ...]:
+    """The maps of `LIT` of one lit recording."""
+    fixed = np.zeros(p.signal.shape) if p.residual is None else _wiener(p.residual, p.noise, 3)
+    alone = np.where(_odd(p.ratio, p.contrasts), p.level * np.maximum(p.ratio - 1, 0), 0.0)
+    return p.signal, fixed, alone, np.maximum(_spectrum([p], False), 0), p.unit
 
 
 def _wiener(values: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """A map drawn towards its median by the share of its spread that is noise, and what the frames leave open
-    drawn at random, so that it has the pattern's own spread; what stands out is kept."""
+    """A map drawn towards its mean, frequency by frequency, by the share of its power that is noise, and
+    what the
+    frames leave open drawn at random, so that it has the pattern's own power; what stands out is kept."""
     centre = float(np.median(values))
     away = values - centre
-    scale = 1.4826 * float(np.median(np.abs(away)))
-    share = max(1 - noise / max(scale**2, 1e-30), 0.0)
-    out = np.abs(away) > 5 * max(scale, np.sqrt(noise))
-    open_part = np.sqrt(share * (1 - share)) * scale * np.random.default_rng(seed).standard_normal(away.shape)
-    return centre + np.where(out, away, share * away + open_part)
+    scale = max(1.4826 * float(np.median(np.abs(away))), np.sqrt(noise))
+    out = np.abs(away) > 5 * scale
+    waves = fft.fft2(np.where(out, 0.0, away))
+    beyond = np.maximum(_smooth(np.abs(waves) ** 2 / values.size - noise, 1, noise, _SURE), 0)
+    seen, share = beyond + noise, beyond / (beyond + noise)
+    open_part = fft.fft2(np.random.default_rng(seed).standard_normal(values.shape))
+    rest = fft.ifft2(share * waves + np.sqrt(share * (1 - share) * seen) * open_part).real
+    return centre + np.where(out, away, rest)
 
 
-def _spread(darks: list[_Part]) -> np.ndarray:
-    """Noise (DN rms) that single pixels have beyond the bulk, from all darks; 0 for those like the others."""
-    dof = sum(p.contrasts for p in darks)
-    if not dof:
-        return np.zeros(darks[0].variance.shape)
-    ratio = np.sum([p.contrasts * p.variance / p.level for p in darks], 0) / dof
-    level = float(np.average([p.level for p in darks], weights=[p.contrasts for p in darks]))
-    odd = ratio > stats.chi2.isf(1e-4, dof) / dof
-    return np.where(odd, np.sqrt(np.maximum(ratio - 1, 0) * level), 0.0)
+def _spectrum(parts: list[_Part], frames_too: bool) -> np.ndarray:
+    """Power that the recorded noise has beyond the simulated, DN^2 (below zero: less): broad shapes
+    smoothed, and
+    single frequencies where they stand out. frames_too: with what whole frames share; of lit ones it is
+    the lamp's.
+    """
+    n = sum(p.contrasts for p in parts)
+    weight = np.array([p.contrasts / p.level**2 for p in parts])
+    excess = np.tensordot(weight / weight.sum(), np.stack([p.excess for p in parts]), 1)
+    level = float(np.average([p.level for p in parts], weights=weight))
+    out = _smooth(excess, n, level, _LIKELY)
+    if not frames_too:
+        out[0, 0] = out[0, 1]
+    return out
 
 
-def _spectrum(darks: list[_Part]) -> np.ndarray:
-    """Power that the recorded noise has beyond the simulated, DN^2: broad shapes smoothed, and single
-    frequencies where they stand out."""
-    n = sum(p.contrasts for p in darks)
-    if not n:
-        return np.zeros(darks[0].excess.shape)
-    excess = np.sum([p.contrasts * p.excess for p in darks], 0) / n
-    level = float(np.average([p.level for p in darks], weights=[p.contrasts for p in darks]))
-    error = level * np.sqrt(1.5 / n)
-    limit = stats.norm.isf(0.05 / excess.size) * error
-    plane = excess.copy()
-    plane[0], plane[:, 0] = 0, 0
-    out = _smoothed(plane, 9, error / 9)
-    out[0] = _smoothed(_steady(excess[0]), 5, error / np.sqrt(5))
-    for column in (0, excess.shape[1] // 2):
-        # Rows, and rows of odd against even columns, lie on lines of their own.
-        smooth = _smoothed(_steady(excess[:, column]), 5, error / np.sqrt(5))
-        out[:, column] = smooth if column == 0 else np.maximum(out[:, column], smooth)
-    single = excess > np.maximum(limit, out + limit)
-    return np.where(single, excess, out)
+def _smooth(power: np.ndarray, n: int, level: float, errors: float) -> np.ndarray:
+    """A spectrum (of `n` fields together) as white as it may be: broad shapes, rows, columns, those of odd
+    against
+    even pixels, and single frequencies depart from white only where they stand out of their scatter; no
+    power at all is left where that does not. level: power that is not in `power`, but that it scatters by;
+    errors: from which it stands out."""
+    h, w = power.shape
+    own_rows, own_columns = ([0, m // 2] if m % 2 == 0 else [0] for m in (h, w))
+    plane = power.copy()
+    for i in own_rows:
+        plane[i] = (power[(i + 2) % h] + power[i - 2]) / 2
+    for j in own_columns:
+        plane[:, j] = (plane[:, (j + 2) % w] + plane[:, j - 2]) / 2
+    white = float(plane.mean())
+    white = white if abs(white) > errors * level / np.sqrt(n * power.size) else 0.0
+    scatter = max(level + white, 0.1 * level)
+
+    def sure(values: np.ndarray, count: int) -> np.ndarray:
+        return np.where(np.abs(values - white) > errors * scatter / np.sqrt(n * count), values, white)
+
+    out = sure(ndimage.uniform_filter(plane, _WIDE, mode="wrap"), _WIDE**2)
+    for i in own_rows:
+        out[i, 1:] = sure(_along(power[i, 1:]), _WIDE)
+    for j in own_columns:
+        out[1:, j] = sure(_along(power[1:, j]), _WIDE)
+    limit = stats.chi2.isf(0.05 / power.size, 2 * n) / (2 * n) - 1
+    beside = np.maximum(out + level, 0.1 * level)
+    out = np.where(power - out > limit * beside, power, out)
+    out[0, 0] = power[0, 0] if power[0, 0] > 4 * scatter else white
+    return out
 
 
-def _steady(line: np.ndarray) -> np.ndarray:
-    """A line of the spectrum without single frequencies, which a mean would smear."""
+def _along(line: np.ndarray) -> np.ndarray:
+    """A line of a spectrum smoothed, single frequencies aside."""
     local = ndimage.median_filter(line, 9, mode="wrap")
     spread = 1.4826 * np.median(np.abs(line - local))
-    return np.where(np.abs(line - local) > 5 * spread, local, line)
-
-
-def _smoothed(values: np.ndarray, width: int, error: float) -> np.ndarray:
-    smooth = ndimage.uniform_filter(values, width, mode="wrap")
-    return np.where(smooth > _SURE * error, smooth, 0.0)
+    return ndimage.uniform_filter1d(np.where(line - local > 6 * spread, local, line), _WIDE, mode="wrap")

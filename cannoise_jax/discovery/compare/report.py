@@ -102,22 +102,7 @@ def document(found: Comparison) -> dict[str, Any]:
         "verdict": found.verdict,
         "looked_at": int(sum(np.count_nonzero(j.recorded + j.simulated) for j in bank.judgements)),
         "sets_drawn": bank.sets,
-        "differences": [
-            {
-                "what": d.what,
-                "time": d.time,
-                "simulator_has": sign_in_words(d.sign),
-                "recorded": _plain(d.recorded),
-                "simulated": _plain(d.simulated),
-                "unit": d.unit,
-                "share": _plain(d.share),
-                "nats": _plain(d.nats),
-                "z": _plain(d.z),
-                "recordings": list(d.where),
-                "note": d.note,
-            }
-            for d in found.differences
-        ],
+        "differences": [difference_document(d) for d in found.differences],
         "recordings": [
             {
                 "name": s.name,
@@ -130,6 +115,23 @@ def document(found: Comparison) -> dict[str, Any]:
             }
             for s in bank.seen.values()
         ],
+    }
+
+
+def difference_document(d: Difference) -> dict[str, Any]:
+    """One line of the table as plain JSON values."""
+    return {
+        "what": d.what,
+        "time": d.time,
+        "simulator_has": sign_in_words(d.sign),
+        "recorded": _plain(d.recorded),
+        "simulated": _plain(d.simulated),
+        "unit": d.unit,
+        "share": _plain(d.share),
+        "nats": _plain(d.nats),
+        "z": _plain(d.z),
+        "recordings": list(d.where),
+        "note": d.note,
     }
 
 

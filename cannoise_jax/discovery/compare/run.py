@@ -13,17 +13,19 @@ from jaxtyping import Array, Float, Key
 from cannoise_jax.discovery.calibrate import gain_groups
 from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.measure import Family, Measured, measure, shared
+from cannoise_jax.discovery.compare.measure import Family, Measured, is_coarse, measure, shared
 from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import SITES, Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.simulate import Draw
-from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, iso_numbers
+from cannoise_jax.discovery.stacks import code_step, iso_numbers
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 DRAWN = 40e6
 """Pixels that are drawn at most, all sets and frames together; at least two sets are."""
 MOST_SETS = 4
+Chosen = list[tuple[list[int], list[int]]]
+"""Of every recording the frames before those that are looked at, and these."""
 
 
 class Seen(NamedTuple):
@@ -44,7 +46,8 @@ class Seen(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """The bank of the recordings and of every set of the simulator, by recording, and what was judged."""
+    """The bank of the recordings and of every set of the simulator, by recording, and what was judged.
+    held_back: whether all frames were kept from whoever made the simulator."""
 
     label: str
     camera: str
@@ -56,26 +59,35 @@ class Compared(NamedTuple):
     peaks: list[Peak]
     sets: int
     step: float
+    held_back: bool = False
 
 
 def compare_bank(
     capture: CaptureSet,
-    simulator: str | Path | SensorModel | CaptureSet | Draw,
+    simulator: str | Path | SensorModel | CaptureSet | Draw | Source,
     key: Key[Array, ""] | None = None,
     *,
     alpha: float = 0.01,
     sets: int | None = None,
+    held_back: Chosen | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Compared:
     """All statistics of the bank, of the recordings and of draws of a simulator at equal settings.
 
-    Raises BadInput for a simulator that cannot be judged, ValueError for an alpha out of (0, 1).
+    held_back: of every recording the frames that are looked at, and those before them which lend their mean
+    alone (all frames where not given). Raises BadInput for a simulator that cannot be judged, ValueError
+    for an alpha out of (0, 1).
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     key = jax.random.key(0) if key is None else key
-    source = open_source(simulator, capture, key)
-    total = sum(min(r.count, MOST_FRAMES) * r.size[0] * r.size[1] for r in capture.recordings)
+    source = simulator if isinstance(simulator, Source) else open_source(simulator, capture, key)
+    chosen = held_back or [([], chosen_frames(r).tolist()) for r in capture.recordings]
+    total = sum(
+        (len(a) + len(b)) * r.size[0] * r.size[1]
+        for r, (a, b) in zip(capture.recordings, chosen, strict=True)
+        if b
+    )
     count = int(np.clip(DRAWN // total, 2, MOST_SETS)) if sets is None else sets
     count = count if source.sets is None else min(count, source.sets)
     step = code_step(capture)
@@ -83,9 +95,11 @@ def compare_bank(
     recorded: dict[str, Measured] = {}
     simulated: dict[str, list[Measured]] = {}
     seen: dict[str, Seen] = {}
-    for number, r in enumerate(capture.recordings):
+    for number, (r, (before, frames)) in enumerate(zip(capture.recordings, chosen, strict=True)):
+        if not frames:
+            continue
         tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}")
-        done = _one(source, number, r, count, step, isos[r.iso])
+        done = _one(source, number, r, (before, frames), count, step, isos[r.iso])
         if done is None:
             continue
         name = Path(r.path or f"{number} {r.kind}").stem
@@ -99,18 +113,26 @@ def compare_bank(
     kinds = {n: "dark" if s.kind in ("dark", "bias") else "lit" for n, s in seen.items()}
     judgements, peaks = judge(recorded, simulated, kinds, alpha)
     return Compared(
-        source.label, capture.camera, alpha, seen, recorded, simulated, judgements, peaks, count, step
-    )
+        source.label, capture.camera, alpha, seen, recorded, simulated, judgements, peaks, count, step,
+        held_back is not None,
+    )  # fmt: skip
 
 
 def _one(
-    source: Source, number: int, r: Recording, sets: int, step: float, iso: float
+    source: Source,
+    number: int,
+    r: Recording,
+    chosen: tuple[list[int], list[int]],
+    sets: int,
+    step: float,
+    iso: float,
 ) -> tuple[Seen, Measured, list[Measured]] | None:
     """One recording: its bank, and that of every set; None where the simulator draws none of it."""
-    frames = np.stack([np.asarray(r.frames[t : t + 1])[0] for t in chosen_frames(r)])
+    before = len(chosen[0])
+    frames = np.stack([np.asarray(r.frames[t : t + 1])[0] for t in (*chosen[0], *chosen[1])])
     dark = r.kind in ("dark", "bias")
     high = min(float(r.white_level), 65535.0)
-    raw = reduce(frames, high, dark, step)
+    raw = reduce(frames, high, dark, step, before)
     light = light_for(r, raw.mean, raw.usable, dark)
     known = light if light is not None else _scene(raw)
     fitted = known.fit(raw.mean, raw.usable)
@@ -120,18 +142,19 @@ def _one(
     if any(d is None for d in drawn):
         return None
     if len(drawn[0]) < len(frames):  # type: ignore[arg-type]
-        raw = reduce(frames[: len(drawn[0])], high, dark, step)  # type: ignore[arg-type]
-    raws = [reduce(d, high, dark, step) for d in drawn]  # type: ignore[arg-type]
+        raw = reduce(frames[: len(drawn[0])], high, dark, step, before)  # type: ignore[arg-type]
+    raws = [reduce(d, high, dark, step, before) for d in drawn]  # type: ignore[arg-type]
     means = [known.fit(d.mean, d.usable) for d in raws]
     noise = noise_of(raws, np.mean(means, 0), step)
     level = dark and light is not None
     variance = np.array([float(np.mean(v)) for v in noise.variance])
     degree = light.degree if light is not None else 0
-    real = measure(view(raw, noise, fitted, light), level, degree, variance, step)
+    coarse = is_coarse(variance, step)
+    real = measure(view(raw, noise, fitted, light, coarse), level, degree, variance, step)
     simulated = []
     while raws:
         simulated.append(
-            measure(view(raws.pop(0), noise, means.pop(0), light), level, degree, variance, step)
+            measure(view(raws.pop(0), noise, means.pop(0), light, coarse), level, degree, variance, step)
         )
     sigma, log_sigma = np.sqrt(variance), float(np.mean(np.log(noise.sigma(fitted))))
     signal = float(np.mean(fitted) - np.mean(r.black_level))

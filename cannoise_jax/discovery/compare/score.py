@@ -67,8 +67,9 @@ def better(a: Compared, b: Compared) -> Better | None:
     if not names:
         return None
     gains = {n: second[n] - first[n] for n in names}
-    kept = {n: gains[n][held_back(a.seen[n].frames)] for n in names}
-    held = sum(v.size for v in kept.values()) > 1
+    every = a.held_back and b.held_back
+    kept = {n: gains[n][held_back(a.seen[n].frames)] for n in names} if not every else gains
+    held = every or sum(v.size for v in kept.values()) > 1
     values = np.concatenate(list((kept if held else gains).values()))
     mean, low, high = _interval(values)
     fixed = None

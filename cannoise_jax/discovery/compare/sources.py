@@ -34,7 +34,9 @@ class Source(NamedTuple):
     """A simulator to compare with. frames(set, number, clean, settings): its frames of one recording, None
     for
     one that it does not draw; sets: how many it can give, None: any number; black, white: its own levels, DN,
-    None: those of the recordings. lit: whether frames of given light can be asked for (a folder has its own).
+    None: those of the recordings. asked: whether frames of given light can be asked for (a folder has its
+    own); read, gain: variance of the
+    read noise (DN^2) and gain (DN/e-) of the first gain setting of a camera model.
     """
 
     label: str
@@ -43,6 +45,8 @@ class Source(NamedTuple):
     black: Float[np.ndarray, "4"] | None = None
     white: float | None = None
     asked: bool = True
+    read: float | None = None
+    gain: float | None = None
 
 
 def open_source(
@@ -116,7 +120,9 @@ def modelled(model: SensorModel, key: Key[Array, ""]) -> Source:
         return drawing(own, jax.random.fold_in(key, number_of_set))(number, clean, settings)
 
     black = np.asarray(model.black_level, float)
-    return Source(model.camera, frames, None, black, float(np.asarray(model.white_level)))
+    white, gain = float(np.asarray(model.white_level)), np.asarray(model.gain_dn_per_e)[0]
+    read = float(np.mean((gain * np.asarray(model.read_noise_e)[0]) ** 2))
+    return Source(model.camera, frames, None, black, white, read=read, gain=float(np.mean(gain)))
 
 
 def _recorded(simulated: CaptureSet, capture: CaptureSet) -> Source:

@@ -15,7 +15,7 @@ from scipy import stats
 from cannoise_jax.discovery.compare.light import Light
 from cannoise_jax.discovery.stacks import MOST_FRAMES
 from cannoise_jax.recordings.recording import Recording
-from cannoise_jax.signatures.fields import helmert
+from cannoise_jax.signatures.fields import contrast_matrix, helmert
 
 FAR = 1e-5
 """Chance by which a pixel of normal noise is set aside."""
@@ -83,13 +83,15 @@ def chosen_frames(r: Recording) -> np.ndarray:
     return np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
 
 
-def reduce(frames: UInt16[np.ndarray, "t h w"], high: float, dark: bool, step: float) -> Raw:
-    """Contrasts, mean and rails of frames; `high`: the level at which a pixel is full, DN."""
-    count = len(frames)
+def reduce(frames: UInt16[np.ndarray, "t h w"], high: float, dark: bool, step: float, before: int = 0) -> Raw:
+    """Contrasts, mean and rails of frames; `high`: the level at which a pixel is full, DN. before: how
+    many of the first serve only as those whose mean the last contrast is taken from."""
     first = frames[0].astype(np.float32)
     moved = frames.astype(np.float32) - first
-    matrix = helmert(count).astype(np.float32) if count > 1 else np.zeros((0, 1), np.float32)
+    matrix = contrast_matrix(len(frames) - before, before).astype(np.float32)
     contrasts = np.tensordot(matrix, moved, 1)
+    frames, moved = frames[before:], moved[before:]
+    count = len(frames)
     low, full = frames == 0, frames >= high - 0.5
     rails = np.stack([low.mean((1, 2)), full.mean((1, 2))], 1) * frames[0].size
     usable = ~(low | full).any(0)
@@ -154,17 +156,20 @@ def bulk_variance(v: np.ndarray, dof: int) -> float:
     return float(v[v <= 60 * v.mean()].mean())
 
 
-def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> View:
-    """The frames as the bank sees them under a simulator's noise; `light` None: their mean is not known."""
+def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse: bool = False) -> View:
+    """The frames as the bank sees them under a simulator's noise; `light` None: their mean is not known.
+    coarse:
+    noise of less than a code takes few values, and a limit in units of its own scatter jumps from one to the
+    next: both sides are then counted beyond the same one."""
     weight = raw.usable / noise.sigma(signal)
     z = raw.contrasts * weight.astype(np.float32)
     n = len(z)
     steadiness = np.mean(z**2, 0) if n else np.zeros(raw.mean.shape, np.float32)
     odd, single = np.zeros(raw.mean.shape, bool), np.zeros(raw.frames)
     if n:
-        scale = _typical(steadiness, raw.usable, n)
+        scale = np.ones_like(steadiness) if coarse else _typical(steadiness, raw.usable, n)
         odd = steadiness > scale * stats.chi2.isf(FAR, n) / n
-        alone, single = _lone(z, scale)
+        alone, single = _lone(z[: raw.frames - 1], scale)
         odd |= alone
         steadiness = steadiness / scale
     level, static, static_kept = np.zeros(4), None, raw.usable & ~odd
@@ -176,9 +181,10 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None) -> Vie
         static_kept &= np.abs(static) < STATIC * _robust(static, static_kept)
     kept = raw.usable & ~odd
     z *= kept
-    moved = [[np.mean(c[y::2, x::2][kept[y::2, x::2]]) for y, x in SITES] for c in raw.contrasts]
+    inner = raw.contrasts[: raw.frames - 1]
+    moved = [[np.mean(c[y::2, x::2][kept[y::2, x::2]]) for y, x in SITES] for c in inner]
     levels = np.broadcast_to(level, (raw.frames, 4))
-    if n and kept.any():
+    if len(inner) and kept.any():
         levels = level + helmert(raw.frames).T @ np.nan_to_num(np.array(moved))
     if static is not None:
         static = np.where(static_kept, static, 0).astype(np.float32)
@@ -201,6 +207,8 @@ def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
 def _lone(z: Float[np.ndarray, "n h w"], scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels whose noise is like the others' but for one value; how many of them every frame has."""
     frames = len(z) + 1
+    if frames < 2:
+        return np.zeros(z.shape[1:], bool), np.zeros(1)
     matrix = helmert(frames).astype(np.float32)
     total = np.sum(z**2, 0)
     limit = scale * (stats.chi2.isf(1e-3, max(frames - 2, 1)))

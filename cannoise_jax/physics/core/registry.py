@@ -15,8 +15,10 @@ def packaged() -> Mapping[str, Mechanism]:
     """The mechanisms of the package by id, in the order of the signal chain."""
     # The one place where the core looks up, and late: they are built from it.
     from cannoise_jax.mechanisms import ENTRIES
+    from cannoise_jax.mechanisms.residual import RESIDUAL
 
-    return {entry.id: entry.record for entry in ENTRIES}
+    # What has no name is drawn and kept in files like the others, but is no entry of the catalogue.
+    return {**{entry.id: entry.record for entry in ENTRIES}, RESIDUAL.id: RESIDUAL}
 
 
 def mechanism(id: str) -> Mechanism:

@@ -1,0 +1,122 @@
+"""Two reports of `bin/diagnose` side by side: is the second simulator nearer to the recordings than the
+first?"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.discovery.compare.report import value
+from cannoise_jax.recordings.recording import BadInput
+
+SCHEMA = "cannoise/comparison-of-reports/1"
+_NAME = "report.json"
+
+
+def read_report(path: str | Path) -> dict[str, Any]:
+    """The report.json of a diagnosis, or that in a folder. Raises BadInput for what is none."""
+    path = Path(path)
+    path = path / _NAME if path.is_dir() else path
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(
+            f"{path}: cannot be read ({error.strerror}): name a report.json or its folder"
+        ) from error
+    except ValueError as error:
+        raise BadInput(f"{path}: is no JSON file: name a report.json or its folder") from error
+    if not isinstance(report, dict) or not str(report.get("schema", "")).startswith("cannoise/diagnosis/"):
+        raise BadInput(f"{path}: is no report of bin/diagnose")
+    if report.get("remains") is None:
+        raise BadInput(f"{path}: says nothing of what still differs: diagnose the recordings again")
+    return report
+
+
+def side_by_side(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:
+    """Both reports as plain data: measures of the simulator that each hands back, and every line that
+    differs in one of them; nearer: A, B or neither. A measure counts where both 90 % intervals lie apart.
+
+    Raises BadInput for reports of other recordings: their measures are not alike.
+    """
+    if _files(a) != _files(b):
+        raise BadInput("the reports are of other recordings: diagnose the same ones with both simulators")
+    area = _apart(*(r["after"]["two_sample_auc_ci90"] for r in (a, b)))
+    left = [sum(d["nats"] for d in r["remains"]["after"]) for r in (a, b)]
+    votes = [area, _far_fewer(*left)]
+    nearer = (
+        "B"
+        if max(votes) > 0 and min(votes) >= 0
+        else "A"
+        if min(votes) < 0 and max(votes) <= 0
+        else "neither"
+    )
+    return {
+        "schema": SCHEMA,
+        "nearer": nearer,
+        "verdicts": [a["verdict"], b["verdict"]],
+        "two_sample_auc": [a["after"]["two_sample_auc"], b["after"]["two_sample_auc"]],
+        "nats_of_mismatch": left,
+        "differences": _lines(a, b),
+    }
+
+
+def _files(report: dict[str, Any]) -> list[tuple]:
+    return sorted((str(i["sha256"] or i["file"]), i["kind"], i["frames"]) for i in report["inputs"])
+
+
+def _apart(first: list[float] | None, second: list[float] | None) -> int:
+    """1: the second area is nearer to one half, -1: the first; 0: the intervals overlap."""
+    if first is None or second is None or None in (*first, *second):
+        return 0
+    return int(second[1] < first[0]) - int(first[1] < second[0])
+
+
+def _far_fewer(first: float, second: float) -> int:
+    """Whether one has less than half of the mismatch of the other."""
+    return int(second < 0.5 * first) - int(first < 0.5 * second)
+
+
+def _lines(a: dict[str, Any], b: dict[str, Any]) -> list[dict[str, Any]]:
+    """One line for each difference of either, the largest first; None where a report has none."""
+    found: dict[tuple, dict[str, Any]] = {}
+    for side, report in (("a", a), ("b", b)):
+        for d in report["remains"]["after"]:
+            kept = {k: d[k] for k in ("recorded", "simulated", "unit", "nats", "simulator_has")}
+            line = found.setdefault(
+                (d["what"], d["time"]), {"what": d["what"], "time": d["time"], "a": None, "b": None}
+            )
+            line[side] = max(line[side] or kept, kept, key=lambda e: e["nats"])
+    return sorted(found.values(), key=lambda e: -max(s["nats"] for s in (e["a"], e["b"]) if s is not None))
+
+
+def lines(result: dict[str, Any], most: int = 14) -> list[str]:
+    """The comparison as text."""
+    said = {
+        "A": "the first is nearer",
+        "B": "the second is nearer",
+        "neither": "nothing says which is nearer",
+    }
+    out = [f"{said[result['nearer']]} to the recordings"]
+    for name, key in (
+        ("verdict", "verdicts"),
+        ("two-sample area", "two_sample_auc"),
+        ("nats", "nats_of_mismatch"),
+    ):
+        out.append(f"  {name}: " + " | ".join(_said(v) for v in result[key]))
+    for d in result["differences"][:most]:
+        out.append(f"  {d['what']} ({d['time']}): {_side(d['a'])} | {_side(d['b'])}")
+    if len(result["differences"]) > most:
+        out.append(f"  and {len(result['differences']) - most} more")
+    return out
+
+
+def _said(v: Any) -> str:
+    return "not measured" if v is None else v if isinstance(v, str) else value(v)
+
+
+def _side(d: dict[str, Any] | None) -> str:
+    if d is None:
+        return "no difference"
+    sizes = f"{value(d['recorded'])} recorded, {value(d['simulated'])} simulated"
+    return f"{d['simulator_has']}, {sizes} {d['unit']}"

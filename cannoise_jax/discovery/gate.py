@@ -1,0 +1,135 @@
+"""Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
+
+The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
+are tried alone. What no name explains enters, as the remainder, where it makes the draws better. So the
+simulator that is handed back is no worse than the one that was given, or the report says so first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.heldout import Scored
+from cannoise_jax.discovery.prove import Proofs, frame_interval
+from cannoise_jax.discovery.quality import NAMED, PLAIN, SURE, WITH_REST, Looked, Panel
+from cannoise_jax.discovery.sides import Sides, of_model
+from cannoise_jax.discovery.twosample import Area
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.signatures.fields import stratum
+
+LEAST_GAIN = 2e-4
+"""Nats a pixel that the composite score of two draws of one model differs by chance."""
+
+
+class Gain(NamedTuple):
+    """A change with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Tried(NamedTuple):
+    """One candidate beside the simulator before it. what: `findings`, `confirmed findings` or `remainder`;
+    steps:
+    findings in it; score: of the composite score, nats a pixel, area: of the distance of the two-sample
+    area from 0.5 (None: not measured); entered: whether it is in the simulator that is handed back."""
+
+    what: str
+    steps: int
+    score: Gain | None
+    area: Area | None
+    entered: bool
+
+    @property
+    def better(self) -> bool:
+        """Whether one measure improved beyond its interval, and none became worse."""
+        return not self.worse and (
+            (self.score is not None and self.score.low > LEAST_GAIN)
+            or (self.area is not None and self.area.high < 0)
+        )
+
+    @property
+    def worse(self) -> bool:
+        """Whether a measure became worse beyond its interval."""
+        score = (
+            0 if self.score is None else int(self.score.low > LEAST_GAIN) - int(self.score.high < -LEAST_GAIN)
+        )
+        area = 0 if self.area is None else int(self.area.high < 0) - int(self.area.low > 0)
+        return min(score, area) < 0
+
+
+class Gated(NamedTuple):
+    """The simulator that is handed back, its measures and those of the one that was judged, the findings that
+    are in it, the candidates, and whether the remainder is in it."""
+
+    model: SensorModel
+    before: Looked
+    after: Looked
+    steps: tuple[Step, ...]
+    tried: tuple[Tried, ...]
+    remainder: bool
+
+
+def gate(
+    panel: Panel,
+    sides: Sides,
+    steps: tuple[Step, ...],
+    proofs: Proofs,
+    with_rest: Callable[[SensorModel], SensorModel],
+) -> Gated:
+    """What enters; with_rest: adds what the frames that look show beyond a camera model.
+
+    A simulator that is no camera model keeps its own draws, changed by all findings; the camera model that is
+    handed back for it is not gated.
+    """
+    before = panel.look(sides.plain, PLAIN)
+    if sides.model is None:
+        after = before if sides.extended is None else panel.look(sides.extended, NAMED)
+        once = () if after is before else (_tried("findings", steps, panel, before, after),)
+        return Gated(sides.exported, before, after, steps, once, False)
+    model, after = sides.model, before
+    kept: tuple[Step, ...] = ()
+    all_tried: list[Tried] = []
+    sure = tuple(s for s, p in zip(steps, proofs.each, strict=True) if p.confirmed)
+    for what, some, number in (("findings", steps, NAMED), ("confirmed findings", sure, SURE)):
+        if not some or (all_tried and len(some) == len(steps)):
+            continue
+        candidate = sides.of(some)
+        looked = panel.look(of_model(candidate), number)
+        tried = _tried(what, some, panel, before, looked)
+        all_tried.append(tried._replace(entered=not tried.worse))
+        if not tried.worse:
+            model, after, kept = candidate, looked, some
+            break
+    candidate = with_rest(model)
+    rest = False
+    if candidate is not model:
+        looked = panel.look(of_model(candidate), WITH_REST)
+        tried = _tried("remainder", kept, panel, after, looked)
+        rest = tried.better
+        all_tried.append(tried._replace(entered=rest))
+        if rest:
+            model, after = candidate, looked
+    return Gated(model, before, after, kept, tuple(all_tried), rest)
+
+
+def _tried(what: str, steps: tuple[Step, ...], panel: Panel, before: Looked, after: Looked) -> Tried:
+    return Tried(what, len(steps), score_gain(panel, before, after), panel.change(before, after), True)
+
+
+def score_gain(panel: Panel, before: Looked, after: Looked) -> Gain | None:
+    """Composite score of one simulator less that of another, nats a pixel, from the scatter over frames."""
+    one, two = before.side.composite, after.side.composite
+    if one is None or two is None:
+        return None
+    fields = panel.halves[1].fields
+    alike = np.concatenate([np.full(f.frames, stratum(f)) for f in fields])
+    pixels = np.concatenate([np.full(f.frames, f.mean.size) for f in fields])
+    total = float(pixels.sum())
+    gain = frame_interval(Scored(two * pixels, alike, pixels), Scored(one * pixels, alike, pixels))
+    return Gain(*(v / total for v in gain))
