@@ -14,11 +14,9 @@ _ACTS_ON = ("mean", "charge", "signal", "code")
 def packaged() -> Mapping[str, Mechanism]:
     """The mechanisms of the package by id, in the order of the signal chain."""
     # The one place where the core looks up, and late: they are built from it.
-    from cannoise_jax.mechanisms import ENTRIES
-    from cannoise_jax.mechanisms.residual import RESIDUAL
+    from cannoise_jax.mechanisms import RECORDS
 
-    # What has no name is drawn and kept in files like the others, but is no entry of the catalogue.
-    return {**{entry.id: entry.record for entry in ENTRIES}, RESIDUAL.id: RESIDUAL}
+    return RECORDS
 
 
 def mechanism(id: str) -> Mechanism:
