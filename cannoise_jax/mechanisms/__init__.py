@@ -54,7 +54,7 @@ ENTRIES: tuple[Entry, ...] = _mutual(tuple(entry for family in _FAMILIES for ent
 """All mechanisms in the order of the signal chain."""
 
 RECORDS = {**{entry.id: entry.record for entry in ENTRIES}, RESIDUAL.id: RESIDUAL}
-"""All that a camera model may hold by id: what no name explains is drawn and kept in files like the others."""
+"""All that a camera model may hold, by id: what no name explains is drawn and kept like the others."""
 
 LISTED: tuple[Entry, ...] = tuple(sorted(ENTRIES, key=lambda entry: entry.term.listed))
 """The same in the order in which they are listed: class by class, the common ones first."""
