@@ -73,9 +73,13 @@ class Diagnosis:
     @property
     def verdict(self) -> Verdict:
         """What all of it says together: findings, the layer that knows no names, and the two-sample test."""
-        steps = self.fitted.steps if self.gated is None else self.gated.steps
+        handed_back = self.fitted.steps if self.gated is None else self.gated.steps
         aside = part_of(self.fitted.steps)
-        kept = [s.named.mechanism for n, s in enumerate(self.fitted.steps) if n not in aside and s in steps]
+        kept = [
+            s.named.mechanism
+            for n, (s, p) in enumerate(zip(self.fitted.steps, self.proofs, strict=True))
+            if n not in aside and (s in handed_back or p.confirmed)
+        ]
         before, after = (self.differs(which) for which in (0, 1))
         return verdict_of(
             # Where nothing may be named, what is left of the battery still looks for structures.

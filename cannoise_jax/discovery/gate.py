@@ -1,7 +1,8 @@
 """Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
 
 The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
-are tried alone. What no name explains enters, as the remainder, where it makes the draws better. So the
+are tried alone. What no name explains enters, as the remainder, where it makes the draws better: beside
+all of these findings, beside those that are confirmed, or beside the fitted baseline alone. So the
 simulator that is handed back is no worse than the one that was given, or the report says so first.
 """
 
@@ -15,7 +16,16 @@ import numpy as np
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.heldout import Scored
 from cannoise_jax.discovery.prove import Proofs, frame_interval
-from cannoise_jax.discovery.quality import NAMED, PLAIN, SURE, WITH_REST, Looked, Panel
+from cannoise_jax.discovery.quality import (
+    NAMED,
+    PLAIN,
+    REST_ALONE,
+    SURE,
+    SURE_WITH_REST,
+    WITH_REST,
+    Looked,
+    Panel,
+)
 from cannoise_jax.discovery.sides import Sides, of_model
 from cannoise_jax.discovery.twosample import Area
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -106,16 +116,35 @@ def gate(
         if not tried.worse:
             model, after, kept = candidate, looked, some
             break
-    candidate = with_rest(model)
     rest = False
-    if candidate is not model:
-        looked = panel.look(of_model(candidate), WITH_REST)
-        tried = _tried("remainder", kept, panel, after, looked)
-        rest = tried.better
-        all_tried.append(tried._replace(entered=rest))
-        if rest:
-            model, after = candidate, looked
+    # Findings that describe badly what they describe keep the remainder from describing it: it is tried
+    # beside
+    # fewer of them, and beside the fitted baseline, which also has nothing too much.
+    for what, some, start, number in (
+        ("remainder", kept, model, WITH_REST),
+        ("remainder beside the confirmed findings", sure, None, SURE_WITH_REST),
+        ("remainder beside the baseline", (), sides.bare, REST_ALONE),
+    ):
+        if number != WITH_REST and len(some) == len(kept) and (some or start is model):
+            continue
+        if number != WITH_REST and not _told(panel, after):
+            break
+        base = sides.of(some) if start is None else start
+        candidate = with_rest(base)
+        if candidate is base:
+            continue
+        looked = panel.look(of_model(candidate), number)
+        tried = _tried(what, some, panel, after, looked)
+        all_tried.append(tried._replace(entered=tried.better))
+        if tried.better:
+            model, after, kept, rest = candidate, looked, some, True
     return Gated(model, before, after, kept, tuple(all_tried), rest)
+
+
+def _told(panel: Panel, looked: Looked) -> bool:
+    """Whether the recordings may still be told from the draws: else nothing better is looked for."""
+    areas = panel.areas([looked])
+    return areas is None or areas[0].low > 0.5
 
 
 def _tried(what: str, steps: tuple[Step, ...], panel: Panel, before: Looked, after: Looked) -> Tried:

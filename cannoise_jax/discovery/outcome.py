@@ -9,7 +9,7 @@ import numpy as np
 
 from cannoise_jax.discovery.compare.report import difference_document
 from cannoise_jax.discovery.diagnose import Diagnosis
-from cannoise_jax.discovery.gate import Tried
+from cannoise_jax.discovery.gate import Gated, Tried
 
 
 def baseline(diagnosis: Diagnosis) -> list[dict[str, Any]]:
@@ -35,15 +35,23 @@ def shares(diagnosis: Diagnosis, listed: list[int]) -> tuple[list[float | None],
     findings by what each gains.
     """
     rest = 0.0
-    if diagnosis.gated is not None:
-        scores = {t.what: t.score.value for t in diagnosis.gated.tried if t.entered and t.score is not None}
-        added = max(scores.pop("remainder", 0.0), 0.0)
-        whole = added + max(sum(scores.values()), 0.0)
-        rest = added / whole if whole > 0 else 0.0
+    if diagnosis.gated is not None and diagnosis.gated.remainder:
+        alone = (
+            t.score.value for t in diagnosis.gated.tried if t.score and t.steps and "remainder" not in t.what
+        )
+        whole = score_of(diagnosis.gated)
+        rest = float(np.clip(1 - max(next(alone, 0.0), 0.0) / whole, 0.0, 1.0)) if whole > 0 else 0.0
     gains = [diagnosis.proofs[n].gain for n in listed]
     known = sum(max(g, 0.0) for g in gains if g is not None)
     each = [None if g is None else (1 - rest) * max(g, 0.0) / known if known > 0 else 0.0 for g in gains]
     return each, rest
+
+
+def score_of(gated: Gated) -> float:
+    """Composite score of the simulator that is handed back less that of the one that was judged, nats a
+    pixel."""
+    one, two = gated.before.side.composite, gated.after.side.composite
+    return 0.0 if one is None or two is None else float(two.mean() - one.mean())
 
 
 def entered(diagnosis: Diagnosis, n: int) -> bool | None:

@@ -171,12 +171,12 @@ def open_panel(
     return dataclasses.replace(panel, patches=size, control=reached)
 
 
-PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST = range(6)
+PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST, SURE_WITH_REST, REST_ALONE = range(8)
 """Numbers of the simulators that are drawn, for their random numbers."""
 
 
 def _keys(key: Key[Array, ""]) -> Key[Array, "n"]:
-    return jax.random.split(key, WITH_REST + 1)
+    return jax.random.split(key, REST_ALONE + 1)
 
 
 def _pair(draw: Drawings, halves: tuple[Prepared, Prepared], key: Key[Array, ""]) -> Pair:

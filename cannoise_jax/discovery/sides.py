@@ -30,8 +30,8 @@ class Sides(NamedTuple):
     """plain: the simulator that was judged. extended: with everything found; None: nothing was. less: the
     extended one without each finding, where it has no likelihood. control: the fitted baseline. exported: the
     extended camera model. likelihood: whether the simulator has one. calibrated: whether it is the baseline
-    itself. model: the judged simulator where it is a camera model. of: the camera model with some of the
-    findings alone."""
+    itself. model: the judged simulator where it is a camera model. bare: the fitted baseline. of:
+    the camera model with some of the findings alone."""
 
     plain: Drawings
     extended: Drawings | None
@@ -41,6 +41,7 @@ class Sides(NamedTuple):
     likelihood: bool
     calibrated: bool
     model: SensorModel | None
+    bare: SensorModel
     of: Callable[[tuple[Step, ...]], SensorModel]
 
 
@@ -58,7 +59,7 @@ def simulators(
     model = of(steps)
     extended = of_model(model) if steps else None
     calibrated = stated is None
-    return Sides(of_model(plain), extended, (), of_model(bare), model, True, calibrated, plain, of)
+    return Sides(of_model(plain), extended, (), of_model(bare), model, True, calibrated, plain, bare, of)
 
 
 def handed_simulators(
@@ -78,7 +79,9 @@ def handed_simulators(
         of = partial(extended_model, capture, first, start=handed.model)
         model = of(steps)
         extended = of_model(model) if steps else None
-        return Sides(of_model(handed.model), extended, (), control, model, True, False, handed.model, of)
+        return Sides(
+            of_model(handed.model), extended, (), control, model, True, False, handed.model, bare, of
+        )
     parameters = drawn_parameters(drawn, first.baselines, first.step)
 
     def plain(key: Key[Array, ""]) -> Drawing:
@@ -105,7 +108,7 @@ def handed_simulators(
 
     extended = changed_by(steps) if steps else None
     exported = beside_own(steps)
-    return Sides(plain, extended, less, control, exported, False, False, None, beside_own)
+    return Sides(plain, extended, less, control, exported, False, False, None, bare, beside_own)
 
 
 def noise_ratio(capture: CaptureSet, first: Prepared, drawn: tuple, gain_too: bool, read_too: bool) -> Ratio:

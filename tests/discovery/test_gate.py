@@ -1,0 +1,92 @@
+"""What enters the simulator that is handed back, what is said of what still differs, and the verdict."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import split_recordings
+from cannoise_jax.discovery.check import check, compared_on, frames_for
+from cannoise_jax.discovery.compare.sources import open_source
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.gate import Gain, Tried
+from cannoise_jax.discovery.twosample import Area, differs
+from cannoise_jax.discovery.verdict import verdict_of
+from tests.discovery.capture import capture_set
+from tests.discovery.test_compare_bank import camera, fixed, rows, tails
+
+KEY = jax.random.key(4)
+
+
+def tried(score=None, area=None):
+    gain = None if score is None else Gain(score, score - 0.001, score + 0.001)
+    change = None if area is None else Area(area, area - 0.02, area + 0.02)
+    return Tried("findings", 1, gain, change, True)
+
+
+def test_what_helps_one_measure_and_hurts_the_other_does_not_enter():
+    assert tried(0.01, -0.1).better and tried(0.01, 0.0).better and tried(0.0, -0.1).better
+    assert not tried(0.0, 0.0).better and not tried(0.0, 0.0).worse  # within what two draws differ by
+    assert tried(0.01, 0.1).worse and tried(-0.01, -0.1).worse
+    assert not tried(0.01, 0.1).better and not tried(-0.01, -0.1).better
+    assert not tried().better and not tried().worse
+
+
+def test_an_area_counts_by_its_own_scatter_and_never_when_it_is_small():
+    sure = Area(0.7, 0.68, 0.72, 0.012, 20)
+    assert differs(sure, np.log(1e-3)) and not differs(sure._replace(error=0.08), np.log(1e-3))
+    assert not differs(sure._replace(freedom=1), np.log(1e-4))  # two frames tell little of their scatter
+    assert not differs(Area(0.52, 0.519, 0.521, 1e-4, 100), np.log(1e-3))
+
+
+def test_the_verdict_counts_everything():
+    def said(**more):
+        plain = {"tested": True, "named": False, "unnamed": False, "differs_before": False}
+        return verdict_of(**{**plain, "differs_after": False, "remainder": False, **more})
+
+    assert said() == "match" and said(tested=False) == "not_testable"
+    assert (
+        said(differs_before=True) == said(unnamed=True) == said(remainder=True) == "differs, no cause found"
+    )
+    assert said(named=True, differs_before=True) == "explained"
+    for left in ({"differs_after": True}, {"differs_after": None}, {"remainder": True}, {"unnamed": True}):
+        assert said(named=True, differs_before=True, **left) == "partly explained"
+
+
+def test_few_frames_held_back_are_seen_against_some_of_the_others():
+    assert frames_for([([0, 1, 2, 4], [3]), (list(range(12)), [12, 13, 14, 15]), ([0], [])]) == [
+        ([1, 2, 4], [3]), ([], [12, 13, 14, 15]), ([], [])
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("alter, what", [(rows(1.0), "rows"), (fixed(1.5), "fixed pattern of single pixels"),
+                                         (tails(2.0), "heavy tails")])  # fmt: skip
+def test_a_simulator_with_too_much_is_seen_on_frames_held_back(alter, what):
+    capture = capture_set(61, kinds="d")
+    found = compared_on(capture, split_recordings(capture), open_source(camera(alter), capture, KEY), 0.0015)
+    assert {d.sign for d in found.differences if d.what == what} == {-1}
+
+
+def test_the_right_simulator_leaves_nothing_and_is_nearer():
+    capture = capture_set(62, rows(1.5), kinds="d")
+    splits = split_recordings(capture)
+    before, after = (open_source(camera(a), capture, KEY) for a in (None, rows(1.5)))
+    found = check(capture, splits, before, lambda: after, 0.0015)
+    assert found.before.differences and not found.after.differences and found.left == 0
+    assert found.nearer is not None and found.nearer.verdict == "B" and found.held_back
+
+
+def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
+    """Half rows that jump are no entry of the catalogue; without names they are still drawn."""
+
+    def halves(rng):
+        return lambda dn, *_: dn + 2.5 * np.repeat(rng.standard_normal((96, 2)), 64, 1)
+
+    found = diagnose(capture_set(63, halves, kinds="d"), key=KEY, mechanisms=("gain_error",))
+    assert found.gated is not None and found.quality is not None and found.remains is not None
+    assert found.verdict == "differs, no cause found"
+    left = [sum(d.nats for d in c.differences) for c in (found.remains.before, found.remains.after)]
+    assert left[1] < 0.5 * left[0]
+    tested = found.quality.two_sample
+    assert tested is not None and tested.after.value < tested.before.value
