@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery import gate as gate_module
 from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.check import check, compared_on, frames_for
 from cannoise_jax.discovery.compare.sources import open_source
@@ -31,6 +34,49 @@ def test_what_helps_one_measure_and_hurts_the_other_does_not_enter():
     assert tried(0.01, 0.1).worse and tried(-0.01, -0.1).worse
     assert not tried(0.01, 0.1).better and not tried(-0.01, -0.1).better
     assert not tried().better and not tried().worse
+
+
+class Bench:
+    """A panel that knows how far every model is from the recordings."""
+
+    def __init__(self, areas, scores=None):
+        field = SimpleNamespace(frames=4, number=0, kind="dark", mean=np.zeros((8, 8)))
+        self.halves = (None, SimpleNamespace(fields=(field,)))
+        self.area, self.score = areas, scores or {}
+
+    def look(self, draw, number):
+        model = draw.__closure__[0].cell_contents if draw.__closure__ else draw
+        level = self.score.get(model, 0.0) + 1e-4 * np.arange(4)
+        return SimpleNamespace(side=SimpleNamespace(composite=level), model=model)
+
+    def change(self, before, after):
+        value = self.area[after.model] - self.area[before.model]
+        return Area(value, value - 0.01, value + 0.01)
+
+    def areas(self, looked):
+        return [Area(0.5 + self.area[one.model], 0.49 + self.area[one.model], 0.6) for one in looked]
+
+
+@pytest.mark.parametrize(
+    "areas, handed_back, steps, rest",
+    [
+        ({"given": 0.4, "ab": 0.1, "ab+": 0.1, "a+": 0.1, "given+": 0.1}, "ab", "ab", False),
+        ({"given": 0.4, "ab": 0.2, "ab+": 0.1, "a+": 0.1, "given+": 0.1}, "ab+", "ab", True),
+        ({"given": 0.4, "ab": 0.3, "ab+": 0.3, "a+": 0.3, "given+": 0.05}, "given+", "", True),
+        ({"given": 0.2, "ab": 0.3, "a": 0.1, "a+": 0.2, "given+": 0.2}, "a", "a", False),
+        ({"given": 0.2, "ab": 0.3, "a": 0.3, "given+": 0.3, "a+": 0.3}, "given", "", False),
+    ],
+)
+def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_back, steps, rest):
+    """Findings a and b, of which a is confirmed; a plus sign: with the remainder."""
+    proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True), SimpleNamespace(confirmed=False)))
+
+    draws = gate_module.of_model("given")
+    named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
+    sides = SimpleNamespace(plain=draws, model="given", bare="given", of=named.get)
+    found = gate_module.gate(Bench(areas), sides, ("a", "b"), proofs, lambda model: model + "+")
+    assert (found.model, "".join(found.steps), found.remainder) == (handed_back, steps, rest)
+    assert areas[found.model] <= areas["given"]
 
 
 def test_an_area_counts_by_its_own_scatter_and_never_when_it_is_small():
