@@ -46,7 +46,7 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
     schema = content.get("schema")
     if schema == "cannoise/results/1":
         return [*_below(_TRAINING), "configs/default.py"], _comparison(content)
-    if schema == "cannoise/diagnosis/1":
+    if str(schema).startswith("cannoise/diagnosis/"):
         return _below(_SEARCH), _diagnosis(content)
     if "false_alarms" in content:
         return _below((*_SEARCH, "blind")), _trial(root, name, content)

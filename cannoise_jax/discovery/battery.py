@@ -238,8 +238,9 @@ def described(capture: CaptureSet, step: float) -> tuple[np.ndarray, tuple[int, 
     black = stated_black(list(dark))
     cfa = capture.recordings[0].cfa
     greens = None if cfa == "MONO" else tuple(n for n, letter in enumerate(cfa) if letter == "G")
-    on_lattice = np.allclose(black / step, np.round(black / step), atol=1e-4)
-    return black, greens, 0.5 * step if on_lattice else 0.0  # type: ignore[return-value]
+    # A stated level is rounded to what it is a multiple of: a code, or a whole number.
+    rounded = next((u for u in (step, 1.0) if np.allclose(black / u, np.round(black / u), atol=1e-4)), 0.0)
+    return black, greens, 0.5 * rounded  # type: ignore[return-value]
 
 
 def drawn_parameters(drawn: CaptureSet, baselines: tuple[Baseline, ...], step: float) -> tuple:
