@@ -24,8 +24,12 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.networks.branches import Level
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.networks.layers import fold_spectral_norm
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_entries import model_of
+from cannoise_jax.physics.core.sensor_json import read_sensor, sensor_document
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.atomic import remove_leftovers
@@ -65,7 +69,7 @@ class Model:
 
     generator_module, encoder_module, initial_noise, level: static; initial_noise a name or a function as in
     `physics.initial_noise`; level: of `LEVELS`, where the initial noise's level came from in training, as it
-    must in use.
+    must in use. sensor: the camera model that the initial noise is drawn from, instead of `initial_noise`.
     """
 
     generator: dict[str, Any]
@@ -75,6 +79,7 @@ class Model:
     encoder_module: Encoder | None = struct.field(pytree_node=False)
     initial_noise: str | InitialNoise = struct.field(pytree_node=False, default="poisson_gaussian")
     level: str = struct.field(pytree_node=False, default="both")
+    sensor: SensorModel | None = None
 
 
 def make_model(
@@ -88,10 +93,14 @@ def make_model(
 ) -> Model:
     """A model from modules and their variables (`params` and `spectral`), as training leaves them.
 
-    Raises ValueError for a level that is none of `LEVELS`.
+    The sensor of an initial noise "sensor:FILE" is read and becomes part of the model. Raises ValueError for
+    a level that is none of `LEVELS`, BadInput for a file that is no sensor.
     """
     if level not in LEVELS:
         raise ValueError(f"level must be one of {', '.join(LEVELS)}, got {level!r}")
+    sensor = None
+    if isinstance(initial_noise, str) and initial_noise.startswith("sensor:"):
+        sensor, initial_noise = read_sensor(initial_noise.removeprefix("sensor:")), "sensor"
     return Model(
         fold_spectral_norm(generator),
         fold_spectral_norm(encoder) if encoder_module else {},
@@ -100,6 +109,7 @@ def make_model(
         encoder_module,
         initial_noise,
         level,
+        sensor,
     )
 
 
@@ -146,10 +156,12 @@ def sample_noise(
     latent = jnp.repeat(_latent(params, noisy_ref), images.shape[0], 0)
     noise_key, row_key = jax.random.split(key)
     padded = _pad(images)
-    n_init, sigma = initial_noise(params.initial_noise)(noise_key, padded, shot, read)
-    known = jnp.full(images.shape[0], float(nlf is not None))
+    draw = initial_noise(params.initial_noise) if params.sensor is None else params.sensor.n_init()
+    n_init, sigma = draw(noise_key, padded, shot, read)
+    said = (float(nlf is not None), float(np.prod(noisy_ref.shape[:-3])))
+    level = Level(shot, read, *(jnp.full(images.shape[0], v) for v in said))
     noise: Any = params.generator_module.apply(
-        params.generator, padded, n_init, latent, sigma, train=False, known=known, rngs={"noise": row_key}
+        params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
     )
     return noise[:, _MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width].reshape(clean.shape)
 
@@ -254,7 +266,13 @@ def save_model(path: str | Path, model: Model) -> None:
         "level": model.level,
         "cameras": {name: sorted(camera.settings, key=float) for name, camera in model.cameras.items()},
     }
-    arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
+    arrays: dict[str, Any] = {}
+    if model.sensor is not None:
+        description["sensor"] = sensor_document(model.sensor)
+        for i, fitted in enumerate(model.sensor.mechanisms):
+            for name, values in fitted.maps.items():
+                arrays[f"sensor/{i}/{name}"] = np.asarray(values)
+    arrays["description"] = np.array(json.dumps(description))
     for part in ("generator", "encoder"):
         for name, leaf in flatten_dict(getattr(model, part), sep="/").items():
             arrays[f"{part}/{name}"] = np.asarray(leaf)
@@ -332,7 +350,16 @@ def _model(arrays):
         Encoder(**description["encoder"]) if description["encoder"] else None,
         description["initial_noise"],
         description["level"],
+        _sensor(description.get("sensor"), arrays),
     )
+
+
+def _sensor(document, arrays) -> SensorModel | None:
+    """The camera model that a model file holds, with its maps."""
+    if document is None:
+        return None
+    maps = {n.removeprefix("sensor/"): v for n, v in arrays.items() if n.startswith("sensor/")}
+    return model_of(document, maps)
 
 
 def _fields(module):

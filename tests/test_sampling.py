@@ -54,8 +54,9 @@ def noisy(key, height=64, width=64):
 
 def at_its_start(model):
     params = model.generator["params"]
-    last = jax.tree.map(jnp.zeros_like, {name: params["pixels"][name] for name in ("out", "direct")})
-    return model.replace(generator={"params": params | {"pixels": params["pixels"] | last}})
+    out, physics = (jax.tree.map(jnp.zeros_like, p) for p in (params["pixels"]["out"], params["physics"]))
+    start = params | {"pixels": params["pixels"] | {"out": out}, "physics": physics}
+    return model.replace(generator={"params": start})
 
 
 def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
@@ -108,6 +109,7 @@ def test_a_reference_of_any_size(model, size):
 
 
 def test_small_references_tell_the_noise_level(model):
+    model = at_its_start(model)
     patches = jnp.stack([noisy(k)[:8, :8] for k in jax.random.split(jax.random.key(7), 64)])
     given = sample(model, jax.random.key(1), scene(32, 32), patches, NLF)
     estimated = sample(model, jax.random.key(1), scene(32, 32), patches)
@@ -196,6 +198,27 @@ def test_a_function_as_initial_noise_samples_but_is_not_saved(model, tmp_path):
     with pytest.raises(ValueError, match="function"):
         save_model(tmp_path / "model.npz", own)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_sensor_travels_inside_the_model(model, tmp_path):
+    from cannoise_jax.physics.core.sensor import SensorModel
+    from cannoise_jax.physics.core.sensor_json import write_sensor
+
+    sensor = SensorModel.from_nlf(SHOT, READ, 64, 1023).with_mechanism("row_noise", sigma_dn=6.0)
+    sensor = sensor.with_mechanism("dsnu", sigma_dn=4.0).with_maps((32, 32))
+    write_sensor(tmp_path / "sensor.json", sensor)
+    own = make_model(
+        model.generator_module, model.generator, model.encoder_module, model.encoder,
+        initial_noise=f"sensor:{tmp_path / 'sensor.json'}",
+    )  # fmt: skip
+    save_model(tmp_path / "model.npz", own)
+    for path in tmp_path.glob("sensor*"):
+        path.unlink()
+    again = load_model(tmp_path)
+    made = [sample(m, jax.random.key(1), scene(32, 32), scene(32, 32), NLF) for m in (own, again, model)]
+    np.testing.assert_array_equal(made[0], made[1])
+    rows = [float(jnp.std(jnp.mean(n, 1))) for n in made]
+    assert rows[0] > 1.5 * rows[2]
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no archive at all"])

@@ -16,12 +16,13 @@ _COUNTS = (
     "data.per_scene", "data.held_out_per_scene",
     "data.per_recording", "data.half_real_scenes", "data.train_patches", "data.test_patches",
     "data.held_out_patches",
-    "data.calibration_patches",
+    "data.calibration_patches", "data.cameras", "data.references", "data.validation_cameras",
+    "data.calibration_scenes",
 )  # fmt: skip
 _POSITIVE = ("width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate")
 _NOT_NEGATIVE = (
     "optimiser.warmup", "loss.adversarial", "loss.penalty", "loss.feature_matching", "loss.statistics",
-    "loss.triplet", "loss.margin",
+    "loss.triplet", "loss.margin", "loss.physics", "loss.quantiles", "loss.spectra",
 )  # fmt: skip
 _BELOW_ONE = ("ema", "optimiser.beta1", "optimiser.beta2")
 _CHOICES = {

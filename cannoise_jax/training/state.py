@@ -58,11 +58,12 @@ class State(NamedTuple):
 
 def make_networks(config: ConfigDict) -> Networks:
     """The modules that the config describes."""
-    shared = {"width": config.width, "literal": config.literal}
+    shared = {"width": config.width, "literal": config.literal or config.paper}
+    norm: dict[str, Any] = {"output_norm": not config.paper}
     return Networks(
-        Generator(**shared, **config.networks.generator),
+        Generator(**shared, **norm, **config.networks.generator),
         Encoder(**shared, **config.networks.encoder) if config.encoder else None,
-        Discriminator(**shared, **config.networks.critic),
+        Discriminator(**shared, **norm, **config.networks.critic),
     )
 
 
