@@ -172,18 +172,13 @@ def _blended(noise, blend):
 
 def _slow(key, batch, height):
     """Offsets of sensor rows, [b, h, 2], unit variance, that wander about as 1/f."""
-    draws = jax.random.normal(key, (len(_MEMORIES), batch, 2 * height))
-    total = sum(_autoregressive(d, memory) for d, memory in zip(draws, _MEMORIES, strict=True))
-    return total.reshape(batch, height, 2) / len(_MEMORIES) ** 0.5
+    start, *pushes = jnp.split(jax.random.normal(key, (2 * height + 1, len(_MEMORIES), batch)), [1])
+    memory = jnp.array(_MEMORIES)[:, None]
 
+    def step(before, push):
+        """x_t = memory x_(t-1) + sqrt(1 - memory^2) e_t."""
+        now = memory * before + jnp.sqrt(1 - jnp.square(memory)) * push
+        return now, jnp.sum(now, 0)
 
-def _autoregressive(draws, memory):
-    """x_t = memory x_(t-1) + sqrt(1 - memory^2) e_t over the last axis, stationary from the start."""
-    first = jnp.arange(draws.shape[-1]) == 0
-    pushes = draws * jnp.where(first, 1.0, (1 - memory**2) ** 0.5)
-
-    def join(before, after):
-        return before[0] * after[0], after[0] * before[1] + after[1]
-
-    decay = jnp.full(draws.shape, memory)
-    return lax.associative_scan(join, (decay, pushes), axis=-1)[1]
+    _, total = lax.scan(step, start[0], pushes[0])  # stationary from the start
+    return total.T.reshape(batch, height, 2) / len(_MEMORIES) ** 0.5
