@@ -26,11 +26,12 @@ def get_config() -> ConfigDict:
             "encoder": True,  # False: a generator without camera awareness
             # Fields of the modules.
             "networks": {
-                "generator": {"hidden": 16},
-                "encoder": {},
+                "generator": {"hidden": 16, "physics": True, "residue": True},
+                "encoder": {"latent_scale": 1.0},
                 "critic": {"hidden": 16},
             },
-            # poisson_gaussian (paper), gaussian, or a function (key, clean, shot, read) -> (noise, sigma)
+            # poisson_gaussian (paper), gaussian, sensor:FILE (for all cameras), sensor:FILE,FILE (one each),
+            # preset:NAME, or a function (key, clean, shot, read) -> (noise, sigma)
             "initial_noise": "poisson_gaussian",
             # Where the initial noise's level comes from, in training as in use: estimated from the
             # references, given (paper), or both by turns, and G is told which.

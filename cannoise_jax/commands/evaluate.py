@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, count, folder
+from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder
 from cannoise_jax.recordings.recording import BadInput
 
 SUITES = ("noise", "ablation", "encoder", "cameras", "iso")
@@ -60,7 +60,10 @@ def _run(arguments, argv: list[str]) -> None:
     models = [load_model(path) for path in paths]
     ablations = {name: [load_model(p) for p in runs] for name, runs in arguments.ablation}
     tell("recording the virtual cameras")
-    bench = make_bench(arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes)
+    bench = make_bench(
+        arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes, arguments.ratio
+    )
+    ending = "" if arguments.ratio is None else f"_ratio_{arguments.ratio:g}"
     draws = baselines(bench)
     fitted = {name: _sensor_files(path, bench.cameras) for name, path in arguments.sensors}
     draws |= {name: sensors(bench, by_camera) for name, by_camera in fitted.items()}
@@ -89,7 +92,7 @@ def _run(arguments, argv: list[str]) -> None:
             "tables": [_plain(t) for t in outcome.tables], "figures": [_plain(f) for f in outcome.figures],
             "notes": outcome.notes,
         }  # fmt: skip
-        _write(out / f"{name}.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+        _write(out / f"{name}{ending}.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
         for table in record["tables"]:
             print(_text(table), flush=True)
         for note in outcome.notes:
@@ -219,6 +222,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--train-scenes", type=count, default=40, help="for what baselines are fitted to")
     add("--flow-steps", type=int, default=1500, help="training steps of Noise Flow; 0: leave it out")
     add("--seed", type=int, default=0, help="of the scenes")
+    add("--ratio", type=above_zero, metavar="X", help="cameras whose noise is X times as strong as published")
     return parser
 
 

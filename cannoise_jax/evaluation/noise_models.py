@@ -77,9 +77,11 @@ class Bench:
         return 100_000 * np.asarray(self.test.camera) + np.asarray(self.test.scene)
 
 
-def make_bench(seed: int, scenes: int, per_scene: int, train_scenes: int) -> Bench:
-    """The five virtual cameras on test scenes that no training sees."""
-    key, cameras = jax.random.key(seed), virtual_cameras()
+def make_bench(
+    seed: int, scenes: int, per_scene: int, train_scenes: int, ratio: float | None = None
+) -> Bench:
+    """The five virtual cameras on test scenes that no training sees. ratio: see `virtual_cameras`."""
+    key, cameras = jax.random.key(seed), virtual_cameras(ratio)
     test = virtual_patches(key, "test", scenes, per_scene, cameras)
     return Bench(test, virtual_patches(key, "train", train_scenes, per_scene, cameras), cameras)
 

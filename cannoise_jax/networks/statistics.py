@@ -23,6 +23,8 @@ TOE = 0.01
 FLOOR = 1e-5
 """Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""
 TAILS = (2.5, 3.5, 5.0)
+LINES = 0.02
+"""What lines seem to share by chance in a patch of 64 x 64."""
 
 
 def _level_weights(mean):
@@ -130,7 +132,8 @@ def _line_offsets(noisy, variance, smooth):
     alone = jnp.sum(jnp.square(total) - own, (1, 2)) / scale / 2
     upper, lower = (a + b for a, b in pairs)
     between = [jnp.sum(_lagged(upper, lower, k), 1) / scale / 2 for k in range(2)]
-    return (jnp.stack([*crossed, alone, *between], -1),)
+    # Shares of the variance: of the order of their chance below LINES, logarithmic above.
+    return (jnp.arcsinh(jnp.stack([*crossed, alone, *between], -1) / LINES) / 2,)
 
 
 def _lagged(a, b, lag):

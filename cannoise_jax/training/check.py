@@ -6,7 +6,7 @@ import math
 
 from ml_collections import ConfigDict
 
-from cannoise_jax.physics.initial_noise import INITIAL_NOISE
+from cannoise_jax.physics.initial_noise import INITIAL_NOISE, sensors_of
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import LEVELS
 
@@ -67,6 +67,16 @@ def check_config(config: ConfigDict) -> None:
     for name, allowed in choices.items():
         if _value(config, name) not in allowed:
             raise _wrong(name, _value(config, name), f"use one of {', '.join(allowed)}")
+
+
+def check_sensors(config: ConfigDict, cameras: tuple[str, ...]) -> None:
+    """Raises BadInput where "sensor:FILE,FILE" are not those of the cameras, in their order."""
+    names = tuple(sensor.camera for sensor in sensors_of(config.initial_noise))
+    if len(names) > 1 and names != cameras:
+        raise BadInput(
+            f"config.initial_noise: sensors of {', '.join(names)} for the cameras {', '.join(cameras)}: name "
+            "one file for each camera, in the order of the recordings"
+        )
 
 
 def _value(config: ConfigDict, name: str):

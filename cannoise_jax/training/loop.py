@@ -18,13 +18,13 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
+from cannoise_jax.evaluation.samplers import Samplers, samplers
 from cannoise_jax.networks.branches import Level
 from cannoise_jax.networks.encoder import mean_latent
-from cannoise_jax.physics.initial_noise import initial_noise
+from cannoise_jax.physics.initial_noise import initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.sampling import Samplers, samplers
-from cannoise_jax.training.check import check_config
+from cannoise_jax.training.check import check_config, check_sensors
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import HeldOut, TrainingData
@@ -106,22 +106,22 @@ def make_sampler(config: ConfigDict) -> Callable[[State], Samplers]:
 
     def of_state(state: State) -> Samplers:
         spectral = (state.generator["spectral"], state.encoder["spectral"])
-        return samplers(config.level, lambda *arguments: sample(state.average, spectral, *arguments))
+        return samplers(config.level, partial(sample, state.average, spectral), by_camera=True)
 
     return of_state
 
 
 @lru_cache(maxsize=4)
 def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
-    networks, draw = make_networks(config), initial_noise(config.initial_noise)
+    networks, draw = make_networks(config), initial_noise_by_camera(config.initial_noise)
 
     @partial(jax.jit, compiler_options=compiler_options(config))
-    def sample(average, spectral, key, clean, reference, nlf):
+    def sample(average, spectral, key, clean, reference, nlf, camera):
         noise_key, row_key = jax.random.split(key)
         shot, read = nlf or jax.vmap(estimate_nlf)(reference)
         known, shown = (jnp.full(clean.shape[0], float(v)) for v in (nlf is not None, reference.shape[1]))
         level = Level(shot, read, known, shown)
-        n_init, sigma = draw(noise_key, clean, shot, read)
+        n_init, sigma = draw(noise_key, clean, shot, read, camera)
         encoder = {"params": average["encoder"], "spectral": spectral[1]}
         latent = latent_of(networks, encoder, reference.reshape(-1, *reference.shape[-3:]))
         if networks.encoder is not None:
@@ -173,6 +173,7 @@ def train(
     cannot be trained.
     """
     check_config(config)
+    check_sensors(config, data.cameras)
     check_workdir(config, workdir)
     source = data.batches(config)
     _write_config(config, workdir)

@@ -22,7 +22,7 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.networks.branches import Level, line_variance
 from cannoise_jax.networks.encoder import mean_latent
-from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
+from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.training import losses
 from cannoise_jax.training.compiler import compiler_options
@@ -67,13 +67,14 @@ def make_train_step(
 
     cameras: how many there are, for a critic that is told which. draw: instead of config.initial_noise.
     """
-    return _train_step(FrozenConfigDict(config), cameras, draw or initial_noise(config.initial_noise))
+    return _train_step(FrozenConfigDict(config), cameras, draw or config.initial_noise)
 
 
 @lru_cache(maxsize=4)
-def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
+def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoise):
     """Cached, so that a run that is resumed in the same process compiles once."""
     networks, optimisers = make_networks(config), make_optimisers(config)
+    draw = initial_noise_by_camera(choice)
     weights = config.loss
     adversarial = bool(weights.adversarial or weights.feature_matching)
     wanted = 1 if not weights.triplet else 2 if weights.triplets == "batch" else 3
@@ -85,7 +86,7 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         draw_key, row_key, mix_key, level_key = jax.random.split(key, 4)
         clean = batch["clean"]
         level = choose_level(config.level, level_key, batch)
-        n_init, sigma = draw(draw_key, clean, level.shot, level.read)
+        n_init, sigma = draw(draw_key, clean, level.shot, level.read, batch["camera"])
         latent = _choose_latent(_latents(networks, state.encoder["params"], state, batch, 2)[0], level)
         fake = networks.generator.apply(
             state.generator, clean, n_init, latent, sigma, train=False, level=level,
@@ -126,8 +127,8 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         clean = batch["clean"]
         level = choose_level(config.level, level_key, batch)
         draws = 2 if weights.quantiles or weights.spectra else 1
-        several = jax.tree.map(lambda x: jnp.concatenate([x] * draws), (clean, level))
-        n_init, sigmas = draw(draw_key, several[0], several[1].shot, several[1].read)
+        several = jax.tree.map(lambda x: jnp.concatenate([x] * draws), (clean, level, batch["camera"]))
+        n_init, sigmas = draw(draw_key, several[0], several[1].shot, several[1].read, several[2])
         sigma = sigmas[: len(clean)]
         real = shown(batch["noisy"] - clean, clean)
 

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from cannoise_jax.networks import branches
-from cannoise_jax.networks.branches import Level, Physics, line_variance, physical_noise, physics_of
+from cannoise_jax.networks.branches import (
+    Level,
+    Physics,
+    branch_draws,
+    line_variance,
+    physical_noise,
+    physics_of,
+)
 from cannoise_jax.physics.core.tukey_lambda import excess_kurtosis
 
 COUNT, SIDE = 4, 64
@@ -18,7 +25,11 @@ NONE = Physics(
     *(jnp.zeros(COUNT) for _ in range(2)), jnp.full(COUNT, branches.GAUSSIAN_TAIL),
     *(jnp.zeros(COUNT) for _ in range(4)), jnp.zeros((COUNT, 4)),
 )  # fmt: skip
-make = jax.jit(physical_noise)
+
+
+@jax.jit
+def make(key, z, clean, level, physics):
+    return physical_noise(branch_draws(key, z.shape), z, clean, level, physics)
 
 
 def drawn(clean, seed=0, **changed):
@@ -102,7 +113,7 @@ def test_every_parameter_and_the_clean_image_have_finite_slopes():
     z = jax.random.normal(jax.random.key(0), (COUNT, 16, 16, 4))
 
     def energy(raw, clean):
-        noise = physical_noise(jax.random.key(1), z, clean, LEVEL, physics_of(raw))
+        noise = make(jax.random.key(1), z, clean, LEVEL, physics_of(raw))
         return jnp.mean(jnp.square(noise) ** 2)
 
     slope = jax.jit(jax.grad(energy, (0, 1)))

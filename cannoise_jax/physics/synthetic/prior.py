@@ -166,8 +166,8 @@ def _preset_rows() -> list[tuple[float, ...]]:
         if name in PHONES:
             continue
         sensor = preset(name)
-        span = float(sensor.white_level) - float(np.asarray(sensor.black_level)[0])
-        fitted = {f.mechanism: f.parameters for f in sensor.mechanisms}
+        span = float(sensor.white_level) - float(sensor.black_level)
+        fitted = dict(sensor.mechanisms)
         gains, reads = (np.asarray(v)[:, 0] for v in (sensor.gain_dn_per_e, sensor.read_noise_e))
         for i, (gain, read_e) in enumerate(zip(gains.tolist(), reads.tolist(), strict=True)):
             read_dn = gain * read_e
