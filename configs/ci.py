@@ -30,7 +30,7 @@ def get_config() -> ConfigDict:
     config.networks.encoder = ConfigDict({"hidden": 8})
     config.networks.critic = ConfigDict({"hidden": 4})
     config.optimiser.warmup = 2
-    config.loss.adversarial = 1.0  # the critic too
+    config.loss.update({"adversarial": 1.0, "triplet": 0.5})  # the critic and the triplet too
     config.compiler = ConfigDict({"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False})
     config.data.update(
         {

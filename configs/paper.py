@@ -51,6 +51,7 @@ def get_config() -> ConfigDict:
             "quantiles": 0.0,
             "spectra": 0.0,
             "physics": 0.0,
+            "triplet": 0.5,
             "triplets": "drawn",
         }
     )
