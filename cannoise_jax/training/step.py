@@ -77,7 +77,10 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
     draw = initial_noise_by_camera(choice)
     weights = config.loss
     adversarial = bool(weights.adversarial or weights.feature_matching)
-    wanted = 1 if not weights.triplet else 2 if weights.triplets == "batch" else 3
+    # With a level that is handed over the camera may be shown at another setting: by the positive.
+    wanted = 1 if config.level == "estimated" else 2
+    if weights.triplet:
+        wanted = 2 if weights.triplets == "batch" else 3
 
     def shown(noise, clean):
         return visible(noise, clean) if config.clip else noise
