@@ -16,7 +16,7 @@ def get_config() -> ConfigDict:
             # Folder of a run of the same networks whose weights training starts from, to fine-tune it on
             # --recordings; none: from scratch.
             "start": placeholder(str),
-            "steps": 500,
+            "steps": 400,
             "batch_size": 16,  # paper: 64
             "patch": 32,  # packed pixels, what G and D are trained on; paper: 64
             "reference": 64,  # packed pixels, what E is trained on; paper: 64
@@ -27,7 +27,7 @@ def get_config() -> ConfigDict:
             # Fields of the modules.
             "networks": {
                 "generator": {"hidden": 16, "physics": True, "residue": True},
-                "encoder": {"latent_scale": 0.0},  # 1: of length one, for the triplet's margin
+                "encoder": {"latent_scale": 1.0},
                 "critic": {"hidden": 16},
             },
             # poisson_gaussian (paper), gaussian, sensor:FILE (for all cameras), sensor:FILE,FILE (one each),
@@ -54,7 +54,7 @@ def get_config() -> ConfigDict:
                 # Of the branches' parameters against those of a drawn camera; paper: none, 0.
                 "physics": 1.0,
                 "parts": {"level": 20.0, "tails": 1.0, "lines": 1.0, "neighbours": 1.0},
-                "triplet": 0.0,  # paper: 0.5
+                "triplet": 0.5,
                 "triplets": "batch",  # drawn: one for each patch (paper); batch: all that a batch forms
                 "margin": 0.2,
             },
@@ -69,10 +69,10 @@ def get_config() -> ConfigDict:
             },
             "compiler": {},  # XLA options of the training step
             "log_every": 50,
-            "evaluate_every": 250,
+            "evaluate_every": 400,
             "validation_patches": 96,
             "references": 8,  # noisy patches that show the model its camera, when measured; paper: 1
-            "checkpoint_every": 250,
+            "checkpoint_every": 200,
             "data": {
                 "source": "drawn",  # drawn, virtual, recordings (set by --recordings), sidd
                 "seed": 0,
