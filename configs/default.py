@@ -76,7 +76,7 @@ def get_config() -> ConfigDict:
             "data": {
                 "source": "drawn",  # drawn, virtual, recordings (set by --recordings), sidd
                 "seed": 0,
-                "cameras": 768,  # drawn
+                "cameras": 512,  # drawn
                 "references": 2,  # patches of a drawn camera's setting beside the target
                 "validation_cameras": 24,
                 "calibration_scenes": 40,  # of the virtual cameras, for the re-calibrated levels

@@ -29,9 +29,9 @@ _CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")
 class DrawnCameras:
     """Recordings of n cameras, r + 1 patches at one setting and then one at another.
 
-    scenes: clean patches; scene, exposure: which of them each patch shows, and how brightly. noise: half
-    precision, as recorded. level: (shot, read) of the whole variance at the first setting. truth: by name,
-    see `losses.Truth`.
+    scenes: clean patches; scene, exposure: which of them each patch shows, and how brightly. noise: as
+    recorded, in full precision, so that what is stored as zero is zero. level: (shot, read) of the whole
+    variance at the first setting. truth: by name, see `losses.Truth`.
     """
 
     scenes: Float[np.ndarray, "s 64 64 4"]
@@ -55,7 +55,7 @@ class DrawnCameras:
 
     def noisy(self, camera, patch) -> np.ndarray:
         """A patch as recorded."""
-        return self.clean(camera, patch) + self.noise[camera, patch].astype(np.float32)
+        return self.clean(camera, patch) + self.noise[camera, patch]
 
 
 def drawn_cameras(
@@ -75,13 +75,13 @@ def drawn_cameras(
                for x, y in zip(_numbers(first), _numbers(other), strict=True)]  # fmt: skip
     flat = [values.reshape(-1, *values.shape[2:]) for values in setting]
     places, shown = scene.ravel(), exposure.ravel()
-    noise = np.empty((cameras * (references + 2), PATCH, PATCH, 4), np.float16)
+    noise = np.empty((cameras * (references + 2), PATCH, PATCH, 4), np.float32)
     lines = np.empty((len(noise), 2), np.float32)
     for start in range(0, len(noise), _CHUNK):
         here = np.minimum(np.arange(start, start + _CHUNK), len(noise) - 1)
         clean = pool[places[here]] * shown[here][:, None, None, None]
         made, line = _record(record_key, here, [values[here] for values in flat], clean)
-        noise[here], lines[here] = np.asarray(made, np.float16), np.asarray(line)
+        noise[here], lines[here] = np.asarray(made), np.asarray(line)
     level = lines.reshape(cameras, references + 2, 2)[:, 0]
     # Shares of the read variance as it is recorded, rounding and all.
     share = np.asarray(first.read) / np.maximum(level[:, 1], 1e-12)
@@ -168,7 +168,7 @@ class DrawnBatches:
         shown = np.where(rng.random(len(chosen)) < 0.5, 1, count)
         anchors = np.where(np.arange(count) < shown[:, None], patches[:, 1:], patches[:, 1:2])
         target = patches[:, 0]
-        clean, noise = source.clean(chosen, target), source.noise[chosen, target].astype(np.float32)
+        clean, noise = source.clean(chosen, target), source.noise[chosen, target]
         windows = [self._window(rng, c, n) for c, n in zip(clean, noise, strict=True)]
         clean, noise = (np.stack(part) for part in zip(*windows, strict=True))
         other = np.full(len(chosen), count + 1)
