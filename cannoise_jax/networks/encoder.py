@@ -20,7 +20,6 @@ from jaxtyping import Array, Float
 from cannoise_jax.networks.layers import Block, leaky_relu, scaled
 from cannoise_jax.networks.statistics import noise_statistics
 
-
 MOST = 4.0
 """Statistics further from their mean, in units of their spread, count as hardly more: a camera unlike those
 of training must not drive the latent to where it never was."""
