@@ -61,3 +61,14 @@ def test_shares_are_below_one_and_levels_positive(cameras):
     assert (cameras.level > 0).all()
     lines = cameras.truth["row"] + cameras.truth["slow_row"] + cameras.truth["column"]
     assert (lines >= 0).all() and (lines < 0.5).all()
+
+
+def test_codes_at_the_black_level_are_zeros(cameras):
+    """As in recordings: statistics that count zeros must see in training what they see in use. Stripes are
+    added to codes, so one camera may be without a lattice."""
+    found = 0
+    for camera in range(len(cameras)):
+        images = cameras.noisy(camera, np.arange(4))
+        off_black = np.abs(images[images != 0]).min()
+        found += off_black > 0.9 / (2**14 - 1)
+    assert found >= len(cameras) - 1
