@@ -17,6 +17,10 @@ _PACKAGE = "cannoise_jax/"
 _SIMULATION = ("recordings", "physics", "mechanisms", "evaluation")
 _SEARCH = (*_SIMULATION, "vocabulary.py", "signatures", "discovery")
 _TRAINING = (*_SIMULATION, "networks", "training", "sampling.py")
+_STRUCTURE = (
+    "std_ratio", "row_spectrum", "row_spectrum_real", "lag1_horizontal", "lag1_horizontal_real",
+    "excess_kurtosis", "excess_kurtosis_real",
+)  # fmt: skip
 _Parts = dict[str, Any]
 
 
@@ -114,6 +118,14 @@ def _comparison(content: dict[str, Any]) -> _Parts:
     names = {"poisson_gaussian": "published", "poisson_gaussian_recalibrated": "recalibrated"}
     values = {names.get(m, m): kl for m, kl in pooled.items()} | {"floor": cells[-1][-1]}
     values["duration"] = f"{content['seconds'] / 60:.0f} min"
+    right, wrong = "model_given" if "model_given" in models else "model", "model_wrong_reference"
+    if wrong in models:
+        own = content["cameras"].values()
+        values["right_better"] = f"{sum(r[right]['kl'] < r[wrong]['kl'] for r in own)} of {len(own)}"
+    for camera, row in content["cameras"].items():
+        for quantity in _STRUCTURE:
+            if row["model"].get(quantity) is not None:
+                values[f"{_identifier(camera)}_{quantity}"] = f"{row['model'][quantity]:.2f}"
     return {"columns": ("camera", *(HEADINGS[m] for m in models), "floor"), "rows": cells, "values": values}
 
 

@@ -229,9 +229,9 @@ def test_the_loss_of_two_draws_asks_for_the_tails_and_that_of_one_does_not():
 
 
 def test_spectra_see_rows_columns_and_neighbours_apart():
-    white = RNG.normal(size=(6, 32, 32, 4))
-    rows = np.repeat(RNG.normal(size=(6, 32, 1, 2)), 2, -1)
-    columns = np.tile(RNG.normal(size=(6, 1, 32, 2)), 2)
+    white = RNG.normal(size=(40, 32, 32, 4))
+    rows = np.repeat(RNG.normal(size=(40, 32, 1, 2)), 2, -1)
+    columns = np.tile(RNG.normal(size=(40, 1, 32, 2)), 2)
     blend = (white + np.roll(white, 1, 2)) / 2**0.5
     plain, by_row, by_column, by_blend = (
         np.asarray(losses.log_spectra(n)).mean(0)
