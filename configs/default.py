@@ -16,7 +16,7 @@ def get_config() -> ConfigDict:
             # Folder of a run of the same networks whose weights training starts from, to fine-tune it on
             # --recordings; none: from scratch.
             "start": placeholder(str),
-            "steps": 400,
+            "steps": 900,
             "batch_size": 16,  # paper: 64
             "patch": 32,  # packed pixels, what G and D are trained on; paper: 64
             "reference": 64,  # packed pixels, what E is trained on; paper: 64
@@ -69,14 +69,14 @@ def get_config() -> ConfigDict:
             },
             "compiler": {},  # XLA options of the training step
             "log_every": 50,
-            "evaluate_every": 400,
+            "evaluate_every": 450,
             "validation_patches": 96,
             "references": 8,  # noisy patches that show the model its camera, when measured; paper: 1
-            "checkpoint_every": 200,
+            "checkpoint_every": 450,
             "data": {
                 "source": "drawn",  # drawn, virtual, recordings (set by --recordings), sidd
                 "seed": 0,
-                "cameras": 512,  # drawn
+                "cameras": 768,  # drawn
                 "references": 2,  # patches of a drawn camera's setting beside the target
                 "validation_cameras": 24,
                 "calibration_scenes": 40,  # of the virtual cameras, for the re-calibrated levels

@@ -20,10 +20,6 @@ from jaxtyping import Array, Float
 from cannoise_jax.networks.layers import Block, leaky_relu, scaled
 from cannoise_jax.networks.statistics import noise_statistics
 
-MOST = 4.0
-"""Statistics further from their mean, in units of their spread, count as hardly more: a camera unlike those
-of training must not drive the latent to where it never was."""
-
 
 class Encoder(nn.Module):
     """The latent of a noisy image of any size from 16x16 packed pixels: `[B, 512 width]`.
@@ -52,7 +48,6 @@ class Encoder(nn.Module):
         centre = self.param("centre", nn.initializers.zeros, statistics.shape[1:])
         spread = self.param("spread", nn.initializers.ones, statistics.shape[1:])
         statistics = (statistics - lax.stop_gradient(centre)) / lax.stop_gradient(spread)
-        statistics = MOST * jnp.tanh(statistics / MOST)
         pooled = jnp.mean(self._features(jnp.clip(residual, -8, 8), train), (1, 2))
         x = leaky_relu(nn.Dense(self.hidden, name="statistics")(statistics))
         x = leaky_relu(nn.Dense(self.hidden, name="join")(jnp.concatenate([x, pooled], -1)))
