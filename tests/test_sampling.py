@@ -213,7 +213,7 @@ def test_a_function_as_initial_noise_samples_but_is_not_saved(model, tmp_path):
 
 def test_a_sensor_travels_inside_the_model(model, tmp_path):
     sensor = SensorModel.from_nlf(SHOT, READ, 64, 1023).with_mechanism("row_noise", sigma_dn=6.0)
-    sensor = sensor.with_mechanism("dsnu", sigma_dn=4.0).with_maps((32, 32))
+    sensor = sensor.with_mechanism("dsnu", sigma_dn=4.0).with_maps((256, 256))
     write_sensor(tmp_path / "sensor.json", sensor)
     own = make_model(
         model.generator_module, model.generator, model.encoder_module, model.encoder,
