@@ -185,7 +185,7 @@ class Generator(nn.Module):
             summary = setting_summary(clean, sigma) if summary is None else summary
             told = jnp.concatenate([told, summary, level_summary(level), source], -1)
         if self.physics:
-            physics = self._physics(told, level.known)
+            physics = self._physics(told)
             if draws is None:
                 draws = branch_draws(self.make_rng("noise"), n_init.shape)
             n_init = physical_noise(draws, n_init / sigma, clean, level, physics)
@@ -199,14 +199,11 @@ class Generator(nn.Module):
             noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * offsets
         return noise
 
-    def _physics(self, told, known) -> Physics:
-        """The branches' parameters for what is told. A level that is known and one that was estimated
-        are off for different reasons: each has corrections of its own."""
+    def _physics(self, told) -> Physics:
+        """The branches' parameters for what is told."""
         for i in range(2):
             told = leaky_relu(nn.Dense(4 * self.hidden, kernel_init=he_init, name=f"physics{i}")(told))
-        raw = nn.Dense(OUTPUTS + 2, kernel_init=nn.initializers.zeros, name="physics")(told)
-        levels = jnp.where(known[:, None] > 0, raw[:, :2], raw[:, 2:4])
-        physics = physics_of(jnp.concatenate([levels, raw[:, 4:]], -1))
+        physics = physics_of(nn.Dense(OUTPUTS, kernel_init=nn.initializers.zeros, name="physics")(told))
         self.sow("physics", "parameters", physics)
         return physics
 
