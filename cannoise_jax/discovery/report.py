@@ -209,10 +209,12 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     mechanism, steps = step.named.mechanism, diagnosis.fitted.steps
     # A few pixels may not show again in few frames: their strength is then that of the frames that looked.
     # Nor are the numbers of one wave joined to the place of another.
+    # And what gains there at the strength that was found is no finding of strength zero.
     found, again = step.named.score, proof.score
-    score = step.named.signature.quoted(
-        again if again is not None and again.error > 0 and same_place(found, again) else found, mechanism
-    )
+    elsewhere = again is None or not again.error > 0 or not same_place(found, again)
+    if again is None or elsewhere or (proof.confirmed and not again.amplitude > 0):
+        again = found
+    score = step.named.signature.quoted(again, mechanism)
     term = diagnosis.terms[mechanism]
     outcome = (
         "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"

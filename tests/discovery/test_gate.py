@@ -134,6 +134,3 @@ def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
     assert found.verdict == "differs, no cause found"
     left = [sum(d.nats for d in c.differences) for c in (found.remains.before, found.remains.after)]
     assert left[1] < 0.5 * left[0]
-    tested = found.quality.two_sample
-    # A spectrum has rows, but not where in a row they jump: patches may still be told apart by that.
-    assert tested is not None and tested.after.value <= tested.before.value
