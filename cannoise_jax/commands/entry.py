@@ -29,7 +29,8 @@ def command(name: str) -> Callable[[Main], Main]:
             os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
             with warnings.catch_warnings():
                 warnings.showwarning = functools.partial(_shown, name)
-                hook, sys.unraisablehook = sys.unraisablehook, _again
+                waiting: list[threading.Timer] = []
+                hook, sys.unraisablehook = sys.unraisablehook, functools.partial(_again, waiting)
                 try:
                     status = main(*given, **more)
                     sys.stdout.flush()
@@ -43,17 +44,20 @@ def command(name: str) -> Callable[[Main], Main]:
                     return 130
                 finally:
                     sys.unraisablehook = hook
+                    for later in waiting:  # the command has ended: nobody is left to interrupt
+                        later.cancel()
 
         return wrapped
 
     return around
 
 
-def _again(swallowed: Any) -> None:
+def _again(waiting: list[threading.Timer], swallowed: Any) -> None:
     """Ctrl-C inside a callback that cannot raise (JAX has one in the garbage collector) comes once more."""
     if issubclass(swallowed.exc_type, KeyboardInterrupt):
         later = threading.Timer(_SOON_S, _thread.interrupt_main)  # at once would still be inside of it
         later.daemon = True
+        waiting.append(later)
         later.start()
     else:
         sys.__unraisablehook__(swallowed)

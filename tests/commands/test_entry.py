@@ -61,6 +61,23 @@ def test_an_interrupt_that_a_callback_swallows_comes_once_more():
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "bin/x: interrupted\n")
 
 
+def test_an_interrupt_that_came_through_does_not_come_once_more(capsys):
+    """Also where the command has a way of its own to notice it."""
+
+    class Dropped:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    @entry.command("x")
+    def main():
+        Dropped()
+        return 5
+
+    assert main() == 5
+    time.sleep(4 * entry._SOON_S)
+    assert capsys.readouterr().err == ""
+
+
 def test_warnings_of_libraries_are_dropped_and_own_ones_are_a_line(capsys):
     @entry.command("x")
     def main():
