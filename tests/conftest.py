@@ -29,12 +29,7 @@ def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="also run the tests that take minutes")
 
 
-LONGEST = ("blind", "fuzz", "training")
-"""Folders whose files take minutes: they start first, so that no worker is left with one at the end."""
-
-
 def pytest_collection_modifyitems(config, items):
-    items.sort(key=lambda item: item.path.parent.name not in LONGEST)
     if config.getoption("--slow"):
         return
     for item in items:

@@ -28,8 +28,7 @@ def main(argv: list[str] | None = None) -> int:
     # Paths that were named: only those tests, no linting.
     selected = any(not a.startswith("-") and Path(a.partition("::")[0]).exists() for a in rest)
     steps = [] if selected else [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]]
-    # A file stays with one process, which compiles and trains what its tests share once.
-    steps.append(["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", *arguments])
+    steps.append(["pytest", "-n", "2", *arguments])
     for step in steps:
         print("$", " ".join(step), flush=True)
         try:
