@@ -17,7 +17,7 @@ from cannoise_jax.discovery.compare.light import SITES, Light, light_for
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, chosen_frames, reduce
 from cannoise_jax.discovery.stacks import code_step, iso_numbers
 from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.recordings.recording import DARK, CaptureSet
 
 _BINS = 12
 _REACH = 12
@@ -43,7 +43,7 @@ def fitted_baseline(capture: CaptureSet) -> SensorModel | None:
         for r in capture.recordings:
             if r.iso != iso or r.count < 2:
                 continue
-            dark = r.kind in ("dark", "bias")
+            dark = r.kind in DARK
             frames = np.stack([np.asarray(r.frames[t : t + 1])[0] for t in chosen_frames(r)])
             raw = reduce(frames, min(float(r.white_level), 65535.0), dark, step)
             light = light_for(r, raw.mean, raw.usable, dark)

@@ -16,12 +16,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
-from scipy import fft, ndimage, stats
+from scipy import fft, stats
 
 from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.calibrate import gain_groups
 from cannoise_jax.discovery.compare.light import SITES, Light, light_for
 from cannoise_jax.discovery.compare.run import asked_signal
+from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth, wiener
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.view import Raw, noise_of, reduce, trimmed
 from cannoise_jax.discovery.stacks import code_step, iso_numbers, steady
@@ -31,10 +32,6 @@ from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
 _LOWEST, _SPARE, _LEAST_LEFT = 0.02, 0.02, 0.02
-_WIDE = 7
-_SURE, _LIKELY = 3.0, 2.0
-"""Standard errors from which a part of a spectrum is not what it is elsewhere: of fixed maps, of redrawn
-noise."""
 
 
 class _Part(NamedTuple):
@@ -257,8 +254,8 @@ def _fixed(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
     if len(set(times)) > 1 and spread > 0:
         slope = np.tensordot(weight * (times - centre), values, 1) / spread
         offset, noise = offset - centre * slope, noise + centre**2 / spread
-        rate = _wiener(slope, 1 / spread, 1)
-    return _wiener(offset, noise, 2), rate
+        rate = wiener(slope, 1 / spread, 1)
+    return wiener(offset, noise, 2), rate
 
 
 def _still(darks: list[_Part], rate: np.ndarray) -> tuple[np.ndarray, list[_Part]]:
@@ -288,7 +285,7 @@ def _slope(darks: list[_Part]) -> float:
         return 0.0
     slope = float(np.sum(weight * (times - centre) * levels)) / spread
     error = float(np.sqrt(2 / (darks[0].excess.size * spread)))
-    return slope if slope > _SURE * error else 0.0
+    return slope if slope > SURE * error else 0.0
 
 
 def _less(p: _Part, growing: np.ndarray) -> _Part:
@@ -325,25 +322,9 @@ def _odd(ratio: np.ndarray, dof: int) -> Bool[np.ndarray, "h w"]:
 
 def _of_lit(p: _Part) -> tuple[np.ndarray, ...]:
     """The maps of `LIT` of one lit recording."""
-    fixed = np.zeros(p.signal.shape) if p.residual is None else _wiener(p.residual, p.noise, 3)
+    fixed = np.zeros(p.signal.shape) if p.residual is None else wiener(p.residual, p.noise, 3)
     alone = np.where(_odd(p.ratio, p.contrasts), p.level * np.maximum(p.ratio - 1, 0), 0.0)
     return p.signal, fixed, alone, np.maximum(_spectrum([p], False), 0), p.unit
-
-
-def _wiener(values: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """A map drawn towards its mean, frequency by frequency, by the share of its power that is noise, and
-    what the
-    frames leave open drawn at random, so that it has the pattern's own power; what stands out is kept."""
-    centre = float(np.median(values))
-    away = values - centre
-    scale = max(1.4826 * float(np.median(np.abs(away))), np.sqrt(noise))
-    out = np.abs(away) > 5 * scale
-    waves = fft.fft2(np.where(out, 0.0, away))
-    beyond = np.maximum(_smooth(np.abs(waves) ** 2 / values.size - noise, 1, noise, _SURE), 0)
-    seen, share = beyond + noise, beyond / (beyond + noise)
-    open_part = fft.fft2(np.random.default_rng(seed).standard_normal(values.shape))
-    rest = fft.ifft2(share * waves + np.sqrt(share * (1 - share) * seen) * open_part).real
-    return centre + np.where(out, away, rest)
 
 
 def _spectrum(parts: list[_Part], frames_too: bool) -> np.ndarray:
@@ -356,46 +337,7 @@ def _spectrum(parts: list[_Part], frames_too: bool) -> np.ndarray:
     weight = np.array([p.contrasts / p.level**2 for p in parts])
     excess = np.tensordot(weight / weight.sum(), np.stack([p.excess for p in parts]), 1)
     level = float(np.average([p.level for p in parts], weights=weight))
-    out = _smooth(excess, n, level, _LIKELY)
+    out = smooth(excess, n, level, LIKELY)
     if not frames_too:
         out[0, 0] = out[0, 1]
     return out
-
-
-def _smooth(power: np.ndarray, n: int, level: float, errors: float) -> np.ndarray:
-    """A spectrum (of `n` fields together) as white as it may be: broad shapes, rows, columns, those of odd
-    against
-    even pixels, and single frequencies depart from white only where they stand out of their scatter; no
-    power at all is left where that does not. level: power that is not in `power`, but that it scatters by;
-    errors: from which it stands out."""
-    h, w = power.shape
-    own_rows, own_columns = ([0, m // 2] if m % 2 == 0 else [0] for m in (h, w))
-    plane = power.copy()
-    for i in own_rows:
-        plane[i] = (power[(i + 2) % h] + power[i - 2]) / 2
-    for j in own_columns:
-        plane[:, j] = (plane[:, (j + 2) % w] + plane[:, j - 2]) / 2
-    white = float(plane.mean())
-    white = white if abs(white) > errors * level / np.sqrt(n * power.size) else 0.0
-    scatter = max(level + white, 0.1 * level)
-
-    def sure(values: np.ndarray, count: int) -> np.ndarray:
-        return np.where(np.abs(values - white) > errors * scatter / np.sqrt(n * count), values, white)
-
-    out = sure(ndimage.uniform_filter(plane, _WIDE, mode="wrap"), _WIDE**2)
-    for i in own_rows:
-        out[i, 1:] = sure(_along(power[i, 1:]), _WIDE)
-    for j in own_columns:
-        out[1:, j] = sure(_along(power[1:, j]), _WIDE)
-    limit = stats.chi2.isf(0.05 / power.size, 2 * n) / (2 * n) - 1
-    beside = np.maximum(out + level, 0.1 * level)
-    out = np.where(power - out > limit * beside, power, out)
-    out[0, 0] = power[0, 0] if power[0, 0] > 4 * scatter else white
-    return out
-
-
-def _along(line: np.ndarray) -> np.ndarray:
-    """A line of a spectrum smoothed, single frequencies aside."""
-    local = ndimage.median_filter(line, 9, mode="wrap")
-    spread = 1.4826 * np.median(np.abs(line - local))
-    return ndimage.uniform_filter1d(np.where(line - local > 6 * spread, local, line), _WIDE, mode="wrap")

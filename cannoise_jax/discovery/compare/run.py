@@ -19,7 +19,7 @@ from cannoise_jax.discovery.compare.view import SITES, Raw, chosen_frames, noise
 from cannoise_jax.discovery.simulate import Draw
 from cannoise_jax.discovery.stacks import code_step, iso_numbers
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 
 DRAWN = 40e6
 """Pixels that are drawn at most, all sets and frames together; at least two sets are."""
@@ -110,7 +110,7 @@ def compare_bank(
             f"{source.label}: draws none of the recordings: give flats, or darks to a camera model"
         )
     _between(recorded, simulated, seen)
-    kinds = {n: "dark" if s.kind in ("dark", "bias") else "lit" for n, s in seen.items()}
+    kinds = {n: "dark" if s.kind in DARK else "lit" for n, s in seen.items()}
     judgements, peaks = judge(recorded, simulated, kinds, alpha)
     return Compared(
         source.label, capture.camera, alpha, seen, recorded, simulated, judgements, peaks, count, step,
@@ -130,7 +130,7 @@ def _one(
     """One recording: its bank, and that of every set; None where the simulator draws none of it."""
     before = len(chosen[0])
     frames = np.stack([np.asarray(r.frames[t : t + 1])[0] for t in (*chosen[0], *chosen[1])])
-    dark = r.kind in ("dark", "bias")
+    dark = r.kind in DARK
     high = min(float(r.white_level), 65535.0)
     raw = reduce(frames, high, dark, step, before)
     light = light_for(r, raw.mean, raw.usable, dark)
@@ -190,7 +190,7 @@ def _between(
 ) -> None:
     """Adds what the static maps of two recordings share, as a family of the second."""
     order = [n for n in recorded if recorded[n].static is not None]
-    order.sort(key=lambda n: (seen[n].kind not in ("dark", "bias"), seen[n].exposure_s or 0.0))
+    order.sort(key=lambda n: (seen[n].kind not in DARK, seen[n].exposure_s or 0.0))
     for first, second in zip(order, order[1:], strict=False):
         if seen[first].size != seen[second].size:
             continue

@@ -17,6 +17,7 @@ import numpy as np
 from cannoise_jax.discovery.compare import words
 from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.run import Compared
+from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures import bank
 
 
@@ -59,7 +60,7 @@ def differences(compared: Compared) -> list[Difference]:
     for j in compared.judgements:
         if j.where not in compared.seen:
             continue
-        kind = "all dark" if compared.seen[j.where].kind in ("dark", "bias") else "all lit"
+        kind = "all dark" if compared.seen[j.where].kind in DARK else "all lit"
         pooled = together.get((j.family, kind))
         found = np.abs(j.z) > j.passing
         if pooled is not None:
@@ -275,7 +276,7 @@ def _simple(compared: Compared, j: Judgement, found: np.ndarray, family: str, ti
 
 
 def _line(compared: Compared, peak) -> _Piece:
-    names = [n for n, s in compared.seen.items() if (s.kind in ("dark", "bias")) == (peak.where == "dark")]
+    names = [n for n, s in compared.seen.items() if (s.kind in DARK) == (peak.where == "dark")]
     scale = float(np.mean([_scale(compared, n, "") for n in names]))
     y, x = peak.frequency
     frames = sum(compared.seen[n].frames for n in names)
