@@ -216,7 +216,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         again = found
     score = step.named.signature.quoted(again, mechanism)
     term = diagnosis.terms[mechanism]
-    outcome = (
+    name_is = (
         "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
     )
     unit = term.unit if mechanism != "unknown" else _unit(score)
@@ -234,7 +234,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     out: dict[str, Any] = {
         "mechanism": mechanism,
         "class": "sensor" if term.kind == "unknown" else term.kind,
-        "outcome": outcome,
+        "outcome": name_is,
         "candidates": [{"mechanism": m, "probability": p} for m, p in step.named.candidates],
         "where": _where(step.named.score),
         "amplitude": {"value": value, "unit": unit, "ci90": interval},
