@@ -42,7 +42,6 @@ def main(argv: list[str] | None = None) -> int:
 def _run(arguments, argv: list[str]) -> None:
     out = arguments.workdir / "evaluation"
     chosen = SUITES if arguments.suite == "all" else (arguments.suite,)
-    check_folder(out, tuple(f"{name}.json" for name in chosen), arguments.force)
     if math.isqrt(arguments.per_scene) ** 2 != arguments.per_scene:
         raise BadInput(f"--per-scene {arguments.per_scene}: give a square number, as 4 or 9")
     from cannoise_jax.discovery.patch_area import two_sample_area
@@ -66,6 +65,7 @@ def _run(arguments, argv: list[str]) -> None:
     unknown = sorted(set(arguments.noise) - set(known))
     if unknown:
         raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(known)}")
+    check_folder(out, tuple(f"{name}.json" for name in chosen), arguments.force)
     tell("recording the virtual cameras")
     bench = make_bench(arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes)
     draws = baselines(bench)

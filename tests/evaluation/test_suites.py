@@ -147,6 +147,8 @@ def test_the_command_writes_json_and_a_page(tmp_path, capsys):
     assert not opened and "ISO 100" in page and "width=device-width" in page
     assert main(["--suite", "iso", *flags, *more[:-1], "nonsense"]) == 2
     assert "nonsense" in capsys.readouterr().err
+    assert main(["--suite", "iso", *flags, *more]) == 2
+    assert "--force" in capsys.readouterr().err
 
 
 def test_suites_that_need_a_model_say_so(tmp_path, capsys):
