@@ -26,10 +26,13 @@ from cannoise_jax.discovery.stacks import (
     smooth_mean,
     without_flicker,
 )
+from cannoise_jax.physics.core.rounding import CLEAR, COARSE, before_rounding
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, mosaic_map
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.fields import Fields, channel_index, site_slices
 from cannoise_jax.signatures.recorded import Baseline, Level
 
+_SHORT_S = 0.1
+"""Exposure, s, below which dark charge hardly matters."""
 _BINS = 8
 """Half the bins of like signal of a scene, per channel."""
 
@@ -55,7 +58,7 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         channel = channel_index(shortest.mean.shape)
         black = np.array([robust_mean(shortest.mean[channel == c]) for c in range(4)])
     shared = _shared_by_rows(dark)
-    stacks = [without_flicker(s, black, shared) for s in stacks]
+    stacks = [without_flicker(s, black, shared) for s in _of_curve(stacks)]
     alone = [unshared(s, _expected(s, black)) for s in stacks]
     line = partial(_line, stacks)
     model: tuple[np.ndarray, np.ndarray] | None = None
@@ -70,7 +73,46 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> Baseline:
         lines = [line([p for p in levels if p.channel == c and not p.full], c) for c in range(4)]
         gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
         model = gain, read
-    return Baseline(iso, black, gain, read, gain_error, read_error, tuple(levels))
+    pedestal = black.copy()
+    for s in (s for s in stacks if s.recording.kind in DARK and len(s.contrasts)):
+        if (s.recording.exposure_s or 0.0) == _shortest(stacks):
+            pedestal, read = _before_rounding(s, [p for p in levels if p.recording == s.number], black, read)
+            break
+    return Baseline(iso, black, gain, read, gain_error, read_error, tuple(levels), pedestal)
+
+
+def _shortest(stacks: list[Stack]) -> float:
+    """Exposure of the shortest dark that shows noise, s; an unknown one is taken as none."""
+    repeated = (s for s in stacks if s.recording.kind in DARK and len(s.contrasts))
+    return min((s.recording.exposure_s or 0.0 for s in repeated), default=0.0)
+
+
+def _of_curve(stacks: list[Stack]) -> list[Stack]:
+    """The recordings of the photon-transfer curve: beside light only the shortest darks, for the charge of
+    long ones is drawn by warm pixels and follows a curve of its own."""
+    if not any(s.recording.kind not in DARK and len(s.contrasts) for s in stacks):
+        return stacks
+    longest = max(2 * _shortest(stacks), _SHORT_S)
+    return [s for s in stacks if s.recording.kind not in DARK or (s.recording.exposure_s or 0.0) <= longest]
+
+
+def _before_rounding(
+    dark: Stack, levels: list[Level], black: np.ndarray, read: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Black level and read noise (DN) before rounding and clipping where these change them, see
+    `physics.core.rounding`; else as they are."""
+    pedestal, read = black.copy(), read.copy()
+    for p in levels:
+        sigma = np.sqrt(p.variance)
+        if sigma > COARSE * dark.step and black[p.channel] > CLEAR * sigma:
+            continue
+        means = dark.mean[site_slices(p.channel)]
+        near = means[np.abs(means - np.median(means)) < 6 * max(sigma, dark.step)]
+        spread = np.sqrt(max(float(near.var()) - p.variance / dark.frames, 0.0))
+        pedestal[p.channel], read[p.channel] = before_rounding(
+            float(near.mean()), p.variance, dark.step, float(spread)
+        )
+    return pedestal, read
 
 
 def _shared_by_rows(dark: list[Stack]) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
+from scipy import optimize
 
 from cannoise_jax.discovery.stacks import Stack, steady
 from cannoise_jax.signatures.fields import site_slices
@@ -29,8 +30,11 @@ def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
             continue
         x, v = np.array([p.signal for p in mine]), np.array([p.variance for p in mine])
         low = x <= np.median(x)
-        slope, offset = np.polyfit(x[low], v[low], 1, w=1 / np.array([p.error for p in mine])[low])
-        gain[c], read[c] = max(slope, 0.0), np.sqrt(max(offset, 0.0))
+        weight = 1 / np.array([p.error for p in mine])[low]
+        basis = np.stack([np.maximum(x[low], 0.0), np.ones(low.sum())], 1) * weight[:, None]
+        # Neither can be negative: levels that lie close together would extrapolate to anything.
+        (gain[c], square), _ = optimize.nnls(basis, v[low] * weight)
+        read[c] = np.sqrt(square)
     return gain, read
 
 

@@ -39,7 +39,7 @@ def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None
     return SensorModel.poisson_gaussian(
         np.stack(gains),
         np.stack(reads),
-        per_channel(baselines[0].black),
+        per_channel(baselines[0].pedestal),
         min(first.white_level, 65535.0),  # a wrong one may lie above every code
         first.cfa,
         iso=tuple(prepared.isos[b.iso] for b in baselines),

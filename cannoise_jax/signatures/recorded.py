@@ -25,7 +25,8 @@ class Level(NamedTuple):
 
 
 class Baseline(NamedTuple):
-    """Poisson-Gaussian parameters of one gain setting: per mosaic site, DN and DN/e-; error: of the gain."""
+    """Poisson-Gaussian parameters of one gain setting: per mosaic site, DN and DN/e-; error: of the gain.
+    pedestal: black level before rounding and clipping at code 0, `black` as the darks store it."""
 
     iso: float | None
     black: Float[np.ndarray, "4"]
@@ -34,6 +35,7 @@ class Baseline(NamedTuple):
     gain_error: Float[np.ndarray, "4"]
     read_error: Float[np.ndarray, "4"]
     levels: tuple[Level, ...]
+    pedestal: Float[np.ndarray, "4"]
 
 
 class Codes(NamedTuple):

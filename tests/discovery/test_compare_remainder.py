@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
+from cannoise_jax.discovery.compare.baseline import fitted_baseline
 
 from cannoise_jax.discovery.compare import better, compare
-from cannoise_jax.discovery.compare.baseline import fitted_baseline
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor

@@ -284,3 +284,15 @@ def test_real_camera_matches_what_was_measured_by_hand(real_data):
     assert all(isinstance(o, NotMeasurable) for o in result.outcomes("saturation level"))
     notes = [q.note for q in result.quantities if q.name == "dark current, by mean"]
     assert all("clamped" in n for n in notes)
+
+
+@pytest.mark.parametrize("read, level, pattern", [(0.3, 100.0, 0.0), (0.3, 100.5, 0.0), (0.25, 100.3, 0.5)])
+def test_noise_below_a_code_is_measured_through_the_rounding(read, level, pattern):
+    rng = np.random.default_rng(5)
+    offsets = level + pattern * rng.standard_normal((64, 64))
+    frames = np.round(offsets + read * rng.standard_normal((40, 64, 64))).astype(np.uint16)
+    dark = Recording(frames, "RGGB", (100.0,) * 4, 4095.0, "quiet", "dark", exposure_s=0.01)
+    (result,) = photon_transfer(CaptureSet("quiet", (dark,)))
+    for found in result.outcomes("temporal dark noise", "DN"):
+        assert isinstance(found, Estimate)
+        assert found.value == pytest.approx(read, rel=0.05) and found.stderr < 0.02

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
 from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
-from cannoise_jax.discovery.compare.baseline import fitted_baseline
 from cannoise_jax.discovery.draws import drawing
 from cannoise_jax.discovery.model import baseline_model
 from cannoise_jax.discovery.simulate import Draw, codes_of, open_simulator
@@ -62,11 +61,8 @@ def open_source(
     if isinstance(simulator, SensorModel):
         return modelled(simulator, key)
     if isinstance(simulator, str) and simulator == "poisson-gaussian":
-        fitted = fitted_baseline(capture)
-        if fitted is None:
-            prepared = prepare(capture, all_frames(split_recordings(capture)), False)
-            fitted = baseline_model(capture, prepared)
-        return modelled(fitted, key)._replace(label=simulator)
+        prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+        return modelled(baseline_model(capture, prepared), key)._replace(label=simulator)
     if isinstance(simulator, str) and ":" in simulator and not Path(simulator).exists():
         simulator = _imported(simulator)
     elif isinstance(simulator, (str, Path)) and Path(simulator).is_dir() and _holds_frames(Path(simulator)):

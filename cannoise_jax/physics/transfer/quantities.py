@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cannoise_jax.physics.core.rounding import COARSE, before_rounding
 from cannoise_jax.physics.transfer.black import Black
 from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import (
@@ -95,17 +96,37 @@ def noise_quantities(
 def _read_noise(
     line: Line | NotMeasurable, dark: FrameStatistics | None, step: float, c: int
 ) -> Estimate | NotMeasurable:
-    """Temporal dark noise in DN: the line's offset, or from darks alone when there is no line."""
+    """Temporal dark noise in DN: the line's offset, or from darks alone when there is no line or when they
+    are quieter than about a code."""
+    seen = dark is not None and dark.variance is not None
+    if dark is not None and seen:
+        variance = pixel_variance(dark, c)
+        square, keep = robust_mean_square(variance, dark.dof)
+        stderr = float(variance[keep].std() / np.sqrt(keep.sum()))
+        cut_off = np.isfinite(dark.low[c]) and float(np.mean(site(dark.clipped, c))) > 0.01
+        if not cut_off and 0 < square < (COARSE**2 + 1 / 12) * step**2:
+            return _unrounded(dark, square, stderr, step, c)
     if isinstance(line, Line) and line.offset.ci90[0] > 0:
         return root(line.offset)
-    if dark is None or dark.variance is None:
+    if not seen:
         return NotMeasurable(RECORD_DARKS)
-    if np.isfinite(dark.low[c]) and float(np.mean(site(dark.clipped, c))) > 0.01:
+    if cut_off:
         return NotMeasurable("darks are cut off at black: raise the camera's offset and record darks again")
-    variance = pixel_variance(dark, c)
-    square, keep = robust_mean_square(variance, dark.dof)
-    stderr = float(variance[keep].std() / np.sqrt(keep.sum()))
     return root(normal_estimate(square - step**2 / 12, stderr))
+
+
+def _unrounded(dark: FrameStatistics, square: float, stderr: float, step: float, c: int) -> Estimate:
+    """Noise of less than a code: what rounds to this variance, DN^2, at the levels of these pixels; its
+    variance less step^2 / 12 is something else."""
+    means = site(dark.mean, c)
+    near = means[np.abs(means - np.median(means)) < 6 * max(np.sqrt(square), step)]
+    spread = float(np.sqrt(max(float(near.var()) - square / dark.recording.count, 0.0)))
+    level = float(near.mean())
+    read, low, high = (
+        before_rounding(level, max(v, 1e-6 * step**2), step, spread)[1]
+        for v in (square, square - stderr, square + stderr)
+    )
+    return normal_estimate(read, 0.5 * abs(high - low))
 
 
 def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:

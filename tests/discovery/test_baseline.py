@@ -1,0 +1,63 @@
+"""The baseline through rounding and clipping: what was put in comes back, also below a code and beside 0."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.model import baseline_model
+from cannoise_jax.physics.core.rounding import before_rounding, stored_moments
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.recordings.crop import central
+from cannoise_jax.recordings.load import load_capture_set
+from tests.discovery.capture import capture_set
+
+
+@pytest.mark.parametrize("black, read", [(100.2, 0.3), (100.5, 0.25), (3.0, 3.0), (1.0, 1.5), (64.4, 5.0)])
+def test_level_and_noise_come_back_through_their_codes(black, read):
+    mean, variance = stored_moments(black, read, 1.0)
+    found = before_rounding(mean, variance, 1.0)
+    assert stored_moments(*found, 1.0) == pytest.approx((mean, variance), rel=1e-3)
+    assert found == pytest.approx((black, read), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "black, read, step, spread", [(2.0, 2.5, 1, 0), (40.6, 0.4, 1, 0), (64, 3, 4, 0), (40.6, 0.25, 1, 0.4)]
+)
+def test_stored_moments_are_those_of_rounded_draws(black, read, step, spread):
+    rng = np.random.default_rng(1)
+    offsets = spread * rng.standard_normal(10**4)
+    drawn = black + offsets + read * rng.standard_normal((200, 10**4))
+    codes = np.maximum(np.round(drawn / step) * step, 0)
+    mean, variance = stored_moments(black, read, step, spread)
+    assert codes.mean() == pytest.approx(mean, abs=0.015)
+    assert codes.var(0, ddof=1).mean() == pytest.approx(variance, rel=0.015)
+
+
+@pytest.mark.parametrize("read, black, step", [(3.0, 200.0, 1.0), (0.25, 200.0, 1.0), (2.0, 3.0, 1.0)])
+def test_the_baseline_of_a_camera(read, black, step):
+    capture = capture_set(3, kinds="df", read=read, black=black, gain=1.5, step=step)
+    model = baseline_model(capture, prepare(capture, all_frames(split_recordings(capture)), False))
+    assert np.asarray(model.gain_dn_per_e) == pytest.approx(np.full((1, 4), 1.5), rel=0.03)
+    assert np.asarray(model.read_noise_e) == pytest.approx(np.full((1, 4), read), rel=0.03)
+    assert np.asarray(model.black_level) == pytest.approx(np.full(4, black), abs=0.06)
+
+
+@pytest.mark.parametrize("camera", ["asi178", "asi120", "imx541", "stl1001"])
+def test_calibration_and_diagnosis_agree_on_gain_and_read_noise(real_data, camera):
+    """Two estimators, one per pixel with jackknife errors, one through levels with what disturbs them."""
+    capture, _ = central(load_capture_set(real_data / camera), 24576)
+    (transfer,) = photon_transfer(capture)
+    (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
+    assert found.gain == pytest.approx(transfer.baseline.gain, rel=0.03)
+    # Calibration quotes the noise of pixels beside that of rows; the baseline holds both.
+    assert found.read_dn == pytest.approx(transfer.baseline.read_noise, rel=0.04)
+
+
+def test_levels_close_together_are_not_taken_for_full_pixels(real_data):
+    """A thermal camera whose noise hardly grows with the signal."""
+    capture, _ = central(load_capture_set(real_data / "lwir"), 24576)
+    (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
+    assert not any(level.full for level in found.levels)
+    assert np.ptp(found.read_dn) < 0.2 * found.read_dn.mean() and found.gain.max() < 1e-3
