@@ -24,7 +24,7 @@ from cannoise_jax.discovery.compare.light import SITES, Light, light_for
 from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth, wiener
 from cannoise_jax.discovery.compare.sources import Source, modelled
-from cannoise_jax.discovery.compare.view import Raw, noise_of, reduce, trimmed
+from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
 from cannoise_jax.discovery.stacks import code_step, iso_numbers, steady
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
@@ -192,7 +192,8 @@ def _part(
     )
     n = len(raw.contrasts)
     own = np.mean(raw.contrasts**2, 0) if n else np.full(raw.mean.shape, typical)
-    bulk = trimmed(own.ravel(), n) if n else typical
+    # Noise of less than a code leaves most pixels still.
+    bulk = max(bulk_variance(own.ravel(), n), 1e-6 * step**2) if n else typical
     residual = None
     if known is not None:
         # Of darks the level is the simulator's to tell; of flats the light took it. What the simulator has
