@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.name import Doubt
 from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.line_sums import line_power
@@ -42,6 +43,15 @@ def card(
     additive = _kin(signature, signatures, time=signature.axes.time, scales="additive") or signature
     told = {n for o in others if o is not step for n in (o.named.signature.name, *o.named.signature.covers)}
     nearest, gap = _nearest(step, tuple(p for p in signatures if p.mechanism in ids and p.name not in told))
+    why = (
+        "no named mechanism of this run answers to it at all"
+        if nearest is None
+        else f"it explains {gap:.1f} nats less of the same frames"
+        if gap >= 0
+        else f"it explains {-gap:.1f} nats more of the same frames, but the search did not keep it"
+    )
+    if step.named.doubt is not None:
+        nearest, why = step.named.doubt.nearest, said_against(step.named.doubt)
     return {
         "axes": signature.axes._asdict(),
         "probe": signature.name,
@@ -60,14 +70,14 @@ def card(
         "excess_kurtosis": excess_kurtosis(fields),
         "gain_nats": score.gain,
         "nearest": nearest,
-        "why_rejected": (
-            "no named mechanism of this run answers to it at all"
-            if nearest is None
-            else f"it explains {gap:.1f} nats less of the same frames"
-            if gap >= 0
-            else f"it explains {-gap:.1f} nats more of the same frames, but the search did not keep it"
-        ),
+        "why_rejected": why,
     }
+
+
+def said_against(doubt: Doubt) -> str:
+    """Why the nearest name is not given."""
+    left = "more than there was without it" if doubt.left > 1 else f"{100 * doubt.left:.0f} %"
+    return f"a simulator with it leaves {left} of the mismatch on which it bears: {', '.join(doubt.against)}"
 
 
 def _level(field: Fields) -> float:

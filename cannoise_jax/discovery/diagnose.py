@@ -15,13 +15,14 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery import declare
+from cannoise_jax.discovery.adequacy import doubts
 from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
 from cannoise_jax.discovery.check import Checked, check, source_of
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.fit import Fitted, Step, part_of, stepwise
 from cannoise_jax.discovery.gate import Gated, gate
 from cannoise_jax.discovery.locate import locate
-from cannoise_jax.discovery.name import UNKNOWN
+from cannoise_jax.discovery.name import UNKNOWN, Doubt
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.sides import Sides, handed_simulators, simulators
@@ -190,6 +191,17 @@ def diagnose(
             if not sides.likelihood:
                 tell("prove: composite score without each finding")
                 proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
+    if compare and sides.model is not None:
+        against = doubts(
+            judged.capture,
+            splits.frames,
+            fitted.steps,
+            sides.of,
+            jax.random.fold_in(key, 5),
+            alpha * SHARED.layer,
+            tell,
+        )
+        fitted, gated = withdrawn(fitted, gated, against)
     if compare:
         tell("check: what still differs")
         remains = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
@@ -210,6 +222,21 @@ def diagnose(
         gated,
         remains,
     )
+
+
+def withdrawn(
+    fitted: Fitted, gated: Gated | None, against: Sequence[Doubt | None]
+) -> tuple[Fitted, Gated | None]:
+    """Both with the names withdrawn that do not account for their own part of the mismatch; what was found
+    stays in the simulator."""
+    steps = tuple(
+        s if doubt is None else s._replace(named=s.named.withdrawn(doubt))
+        for s, doubt in zip(fitted.steps, against, strict=True)
+    )
+    same = {id(old): new for old, new in zip(fitted.steps, steps, strict=True)}
+    if gated is not None:
+        gated = gated._replace(steps=tuple(same[id(s)] for s in gated.steps))
+    return fitted._replace(steps=steps), gated
 
 
 def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:

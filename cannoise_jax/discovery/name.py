@@ -20,14 +20,34 @@ UNNAMED_NATS = 3.0
 """What a mechanism without a name must gain beyond the best named one."""
 
 
+class Doubt(NamedTuple):
+    """Why a name is not enough: the share of the mismatch of its own part that it leaves, and what that is,
+    in words; nearest: the name."""
+
+    left: float
+    against: tuple[str, ...]
+    nearest: str = ""
+
+
 class Named(NamedTuple):
-    """The chosen score, its mechanism ('unknown' when it has no name), and all candidates' probabilities."""
+    """The chosen score, its mechanism ('unknown' when it has no name), and all candidates' probabilities.
+    doubt: of the name that came nearest and was withdrawn; None: none was."""
 
     score: Score
     signature: Signature
     mechanism: str
     candidates: tuple[tuple[str, float], ...]
     ambiguous: bool
+    doubt: Doubt | None = None
+
+    def withdrawn(self, doubt: Doubt) -> Named:
+        """Without its name, which only comes nearest: what spoke for it now speaks for something unknown."""
+        chances = dict(self.candidates)
+        chances[UNKNOWN] = chances.get(UNKNOWN, 0.0) + chances[self.mechanism]
+        chances[self.mechanism] = 0.0
+        candidates = tuple(sorted(chances.items(), key=lambda c: (c[0] != UNKNOWN, -c[1])))
+        doubt = doubt._replace(nearest=self.mechanism)
+        return self._replace(mechanism=UNKNOWN, candidates=candidates, ambiguous=False, doubt=doubt)
 
 
 def mechanism_of(signature: Signature, allowed: frozenset[str]) -> str:

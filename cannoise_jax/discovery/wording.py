@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from cannoise_jax.discovery.card import said_against
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.prove import Proof
 
@@ -20,6 +21,9 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, definition: str) -
             f"A structure without a name: it varies over {axes.varies_over}, is {axes.time} in time, "
             f"scales as {axes.scales}, law {axes.law}; strength {amount}"
         )
+        if step.named.doubt is not None:
+            near = step.named.doubt.nearest.replace("_", " ")
+            start += f"; nearest to {near}, but {said_against(step.named.doubt)}"
     elif entry["outcome"] == "AMBIGUOUS":
         others = " or ".join(
             c["mechanism"].replace("_", " ")

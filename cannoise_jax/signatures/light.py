@@ -55,10 +55,10 @@ def green_score(fields: tuple[Fields, ...], *, greens: tuple[int, int] | None) -
                 level.append(slope)
                 variance.append(1 / np.sum(weight * x**2) / f.frames / slope**2)
             else:
-                # Both greens at the sites of the second: a gradient of the light must not look like a
-                # contrast.
-                level_map = (_diagonal(f.mean) if c == a else f.mean)[1:-1, 1:-1]
-                signal = float(np.mean(level_map[(channel == b)[1:-1, 1:-1]]) - f.black[c])
+                # Both greens at the sites of the second, equally blurred: neither a gradient nor a curvature
+                # of the light must look like a contrast.
+                level_map = (_diagonal(f.mean) if c == a else _blurred(f.mean))[2:-2, 2:-2]
+                signal = float(np.mean(level_map[(channel == b)[2:-2, 2:-2]]) - f.black[c])
                 dark = np.mean([np.median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0])
                 count = sum(g.frames for g in fields if not g.lit) * chosen.sum() or np.inf
                 level.append(signal)
@@ -93,6 +93,14 @@ def _diagonal(image: np.ndarray) -> np.ndarray:
     """Mean of the four diagonal neighbours, which are of the other green; wrong at the border."""
     p = np.pad(image.astype(np.float64), 1, mode="edge")
     return (p[:-2, :-2] + p[2:, 2:] + p[:-2, 2:] + p[2:, :-2]) / 4
+
+
+def _blurred(image: np.ndarray) -> np.ndarray:
+    """Mean of each pixel and of its neighbours of the same green, which has the second moments of
+    `_diagonal`; wrong at the border."""
+    p = np.pad(image.astype(np.float64), 2, mode="edge")
+    around = (p[:-4, 2:-2] + p[4:, 2:-2] + p[2:-2, :-4] + p[2:-2, 4:]) / 4
+    return (p[2:-2, 2:-2] + around) / 2
 
 
 def fall_off(size: tuple[int, int]) -> np.ndarray:

@@ -12,6 +12,7 @@ from cannoise_jax.discovery.stacks import robust_mean
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.codes import _above_the_law
+from cannoise_jax.signatures.light import _blurred, _diagonal
 
 SIZE, WHITE = (96, 128), 4095.0
 ALLOWED = frozenset(entry.id for entry in ENTRIES)
@@ -126,3 +127,10 @@ def test_the_level_of_a_dark_is_its_mean_where_most_values_are_one_code(black):
     assert robust_mean(codes.mean(0)) == pytest.approx(
         np.delete(codes.mean(0).ravel(), 5 * 128 + 7).mean(), abs=2e-3
     )
+
+
+def test_curved_light_is_no_difference_of_the_greens():
+    """Both greens are compared at the same sites through blurs of equal second moments."""
+    y, x = np.mgrid[0:24, 0:24].astype(float)
+    light = 100 + 3 * x - 2 * y + 0.02 * (x - 9) ** 2 + 0.05 * (y - 7) ** 2 - 0.03 * x * y
+    assert np.abs(_diagonal(light) - _blurred(light))[2:-2, 2:-2].max() < 1e-9

@@ -72,6 +72,12 @@ def differences(compared: Compared) -> list[Difference]:
     return _gathered(pieces)
 
 
+def lines_of(compared: Compared, found: list[tuple[Judgement, np.ndarray]]) -> list[str]:
+    """What some statistics say, in words, the largest share first."""
+    pieces = [p for j, k in found for p in _pieces(compared, j, k)]
+    return list(dict.fromkeys(f"{d.what} ({d.time})" for d in _gathered(pieces)))
+
+
 def _gathered(pieces: list[_Piece]) -> list[Difference]:
     grouped: dict[tuple[str, str, int], list[_Piece]] = defaultdict(list)
     for p in pieces:

@@ -1,0 +1,147 @@
+"""Adequacy: whether a name accounts for its own part of the mismatch, or merely comes nearest.
+
+Every accepted mechanism is left out of the extended simulator in turn, and both are drawn from. Its own part
+are the statistics of the layer that knows no names on which it bears: those that it brings nearer to the
+recordings or takes further away. What the full simulator leaves of their mismatch, in nats, is what speaks
+against the name: a mechanism that is there leaves next to nothing in its own part, one that only resembles
+what is there leaves a good part of it, or more than there was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from cannoise_jax.discovery.check import frames_for
+from cannoise_jax.discovery.compare.judge import Judgement
+from cannoise_jax.discovery.compare.measure import Family
+from cannoise_jax.discovery.compare.run import Chosen, Compared, compare_bank
+from cannoise_jax.discovery.compare.sources import modelled
+from cannoise_jax.discovery.compare.table import lines_of
+from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.name import UNKNOWN, Doubt
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.signatures import bank
+
+LEFT = 0.25
+"""Share of the mismatch of its own part, in nats, that a name may leave: half of it in amplitude."""
+_BEARS = 4.0
+"""Nats by which a statistic must change with a mechanism to be of its part: 2.8 standard deviations."""
+_CLEAR = 0.1
+"""Share of the larger mismatch by which it must change, beside what the draws scatter."""
+_PIXELS = 4e6
+"""Pixels of all frames that are looked at, beyond which fewer frames of each recording are."""
+
+
+def doubts(
+    capture: CaptureSet,
+    splits: list[tuple[list[int], list[int]]],
+    steps: tuple[Step, ...],
+    of: Callable[[tuple[Step, ...]], SensorModel],
+    key: Key[Array, ""],
+    alpha: float,
+    tell: Callable[[str], None] = lambda text: None,
+) -> tuple[Doubt | None, ...]:
+    """What speaks against the name of each step, on the frames held back (all where there are none); None:
+    nothing does, or it has none.
+
+    of: the camera model with some of the steps. alpha: chance that something is said against a true one.
+    """
+    drawn = [n for n, s in enumerate(steps) if s.named.mechanism != UNKNOWN]
+    if not drawn:
+        return (None,) * len(steps)
+    chosen = _few(capture, splits)
+
+    def drawn_from(model: SensorModel) -> Compared:
+        return compare_bank(capture, modelled(model, key), alpha=alpha, held_back=chosen, sets=2)
+
+    model = of(steps)
+    full = drawn_from(model)
+    out: list[Doubt | None] = [None] * len(steps)
+    for n in drawn:
+        less = of(tuple(s for s in steps if s is not steps[n]))
+        if len(less.mechanisms) == len(model.mechanisms):
+            continue  # of the capture or the bookkeeping: it is not drawn
+        tell(f"adequacy: {steps[n].named.mechanism}")
+        out[n] = doubt(full, drawn_from(less))
+    return tuple(out)
+
+
+class Part(NamedTuple):
+    """A mechanism's own part of the mismatch: nats without and with it, and what is significantly left."""
+
+    before: float
+    after: float
+    left: list[tuple[Judgement, np.ndarray]]
+
+
+def own_part(full: Compared, less: Compared) -> Part:
+    """The statistics that a mechanism moves, of a simulator with it and one without."""
+    without = {(j.family, j.where): j for j in less.judgements}
+    before = after = 0.0
+    left: list[tuple[Judgement, np.ndarray]] = []
+    for j in full.judgements:
+        other = without.get((j.family, j.where))
+        if other is None or j.where not in full.seen or other.z.shape != j.z.shape:
+            continue
+        one = mismatch(other, less.recorded[j.where].families[j.family])
+        two = mismatch(j, full.recorded[j.where].families[j.family])
+        own = _moved(one, two)
+        if j.family.endswith("structure"):
+            own |= _broken(own, full.seen[j.where].size)
+        before += float(one[own].sum())
+        after += float(two[own].sum())
+        found = np.flatnonzero(own & (np.abs(j.z) > j.passing))
+        if found.size:
+            left.append((j, found))
+    return Part(before, after, left)
+
+
+def doubt(full: Compared, less: Compared) -> Doubt | None:
+    """What the simulator with a mechanism leaves of that mechanism's part of the mismatch; None where nothing
+    significant is left or it is little."""
+    part = own_part(full, less)
+    if not part.left or part.after <= LEFT * part.before:
+        return None
+    return Doubt(part.after / max(part.before, 1e-9), tuple(lines_of(full, part.left)[:3]))
+
+
+def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
+    change = np.abs(one - two)
+    return (change > _BEARS) & (change > _CLEAR * np.maximum(one, two))
+
+
+def _broken(own: Bool[np.ndarray, "k"], size: tuple[int, int]) -> Bool[np.ndarray, "k"]:
+    """Parts of the lines, from an eighth of the frame on, whose means over the whole frame are among these
+    energies: a name for whole lines has to say why they are not whole."""
+    cells = own.reshape(bank.counts(size).shape)
+    rows, columns = ([s.length >= n / 8 for s in bank.scales(bank.cropped_side(n) // 2)] for n in size)
+    out = np.zeros_like(cells)
+    out[:, :, columns] |= cells[:, :, -1:]
+    out[:, rows, :] |= cells[:, -1:, :]
+    return out.ravel()
+
+
+def mismatch(j: Judgement, family: Family) -> Float[np.ndarray, "k"]:
+    """Nats between the recorded and the simulated value of every statistic, see `compare.table`."""
+    a, b, units = j.recorded, j.simulated, len(family.values)
+    if family.law == "energy":
+        ratio = np.where(family.size > 0, np.maximum(a, 1e-9) / np.maximum(b, 1e-9), 1.0)
+        return units * family.size / 2 * (ratio - 1 - np.log(ratio))
+    if family.law == "count":
+        return a * np.log(np.maximum(a, 0.5) / np.maximum(b, 0.5)) - a + b
+    return np.minimum(units * (a - b) ** 2 / np.maximum(family.size, 1e-30), 2 * 38.0**2) / 2
+
+
+def _few(capture: CaptureSet, splits: Sequence[tuple[list[int], list[int]]]) -> Chosen:
+    """The frames that are looked at: of large recordings the first few of those held back."""
+    held = any(b for _, b in splits)
+    chosen = frames_for(list(splits)) if held else [([], a) for a, _ in splits]
+    size = [r.size[0] * r.size[1] for r in capture.recordings]
+    total = sum((len(a) + len(b)) * n for (a, b), n in zip(chosen, size, strict=True) if b)
+    share = min(1.0, _PIXELS / max(total, 1))
+    return [(a, b[: max(int(share * len(b)), 2)]) for a, b in chosen]
