@@ -90,12 +90,21 @@ def measure(
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
             families[f"{STATIC}: smooth maps"] = Family(
-                "mean", first, np.full(first.size, 1 / (size * share))
+                "mean", first, _smooth_noise(seen, 1 / (size * share))
             )
         values = seen.outlying[seen.usable]  # type: ignore[index]
         counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING]
         families["pixels: standing out"] = _count(np.array([counts]))
     return Measured(families, power, n, seen.static)
+
+
+def _smooth_noise(seen: View, white: float) -> Float[np.ndarray, "k"]:
+    """Variance of the smooth maps of a mean by noise: as white noise has it, or as the contrasts show, where
+    rows or whole areas move together from frame to frame."""
+    drawn = [bank.maps(z, seen.kept)[1:-3] ** 2 for z in seen.z]
+    prior = 2.0  # degrees of freedom that are lent to white noise
+    shown = (prior * white + np.sum(drawn, 0)) / (prior + len(drawn))
+    return np.maximum(np.broadcast_to(shown, bank.maps(seen.static, seen.static_kept)[1:-3].shape), white)
 
 
 def absorbed(shape: tuple[int, int], degree: int) -> np.ndarray:
