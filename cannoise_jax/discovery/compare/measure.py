@@ -98,13 +98,12 @@ def measure(
     return Measured(families, power, n, seen.static)
 
 
-def _smooth_noise(seen: View, white: float) -> Float[np.ndarray, "k"]:
+def _smooth_noise(seen: View, white: float, number: int) -> Float[np.ndarray, "k"]:
     """Variance of the smooth maps of a mean by noise: as white noise has it, or as the contrasts show, where
     rows or whole areas move together from frame to frame."""
-    drawn = [bank.maps(z, seen.kept)[1:-3] ** 2 for z in seen.z]
-    prior = 2.0  # degrees of freedom that are lent to white noise
-    shown = (prior * white + np.sum(drawn, 0)) / (prior + len(drawn))
-    return np.maximum(np.broadcast_to(shown, bank.maps(seen.static, seen.static_kept)[1:-3].shape), white)
+    lent = 2.0  # degrees of freedom of white noise
+    drawn = sum((bank.maps(z, seen.kept)[1:-3] ** 2 for z in seen.z), np.zeros(number))
+    return np.maximum((lent * white + drawn) / (lent + len(seen.z)), white)
 
 
 def absorbed(shape: tuple[int, int], degree: int) -> np.ndarray:
