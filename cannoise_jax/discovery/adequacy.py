@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
+from scipy import stats
 
 from cannoise_jax.discovery.check import frames_for
 from cannoise_jax.discovery.compare.judge import Judgement
@@ -33,6 +34,8 @@ _BEARS = 4.0
 """Nats by which a statistic must change with a mechanism to be of its part: 2.8 standard deviations."""
 _CLEAR = 0.1
 """Share of the larger mismatch by which it must change, beside what the draws scatter."""
+_CHANCE = 1e-4
+"""Probability that all statistics of the part leave as much by chance."""
 _PIXELS = 4e6
 """Pixels of all frames that are looked at, beyond which fewer frames of each recording are."""
 
@@ -72,17 +75,21 @@ def doubts(
 
 
 class Part(NamedTuple):
-    """A mechanism's own part of the mismatch: nats without and with it, and what is significantly left."""
+    """A mechanism's own part of the mismatch: nats without and with it, of how many statistics, those that
+    still differ, and whether all of them together leave more than the draws scatter."""
 
     before: float
     after: float
+    number: int
     left: list[tuple[Judgement, np.ndarray]]
+    more: bool
 
 
 def own_part(full: Compared, less: Compared) -> Part:
     """The statistics that a mechanism moves, of a simulator with it and one without."""
     without = {(j.family, j.where): j for j in less.judgements}
     before = after = 0.0
+    number = 0
     left: list[tuple[Judgement, np.ndarray]] = []
     for j in full.judgements:
         other = without.get((j.family, j.where))
@@ -95,17 +102,21 @@ def own_part(full: Compared, less: Compared) -> Part:
             own |= _broken(own, full.seen[j.where].size)
         before += float(one[own].sum())
         after += float(two[own].sum())
+        number += int(own.sum())
         found = np.flatnonzero(own & (np.abs(j.z) > j.passing))
         if found.size:
             left.append((j, found))
-    return Part(before, after, left)
+    # Twice the nats of two equal normal laws are chi-squared, wider by the scatter of the draws.
+    expected = 1 + 1 / full.sets
+    more = number > 0 and float(stats.chi2.sf(2 * after / expected, number)) < _CHANCE
+    return Part(before, after, number, left, more)
 
 
 def doubt(full: Compared, less: Compared) -> Doubt | None:
     """What the simulator with a mechanism leaves of that mechanism's part of the mismatch; None where nothing
     significant is left or it is little."""
     part = own_part(full, less)
-    if not part.left or part.after <= LEFT * part.before:
+    if not (part.left or part.more) or part.after <= LEFT * part.before:
         return None
     return Doubt(part.after / max(part.before, 1e-9), tuple(lines_of(full, part.left)[:3]))
 

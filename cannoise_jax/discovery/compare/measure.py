@@ -89,9 +89,8 @@ def measure(
             families[f"{STATIC}: {name}"] = Family(law, row[name][None], width, seen.single.size)
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
-            families[f"{STATIC}: smooth maps"] = Family(
-                "mean", first, _smooth_noise(seen, 1 / (size * share))
-            )
+            noise = _smooth_noise(seen, 1 / (size * share), first.size)
+            families[f"{STATIC}: smooth maps"] = Family("mean", first, noise)
         values = seen.outlying[seen.usable]  # type: ignore[index]
         counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING]
         families["pixels: standing out"] = _count(np.array([counts]))
