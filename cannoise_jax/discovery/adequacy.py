@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 from scipy import stats
@@ -24,7 +25,9 @@ from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.compare.table import lines_of
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.name import UNKNOWN, Doubt
+from cannoise_jax.physics.core.chain import closed_form
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.settings import DEFAULT, context_of, resolve
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import bank
 
@@ -44,7 +47,7 @@ def doubts(
     capture: CaptureSet,
     splits: list[tuple[list[int], list[int]]],
     steps: tuple[Step, ...],
-    of: Callable[[tuple[Step, ...]], SensorModel],
+    of: Callable[..., SensorModel],
     key: Key[Array, ""],
     alpha: float,
     tell: Callable[[str], None] = lambda text: None,
@@ -52,7 +55,8 @@ def doubts(
     """What speaks against the name of each step, on the frames held back (all where there are none); None:
     nothing does, or it has none.
 
-    of: the camera model with some of the steps. alpha: chance that something is said against a true one.
+    of: the camera model with some of the steps, and one of them `silent` where asked, see
+    `model.extended_model`. alpha: chance that something is said against a true one.
     """
     drawn = [n for n, s in enumerate(steps) if s.named.mechanism != UNKNOWN]
     if not drawn:
@@ -70,13 +74,32 @@ def doubts(
         if len(less.mechanisms) == len(model.mechanisms):
             continue  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}")
-        out[n] = doubt(full, drawn_from(less))
+        # A program of the same mechanisms is compiled already.
+        quiet = of(steps, silent=steps[n])
+        out[n] = doubt(full, drawn_from(quiet if _alike(quiet, less, capture.recordings[0].size) else less))
     return tuple(out)
 
 
+def _alike(one: SensorModel, two: SensorModel, size: tuple[int, int]) -> bool:
+    """Whether two camera models have one closed form; False where a mechanism has none."""
+    if any(f.record.effect is None and f.record.baseline is None for f in (*one.mechanisms, *two.mechanisms)):
+        return False
+    for level in (0.0, 0.4):
+        told = [_moments(m, level, size) for m in (one, two)]
+        if not all(np.allclose(a, b, rtol=1e-3, atol=1e-3) for a, b in zip(*told, strict=True)):
+            return False
+    return True
+
+
+def _moments(model: SensorModel, level: float, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    context = context_of(model, jnp.full((1, *size), level, jnp.float32), DEFAULT)
+    mean, variance = closed_form(model, context, resolve(model, context))
+    return np.asarray(mean), np.asarray(variance)
+
+
 class Part(NamedTuple):
-    """A mechanism's own part of the mismatch: nats without and with it, of how many statistics, those that
-    still differ, and whether all of them together leave more than the draws scatter."""
+    """A mechanism's own part of the mismatch: nats without and with it beyond what chance leaves, of how many
+    statistics, those that still differ, and whether all together leave more than chance."""
 
     before: float
     after: float
@@ -107,9 +130,10 @@ def own_part(full: Compared, less: Compared) -> Part:
         if found.size:
             left.append((j, found))
     # Twice the nats of two equal normal laws are chi-squared, wider by the scatter of the draws.
-    expected = 1 + 1 / full.sets
-    more = number > 0 and float(stats.chi2.sf(2 * after / expected, number)) < _CHANCE
-    return Part(before, after, number, left, more)
+    wider = 1 + 1 / full.sets
+    more = number > 0 and float(stats.chi2.sf(2 * after / wider, number)) < _CHANCE
+    chance = 0.5 * wider * number
+    return Part(max(before - chance, 0.0), max(after - chance, 0.0), number, left, more)
 
 
 def doubt(full: Compared, less: Compared) -> Doubt | None:

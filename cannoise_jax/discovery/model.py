@@ -54,12 +54,14 @@ def extended_model(
     steps: tuple[Step, ...],
     start: SensorModel | None = None,
     seed: int = 0,
+    silent: Step | None = None,
 ) -> SensorModel:
     """The baseline of the recordings with every finding that can be simulated added, sorted along the chain.
 
     steps: the accepted findings. start: the camera model that was judged; what was found is added to it.
-    seed: of the part of frozen maps that the frames leave open. Capture and bookkeeping errors are not the
-    camera's: they are not in the model.
+    seed: of the part of frozen maps that the frames leave open. silent: a step that is added at strength
+    zero, so that all else is as with it. Capture and bookkeeping errors are not the camera's: they are not in
+    it.
     """
     bare = baseline_model(capture, prepared)
     model = bare if start is None else start
@@ -71,7 +73,7 @@ def extended_model(
         model = dataclasses.replace(model, black_level=bare.black_level)
     for step, more in added:
         if more is not None:
-            model = with_addition(model, step, more)
+            model = with_addition(model, step, _silenced(step, more) if step is silent else more)
     matched = start is None or np.size(model.iso) == np.size(bare.iso)
     return balanced(bare, model, prepared) if matched else model
 
@@ -100,6 +102,19 @@ def _record(id: str, point: Point | None) -> Mechanism:
     return registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
 
 
+def _silenced(step: Step, more: Addition) -> Addition:
+    """The same at strength zero, its maps likewise."""
+    record = more.record or _record(_id(step), more.point)
+    strength = record.scales or record.parameters[0].name
+    maps = {name: 0 * np.asarray(values) for name, values in more.maps.items()}
+    return more._replace(values={**more.values, strength: 0.0}, maps=maps, black_shift=None)
+
+
+def _id(step: Step) -> str:
+    unnamed = step.named.mechanism == UNKNOWN
+    return f"{UNKNOWN}_{step.named.signature.name}" if unnamed else step.named.mechanism
+
+
 def with_addition(model: SensorModel, step: Step, more: Addition) -> SensorModel:
     """The model with one more mechanism, its measured strengths moved into the ranges that it can have; the
     model as it was where one of them is no number."""
@@ -108,9 +123,7 @@ def with_addition(model: SensorModel, step: Step, more: Addition) -> SensorModel
         model = dataclasses.replace(model, black_level=np.asarray(black, np.float32))
     if more.bare:
         return model
-    unnamed = step.named.mechanism == UNKNOWN
-    id = f"{UNKNOWN}_{step.named.signature.name}" if unnamed else step.named.mechanism
-    point = more.point
+    id, point = _id(step), more.point
     values: dict = clipped(more.record or _record(id, point), more.values)
     if not np.isfinite(list(values.values())).all():
         return model

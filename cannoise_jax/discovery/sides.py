@@ -42,7 +42,7 @@ class Sides(NamedTuple):
     calibrated: bool
     model: SensorModel | None
     bare: SensorModel
-    of: Callable[[tuple[Step, ...]], SensorModel]
+    of: Callable[..., SensorModel]
 
 
 def of_model(model: SensorModel) -> Drawings:
