@@ -68,16 +68,12 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     from cannoise_jax.physics.core.sensor_json import check_place
     from cannoise_jax.recordings.crop import central
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import usable
 
     check_place(arguments.out / "sensor.json")
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    capture, left_out = usable(capture)
-    for line in left_out:
-        print(f"bin/diagnose: {line}", file=sys.stderr, flush=True)
     most = arguments.most_pixels or (_FIRST_LOOK if plan else _PREPARED)
     capture, size = central(capture, most)
     if size is not None:

@@ -22,6 +22,10 @@ Seen = dict[tuple, tuple[object, int]]
 """Where the pixels of a frame were met first: recording and number, by size and checksum."""
 
 
+class LeftOutWarning(UserWarning):
+    """Frames that show no noise take no part."""
+
+
 def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     """The capture set without frames that show no noise, and a line for each reason to leave some out.
 
