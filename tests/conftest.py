@@ -28,6 +28,8 @@ REAL_DATA = Path(os.environ.get("CANNOISE_DATA", ROOT.parent / "shared" / "data"
 
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="also run the tests that take minutes")
+    parser.addoption("--cases", type=int, default=10_000, help="of the long run of the fuzzer")
+    parser.addoption("--first-seed", type=int, default=1_000, help="of that run")
     parser.addoption("--results", metavar="DIR", help="where tests write what they measured, NAME.json each")
 
 
