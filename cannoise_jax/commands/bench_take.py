@@ -127,12 +127,13 @@ def _diagnosis(content: dict[str, Any]) -> _Parts:
         value, interval = (amount(size[part], size["unit"], meaning) for part in ("value", "ci90"))
         strength = f"{value} ({interval})" if size["ci90"][0] < size["ci90"][1] else value
         shown = "not measured" if gain is None else nats(gain, finding["heldout_pixels"] or 0)
-        rows.append((finding["mechanism"].replace("_", " "), strength, shown))
+        sure = "yes" if finding.get("confirmed") else "no"
+        rows.append((finding["mechanism"].replace("_", " "), strength, shown, sure))
     values = {"findings": str(len(rows))}
     for side in ("before", "after"):
         if content[side]["two_sample_auc"] is not None:
             values[f"auc_{side}"] = f"{content[side]['two_sample_auc']:.3f}"
-    columns = ("finding", "strength (90 % interval)", "gain on held-back frames, nats")
+    columns = ("finding", "strength (90 % interval)", "gain on held-back frames", "confirmed")
     return {"columns": columns, "rows": tuple(rows), "values": values}
 
 
