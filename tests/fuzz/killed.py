@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import resource
+import signal
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -114,6 +116,17 @@ def train(folder: str) -> None:
     for leaf in jax.tree.leaves(outcome.state._replace(key=None)._asdict()):
         whole.update(np.asarray(leaf).tobytes())
     (Path(folder) / "digest").write_text(f"{outcome.step} {whole.hexdigest()}")
+
+
+def train_on_a_full_disk(folder: str, size: str) -> None:
+    """As `train`, where files end at `size` bytes."""
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(size), most[1]))
+    try:
+        train(folder)
+    finally:  # what is said is written to a file, too
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
 
 
 def _config():

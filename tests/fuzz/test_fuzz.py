@@ -70,13 +70,6 @@ class Worker:
 
 
 @pytest.fixture(scope="module")
-def worker():
-    started = Worker()
-    yield started
-    started.close()
-
-
-@pytest.fixture(scope="module")
 def kit(tmp_path_factory) -> Kit:
     folder = tmp_path_factory.mktemp("kit")
     camera = SensorModel.poisson_gaussian((0.5, 1.0), (3.0, 2.5), 64, 1023, "RGGB", iso=(100.0, 200.0))

@@ -5,11 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import random
-import resource
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -34,13 +30,6 @@ CODE = (
     "cannoise_jax/discovery/save.py",
 )
 """What the table of docs/reliability.md depends on."""
-
-
-@pytest.fixture(scope="module")
-def worker():
-    started = Worker()
-    yield started
-    started.close()
 
 
 def kill(worker: Worker, target: str, folder: Path, seconds: float) -> bool:
@@ -250,28 +239,11 @@ def test_a_diagnosis_that_is_killed_leaves_whole_reports(worker, tmp_path, table
     assert count > SOME // 2
 
 
-def limited(size: int):
-    """In a child: files end at `size` bytes, as on a full disk."""
-
-    def set_up():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    return set_up
-
-
 @pytest.mark.parametrize("size", [100, 3_000])
-def test_training_on_a_full_disk_is_one_line_and_resumes(tmp_path, size):
-    program = (
-        "import sys; from tests.fuzz import killed; from cannoise_jax.recordings.recording import BadInput\n"
-        "try: killed.train(sys.argv[1])\n"
-        "except BadInput as error: print(f'bin/train: {error}', file=sys.stderr); sys.exit(2)"
-    )
-    call = [sys.executable, "-c", program, str(tmp_path)]
-    full = subprocess.run(
-        call, cwd=ROOT, capture_output=True, text=True, preexec_fn=limited(size), timeout=120
-    )
-    lines = full.stderr.strip().splitlines()
-    assert full.returncode == 2 and len(lines) == 1 and "cannot be written" in lines[0], full.stderr[-800:]
-    again = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert again.returncode == 0 and (tmp_path / "digest").exists(), again.stderr[-800:]
+def test_training_on_a_full_disk_is_one_line_and_resumes(worker, tmp_path, size):
+    full = Case("", "read:tests.fuzz.killed.train_on_a_full_disk", [str(tmp_path), str(size)])
+    answer = worker.run(full, tmp_path, 120)
+    lines = answer["err"].strip().splitlines()
+    assert answer["status"] == 2 and len(lines) == 1 and "cannot be written" in lines[0], answer["err"][-800:]
+    again = worker.run(Case("", "read:tests.fuzz.killed.train", [str(tmp_path)]), tmp_path, 120)
+    assert again["status"] == 0 and (tmp_path / "digest").exists(), again["err"][-800:]
