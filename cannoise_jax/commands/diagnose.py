@@ -22,6 +22,7 @@ _PREPARED, _FIRST_LOOK = 400_000, 160_000
 """Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
 _LOOKS = 25
 """How long a run takes beyond the first look, in units of that: 15 to 45 on recordings of three cameras."""
+_LONG_S = 5.0
 _BUILT_IN = ("poisson-gaussian", "nlf")
 _FILES = ("report.json", "report.html", "sensor.json")
 
@@ -64,7 +65,7 @@ def teller(started: float, clock: Callable[[], float] = time.monotonic) -> Calla
     def tell(text: str) -> None:
         nonlocal began
         now = clock()
-        if began is not None:
+        if began is not None and _LOOKS * (now - began) > _LONG_S:
             line(now, f"some {duration(_LOOKS * (now - began))} more, give or take a factor of two")
         began = now if text.startswith("locate") else None
         line(now, text)

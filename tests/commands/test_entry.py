@@ -51,6 +51,7 @@ def test_an_interrupt_that_a_callback_swallows_comes_once_more():
     """JAX hangs a callback on the garbage collector; what is raised in one is only printed."""
     script = (
         "import gc, os, signal, sys, time\nfrom cannoise_jax.commands.entry import command\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in what runs behind
         "def callback(phase, info):\n    gc.callbacks.clear()\n    os.kill(os.getpid(), signal.SIGINT)\n"
         "    sum(range(1000))\n"
         "@command('x')\ndef main():\n    gc.callbacks.append(callback)\n    gc.collect()\n"
@@ -105,7 +106,7 @@ def test_an_interrupt_while_a_command_is_loaded_is_one_line(ignored):
         "class Late(importlib.abc.MetaPathFinder):\n"
         "    def find_spec(self, name, path, target=None):\n"
         "        if name == 'cannoise_jax.commands.convert': os.kill(os.getpid(), signal.SIGINT)\n"
-        f"if {ignored}: signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        f"signal.signal(signal.SIGINT, signal.SIG_IGN if {ignored} else signal.default_int_handler)\n"
         "sys.meta_path.insert(0, Late())\nsys.argv[1:] = ['--help']\nsys.exit(convert())"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
