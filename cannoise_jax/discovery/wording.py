@@ -75,7 +75,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
             if c["mechanism"] != "unknown" and c["probability"] > 0.01
         ]
         together = " and ".join([", ".join(others[:-1]), *others[-1:]] if len(others) > 1 else others)
-        start = f"These recordings cannot tell {together} apart; as {name} it is {size}"
+        start = f"These recordings cannot tell {together} apart; as {name}: {size}"
     else:
         told = "exposure" in term.definition or step.named.signature.axes.scales != "exposure"
         grows = "" if told else " (growing with the exposure)"

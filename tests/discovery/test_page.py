@@ -69,7 +69,7 @@ def test_names_that_cannot_be_told_apart_are_listed():
     entry = finding("row_noise", 1.0, 0.1, "AMBIGUOUS", candidates=candidates)
     said = said_of(entry, Proof(None, None, math.nan, math.nan, 0))
     assert said.startswith(
-        "These recordings cannot tell row noise, banding and rts apart; as row noise it is 1 DN"
+        "These recordings cannot tell row noise, banding and rts apart; as row noise: 1 DN"
     )
 
 

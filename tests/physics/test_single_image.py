@@ -123,6 +123,6 @@ def test_real_recordings_against_frame_differences(real_data, tables):
             found[f"{camera} {path.stem}"] = sigma(np.maximum(a, 0), *estimate(a.astype(np.float32))) / wanted
     for name, ratio in found.items():
         told(tables, f"{name}: σ", ratio - 1)
-    assert len(found) == 5
+    assert len(found) == 6
     assert abs(np.median(list(found.values())) - 1) < 0.06, found
     assert all(abs(ratio - 1) < 0.15 for ratio in found.values()), found
