@@ -71,10 +71,11 @@ def test_virtual_cameras_at_all_isos_against_fits_that_know_the_clean_image(scen
         grey = [sigma(0.18, *nlf) / sigma(0.18, *wanted) - 1 for nlf in found]
         errors += zip(np.abs(found[:, 0] / wanted[0] - 1), np.abs(grey), strict=True)
     shot, grey = np.median(errors, axis=0)
-    told(tables, f"one 64×64 patch of {len(errors)} settings: shot, median error", shot)
-    told(tables, "the same: σ at 18 % grey, median error", grey)
-    far = np.quantile(np.array(errors)[:, 1], 0.9)
-    told(tables, "the same: one in ten is off by more than", far)
+    if scenes > 5:
+        far = np.quantile(np.array(errors)[:, 1], 0.9)
+        told(tables, f"one 64×64 patch of {len(errors)} scenes and settings: shot, median error", shot)
+        told(tables, "the same: σ at 18 % grey, median error", grey)
+        told(tables, "the same: one in ten is off by more than", far)
     assert len(errors) == 5 * scenes and shot < 0.25 and grey < 0.09, (shot, grey)
 
 
