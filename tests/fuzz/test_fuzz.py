@@ -224,7 +224,8 @@ def test_ten_thousand_cases(kit, worker, tmp_path, request, tables):
         (what, str(sum(whole[what, o] for o in OUTCOMES)), *(str(whole[what, o]) for o in OUTCOMES))
         for what in (*WHAT.values(), "all")
     ]
-    tables.add("fuzz", columns, rows, CODE, seeds=f"{first:,} to {first + number - 1:,}")
+    values = {"seeds": f"{first:,} to {first + number - 1:,}", "cases": f"{number:,}"}
+    tables.add("fuzz", columns, rows, CODE, **values, faults=str(whole["all", "fault"]))
     assert not failures, "\n".join(failures)
 
 
