@@ -101,6 +101,8 @@ def _opened(path: str | Path) -> Iterator[fits.HDUList]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", AstropyUserWarning)
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        # Names with accents are against the standard, and harmless.
+        warnings.filterwarnings("ignore", message=".*non-ASCII characters", category=AstropyUserWarning)
         with fits.open(path, memmap=False) as file:
             yield file
 
