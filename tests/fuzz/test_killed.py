@@ -24,10 +24,9 @@ from tests.fuzz.test_fuzz import Worker, prepared
 
 FEW, MANY, SOME = 3, 200, 50
 CODE = (
-    "cannoise_jax/commands",
-    "cannoise_jax/recordings",
-    "cannoise_jax/training",
-    "cannoise_jax/discovery/save.py",
+    *("cannoise_jax/recordings/atomic.py", "cannoise_jax/recordings/native.py", "cannoise_jax/training"),
+    *("cannoise_jax/physics/core/sensor_json.py", "cannoise_jax/discovery/save.py"),
+    *(f"cannoise_jax/commands/{name}.py" for name in ("convert", "diagnose", "sample_frames", "simulate")),
 )
 """What the table of docs/reliability.md depends on."""
 
