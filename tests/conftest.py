@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import shutil
 import tempfile
@@ -27,6 +28,9 @@ REAL_DATA = Path(os.environ.get("CANNOISE_DATA", ROOT.parent / "shared" / "data"
 
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="also run the tests that take minutes")
+    parser.addoption("--cases", type=int, default=10_000, help="of the long run of the fuzzer")
+    parser.addoption("--first-seed", type=int, default=1_000, help="of that run")
+    parser.addoption("--results", metavar="DIR", help="where tests write what they measured, NAME.json each")
 
 
 def pytest_collection_modifyitems(config, items):
@@ -43,3 +47,34 @@ def real_data() -> Path:
     if not REAL_DATA.is_dir():
         pytest.skip(f"no real recordings at {REAL_DATA}: set CANNOISE_DATA to their folder")
     return REAL_DATA
+
+
+SIMULATION = ("cannoise_jax/recordings", "cannoise_jax/physics", "cannoise_jax/mechanisms")
+SEARCH = (*SIMULATION, "cannoise_jax/vocabulary.py", "cannoise_jax/signatures", "cannoise_jax/discovery")
+"""What the numbers of a table depend on."""
+
+
+class Tables:
+    """Tables of what tests measured, by name, as `bin/bench docs --take` reads them."""
+
+    def __init__(self):
+        self.content: dict[str, dict] = {}
+
+    def add(self, name: str, columns: tuple[str, ...], rows, code: tuple[str, ...], **values: str) -> None:
+        """Adds rows, tuples of text, to a table; code: the paths that they depend on."""
+        table = self.content.setdefault(name, {"columns": columns, "rows": [], "values": {}, "code": code})
+        assert all(len(row) == len(columns) for row in rows)
+        table["rows"] += [list(row) for row in rows]
+        table["values"] |= values
+
+
+@pytest.fixture(scope="session")
+def tables(request):
+    """Written at the end of the run, where --results names a folder; with it, run on one process."""
+    kept = Tables()
+    yield kept
+    folder = request.config.getoption("--results")
+    if folder:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        for name, content in kept.content.items():
+            (Path(folder) / f"{name}.json").write_text(json.dumps(content, indent=1, ensure_ascii=False))

@@ -188,6 +188,9 @@ def shown_commands():
         for line in page.read_text().splitlines():
             if match := re.match(r"    bin/(\w+)\b(.*)", line):
                 yield page.name, match.group(1), match.group(2).split("#")[0].split()
+    for template in (ROOT / "cannoise_jax").rglob("*.jinja"):
+        for name, arguments in re.findall(r"<code>bin/(\w+) ([^<]*)</code>", template.read_text()):
+            yield template.name, name, arguments.split()
 
 
 def test_commands_on_the_pages_have_the_flags_they_are_shown_with(capsys):

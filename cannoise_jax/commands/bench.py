@@ -14,7 +14,7 @@ from functools import partial
 
 from cannoise_jax.commands.bench_docs import add_docs
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser
+from cannoise_jax.commands.parser import OneLineParser, place
 from cannoise_jax.recordings.recording import BadInput
 
 
@@ -53,11 +53,13 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--repeats", type=int, default=5, help="timed calls each, taken in turn; best counts"
     )
+    _add_table(simulate)
     simulate.set_defaults(run=partial(_run, "simulate"))
     covered = commands.add_parser("coverage", help="coverage of the 90 %% intervals of every estimator")
     covered.add_argument("--simulations", type=int, default=300, help="of each case")
     covered.add_argument("--mechanisms", nargs="+", metavar="ID", help="only these (default: all)")
     covered.add_argument("--seed", type=int, default=0)
+    _add_table(covered)
     covered.set_defaults(run=partial(_run, "coverage"))
     train = commands.add_parser("train", help="speed of the training step")
     train.add_argument("--width", type=float, default=1 / 16, help="of every channel count")
@@ -67,6 +69,11 @@ def _parser() -> argparse.ArgumentParser:
     train.set_defaults(run=partial(_run, "train"))
     add_docs(commands)
     return parser
+
+
+def _add_table(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", type=place, metavar="FILE.json", help="also as a table for bin/bench docs")
+    parser.add_argument("--force", action="store_true", help="replace a table that exists")
 
 
 if __name__ == "__main__":

@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import runpy
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.mechanisms.coverage import coverage, format_rows
 from cannoise_jax.mechanisms.peers import GETFRAMES, TOGETHER
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
 """The camera of the speed comparison: DN/e-, e-, DN, DN (12 bit)."""
 EXPOSURE_S = 1.0
+CODE = ("cannoise_jax/physics", "cannoise_jax/mechanisms")
+"""What the tables depend on."""
+
+
+SPEEDS = ("effects", "side, px", "signal, e-", "Mpx/s", "ratio to getframes")
+COVERED = ("mechanism", "parameter", "truth", "covered, %")
 
 
 class Speed(NamedTuple):
@@ -35,10 +44,22 @@ class Speed(NamedTuple):
     peer: float | None
     fast: float | None
 
+    @property
+    def ratio(self) -> float:
+        """To the faster of the peer's two ways; nan without it."""
+        return np.nan if self.peer is None or self.fast is None else self.ours / max(self.peer, self.fast)
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        sides = (str(self.side), f"{self.electrons:g}", f"{self.ours:.1f}")
+        return (self.effects, *sides, "" if np.isnan(self.ratio) else f"{self.ratio:.2f}")
+
 
 def run_simulate(arguments: argparse.Namespace) -> None:
     if min(arguments.sizes) < 2 or arguments.frames < 1 or arguments.repeats < 1:
         raise BadInput("simulate: sizes from 2, frames and repeats from 1")
+    check_table(arguments)
     if not all(0 <= e * GAIN < WHITE - BLACK for e in arguments.electrons):
         raise BadInput(f"simulate: --electrons from 0 to {(WHITE - BLACK) / GAIN:g}, the white level")
     print(f"{jax.default_backend()}, {os.cpu_count()} cores, load {load():.1f}; best of {arguments.repeats}")
@@ -46,17 +67,22 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     print(f"{'effects':<34}{'side':>6}{'e-':>7}{'ours':>9}{'getframes':>11}{'its float32':>13}{'ratio':>8}")
     # One size tells what a single effect costs; the sums are timed at all.
     single = [side for side in arguments.sizes if side <= 1024][-1:] or arguments.sizes[:1]
+    measured = []
     plan = [((), arguments.sizes), *(((e,), single) for e in GETFRAMES), (TOGETHER, arguments.sizes)]
     for effects, sizes in plan:
         for side in sizes:
             for electrons in arguments.electrons:
                 s = speed(effects, side, electrons, arguments.frames, arguments.repeats)
+                measured.append(s)
                 line = f"{s.effects:<34}{s.side:>6}{s.electrons:>7g}{s.ours:>9.1f}"
                 if s.peer is None or s.fast is None:
                     print(line + "   getframes is not installed: pip install 'cannoise-jax[peers]'")
                 else:
                     print(f"{line}{s.peer:>11.1f}{s.fast:>13.1f}{s.ours / max(s.peer, s.fast):>8.2f}")
     print("ratio: ours over the faster of getframes' two ways.")
+    write_table(
+        arguments, SPEEDS, [s.cells for s in measured], {"lowest": f"{min(s.ratio for s in measured):.2f}"}
+    )
 
 
 def speed(effects: tuple[str, ...], side: int, electrons: float, frames: int, repeats: int) -> Speed:
@@ -149,12 +175,28 @@ def run_coverage(arguments: argparse.Namespace) -> None:
         )
     if arguments.simulations < 1:
         raise BadInput("coverage: --simulations from 1")
+    check_table(arguments)
     rows = []
     for entry in (e for e in LISTED if e.id in wanted):
         for case in entry.examples.cases:
             rows += coverage(entry, case, arguments.simulations, arguments.seed)
             print(f"{entry.id} {case.note}", file=sys.stderr, flush=True)
     print(format_rows(rows))
+    shares = [100 * r.coverage for r in rows if not r.exact]
+    cells = [
+        (
+            r.mechanism.replace("_", " "),
+            r.parameter.replace("_", " "),
+            f"{r.truth:g}",
+            f"{100 * r.coverage:.1f}",
+        )
+        for r in rows
+    ]
+    n = arguments.simulations
+    values = {"simulations": str(n), "standard_error": f"{100 * (0.9 * 0.1 / n) ** 0.5:.1f}"}
+    if shares:
+        values |= {"lowest": f"{min(shares):.1f}", "highest": f"{max(shares):.1f}"}
+    write_table(arguments, COVERED, cells, values)
 
 
 def run_train(arguments: argparse.Namespace) -> None:
@@ -196,3 +238,22 @@ def train_speed(width: float, batch: int, patch: int, steps: int) -> float:
 def load() -> float:
     """Processes that wanted a core in the last minute; nan where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+
+
+def check_table(arguments: argparse.Namespace) -> None:
+    """Raises BadInput, before the work, where the table could not be written."""
+    if arguments.out is not None:
+        check_file(arguments.out, ".json", arguments.force)
+
+
+def write_table(
+    arguments: argparse.Namespace,
+    columns: tuple[str, ...],
+    rows: Sequence[tuple[str, ...]],
+    values: dict[str, str],
+) -> None:
+    """The table as `bin/bench docs --take` reads it, where --out names a file."""
+    if arguments.out is not None:
+        table = {"columns": columns, "rows": rows, "values": values, "code": CODE}
+        with texts_in_place({arguments.out: json.dumps(table, indent=1, ensure_ascii=False) + "\n"}):
+            pass

@@ -116,18 +116,24 @@ def _trial(root: Path, name: str, content: dict[str, Any]) -> _Parts:
 
 def _diagnosis(content: dict[str, Any]) -> _Parts:
     """The findings of a diagnosis, a row each."""
+    from cannoise_jax.discovery.wording import amount, nats
+    from cannoise_jax.mechanisms import VOCABULARY
+
     rows = []
     for finding in content["findings"]:
         size, gain = finding["amplitude"], finding["heldout_gain_nats"]
-        low, high = size["ci90"]
-        strength = f"{size['value']:.3g} ({low:.3g} to {high:.3g}) {size['unit']}"
-        shown = "not measured" if gain is None else f"{gain:.3g}"
-        rows.append((finding["mechanism"].replace("_", " "), strength, shown))
+        term = VOCABULARY.get(finding["mechanism"])
+        meaning = "" if term is None or finding["mechanism"] == "unknown" else term.amplitude
+        value, interval = (amount(size[part], size["unit"], meaning) for part in ("value", "ci90"))
+        strength = f"{value} ({interval})" if size["ci90"][0] < size["ci90"][1] else value
+        shown = "not measured" if gain is None else nats(gain, finding["heldout_pixels"] or 0)
+        sure = "yes" if finding.get("confirmed") else "no"
+        rows.append((finding["mechanism"].replace("_", " "), strength, shown, sure))
     values = {"findings": str(len(rows))}
     for side in ("before", "after"):
         if content[side]["two_sample_auc"] is not None:
             values[f"auc_{side}"] = f"{content[side]['two_sample_auc']:.3f}"
-    columns = ("finding", "strength (90 % interval)", "gain on held-back frames, nats")
+    columns = ("finding", "strength (90 % interval)", "gain on held-back frames", "confirmed")
     return {"columns": columns, "rows": tuple(rows), "values": values}
 
 

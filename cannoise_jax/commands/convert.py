@@ -20,6 +20,17 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(,[\d.]+)*")
 _NATIVE = (".h5", ".hdf5")
 
 
+_MODES = {
+    "binning": "binning",
+    "origin": "origin of the part read out",
+    "offset": "offset",
+    "mode": "readout mode",
+    "gain_setting": "gain setting",
+    "filter": "filter",
+}
+"""What FITS headers state beside the fields of a recording, and what has to be one to be joined."""
+
+
 @command("convert")
 def main(argv: list[str] | None = None) -> int:
     """Converts; returns 0, or 2 after one line on stderr when something cannot be used."""
@@ -61,6 +72,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         raise BadInput(f"{output}: no such folder {output.parent}")
     loaded = [load_recording(path, **given) for path in inputs]
     recording = join_recordings(loaded)
+    _check_modes(inputs)
     twice = copies(loaded) if len(loaded) > 1 else {}
     for number, first in twice.items():
         print(
@@ -70,6 +82,21 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         recording = join_recordings([r for number, r in enumerate(loaded) if number not in twice])
     write_recording(output, recording)
     return recording
+
+
+def _check_modes(inputs: list[Path]) -> None:
+    """Raises BadInput where FITS files were read out in ways that no field of a recording tells apart."""
+    from cannoise_jax.recordings.fits import SUFFIXES, open_fits
+    from cannoise_jax.recordings.load import suffix_of
+
+    stated = [(path, open_fits(path).about) for path in inputs if suffix_of(path) in SUFFIXES]
+    for (path, here), (first, there) in ((other, stated[0]) for other in stated[1:]):
+        for name, what in _MODES.items():
+            if here.get(name) != there.get(name):
+                words = [
+                    f"is {v}" if v is not None else "is not stated" for v in (here.get(name), there.get(name))
+                ]
+                raise BadInput(f"{path}: {what} {words[0]}, of {first} it {words[1]}: join equal settings")
 
 
 def _is_folder(arguments: argparse.Namespace) -> bool:

@@ -6,10 +6,11 @@ import argparse
 import logging
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.entry import cache_folder, command, duration, progress
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
 from cannoise_jax.recordings.recording import BadInput
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 _PREPARED, _FIRST_LOOK = 400_000, 160_000
 """Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
+_LOOKS = 25
+"""How long a run takes beyond the first look, in units of that: 15 to 45 on recordings of three cameras."""
+_LONG_S = 5.0
 _BUILT_IN = ("poisson-gaussian", "nlf")
 _FILES = ("report.json", "report.html", "sensor.json")
 
@@ -30,9 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(format="bin/diagnose: %(message)s", level=logging.WARNING)
     started = time.monotonic()
 
-    def tell(text: str) -> None:
-        print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
-
+    tell = teller(started)
     try:
         check_folder(arguments.out, _FILES, arguments.force, "the report")
         _check(arguments)
@@ -53,6 +55,24 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
+def teller(started: float, clock: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
+    """Says each stage with the time since `started`, and after the first look how long the rest may take."""
+    began: float | None = None
+
+    def line(now: float, text: str) -> None:
+        print(f"[{now - started:6.1f} s] {text}", file=sys.stderr, flush=True)
+
+    def tell(text: str) -> None:
+        nonlocal began
+        now = clock()
+        if began is not None and _LOOKS * (now - began) > _LONG_S:
+            line(now, f"some {duration(_LOOKS * (now - began))} more, give or take a factor of two")
+        began = now if text.startswith("locate") else None
+        line(now, text)
+
+    return tell
+
+
 def _check(arguments: argparse.Namespace) -> None:
     """Raises BadInput, before minutes are spent on the recordings, for what can be told from the flags."""
     if not 0 < arguments.alpha < 1:
@@ -68,16 +88,12 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     from cannoise_jax.physics.core.sensor_json import check_place
     from cannoise_jax.recordings.crop import central
     from cannoise_jax.recordings.folders.store import capture_of
-    from cannoise_jax.recordings.usable import usable
 
     check_place(arguments.out / "sensor.json")
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    capture, left_out = usable(capture)
-    for line in left_out:
-        print(f"bin/diagnose: {line}", file=sys.stderr, flush=True)
     most = arguments.most_pixels or (_FIRST_LOOK if plan else _PREPARED)
     capture, size = central(capture, most)
     if size is not None:

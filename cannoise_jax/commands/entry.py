@@ -93,7 +93,7 @@ def progress(doing: str) -> Callable[[int, int], None]:
             return
         last, spoken = now, True
         left = (now - started) / number * (total - number)
-        text = f"{doing}: {number} of {total}, {_duration(left)} left"
+        text = f"{doing}: {number} of {total}, {duration(left)} left"
         print(f"\r{text}  " if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
 
     return tell
@@ -107,5 +107,6 @@ def counted(items: Sequence[Any], doing: str) -> Iterator[Any]:
         tell(number + 1, len(items))
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time as one says it."""
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

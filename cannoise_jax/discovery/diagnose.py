@@ -4,6 +4,7 @@ came out."""
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +34,7 @@ from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.recordings.usable import LeftOutWarning, usable
 from cannoise_jax.signatures import generic
 from cannoise_jax.signatures.fields import refit
 from cannoise_jax.signatures.multiplicity import SHARED
@@ -151,9 +153,9 @@ def diagnose(
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
     `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
-    test. tell: called with one line per stage.
-    Raises BadInput for a simulator that cannot be judged, ValueError for unknown names or an alpha out
-    of (0, 1).
+    test. tell: called with one line per stage. Frames without noise are left out with a `LeftOutWarning`.
+    Raises BadInput for a simulator that cannot be judged and where too few frames are left, ValueError for
+    unknown names or an alpha out of (0, 1).
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
@@ -162,6 +164,9 @@ def diagnose(
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)
 
+    capture, left_out = usable(capture)
+    for line in left_out:
+        warnings.warn(line, LeftOutWarning, stacklevel=2)
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))

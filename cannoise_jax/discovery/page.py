@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,13 @@ from cannoise_jax.discovery.card import lines as card_lines
 from cannoise_jax.discovery.compare.report import percent
 from cannoise_jax.discovery.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.diagnose import Diagnosis
+from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.pictures import quality_pictures, where_pictures
 from cannoise_jax.discovery.report import listed_steps
 from cannoise_jax.discovery.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
+from cannoise_jax.discovery.wording import amount
 from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.vocabulary import Term
 
 _MEASURES = (
     ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),
@@ -34,6 +39,8 @@ def number(value: Any) -> str:
         return " to ".join(number(v) for v in value)
     if isinstance(value, str):
         return value
+    if isinstance(value, int) or 1e4 <= abs(value) < 1e9:
+        return f"{value:,.0f}"
     return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.3e}"
 
 
@@ -113,14 +120,6 @@ def _largest(report: dict[str, Any]) -> str:
     return f" What still differs most: {most['what']}, {has}."
 
 
-def size(finding: dict[str, Any]) -> str:
-    """The strength of a finding with its unit, a fraction in percent."""
-    value, of = finding["amplitude"]["value"], finding["amplitude"]["unit"]
-    if of in (None, "1"):
-        return f"{100 * value:.3g} %" if abs(value) < 1 else f"{value:.3g}"
-    return f"{value:.3g} {of}"
-
-
 def sites(values: list[float]) -> str:
     """A number of every mosaic site, once where all are alike."""
     said = [f"{v:.3g}" for v in values]
@@ -132,13 +131,19 @@ def share(part: float | None) -> str:
     return "not measured" if part is None else percent(part)
 
 
-def rows(report: dict[str, Any]) -> list[dict[str, Any]]:
-    """The table at the top: what was found, the largest share first, and the remainder."""
+def strength(terms: dict[str, Term], mechanism: str, values: Any, of: str | None) -> str:
+    """A strength of a mechanism, or an interval of it, with its unit; fractions in percent."""
+    return amount(values, of, "" if mechanism == UNKNOWN else terms[mechanism].amplitude)
+
+
+def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any]]:
+    """The table at the top: what was found, the largest share first, and the remainder. size: `strength` of
+    the terms of the run."""
     out = [
         {
             "name": _name(f["mechanism"]),
             "anchor": f"finding-{n + 1}",
-            "size": size(f),
+            "size": size(f["mechanism"], f["amplitude"]["value"], f["amplitude"]["unit"]),
             "sign": f["sign"],
             "share": share(f["share"]),
             "part": f["share"] or 0.0,
@@ -190,6 +195,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         axis = steps[n].named.score.where.get("axis", "pixel")
         redrawn = steps[n].named.signature.axes.time == "redrawn"
         pictures.append(where_pictures(steps[n].before, after, axis, redrawn))
+    size = partial(strength, diagnosis.terms)
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(
         card_lines=card_lines,
@@ -197,7 +203,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         camera="Recordings" if diagnosis.capture.camera == Recording.camera else diagnosis.capture.camera,
         r=report,
         verdict=verdict(report),
-        rows=rows(report),
+        rows=rows(report, size),
         percent=percent,
         sites=sites,
         size=size,

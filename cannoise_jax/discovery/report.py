@@ -257,7 +257,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
     if mechanism == "unknown":
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
-    out["sentence"] = sentence(out, step, proof, term.definition)
+    out["sentence"] = sentence(out, step, proof, term)
     return out
 
 

@@ -48,6 +48,8 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
     known, words = stated(opened.known), opened.about.get("image_type")
     if words and "kind" not in known and overrides.get("kind") is None:
         _log.warning("%s: IMAGETYP %r is unknown: taken for a scene; --kind states it", path, words)
+    if opened.about.get("doubt"):
+        _log.warning("%s: %s", path, opened.about["doubt"])
     return make_recording(path, opened.frames, {"kind": "scene", **known}, overrides)
 
 
@@ -99,6 +101,8 @@ def _opened(path: str | Path) -> Iterator[fits.HDUList]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", AstropyUserWarning)
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        # Names with accents are against the standard, and harmless.
+        warnings.filterwarnings("ignore", message=".*non-ASCII characters", category=AstropyUserWarning)
         with fits.open(path, memmap=False) as file:
             yield file
 

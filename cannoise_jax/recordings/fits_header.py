@@ -22,6 +22,7 @@ _NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
 _KINDS = (("bias", "bias"), ("zero", "bias"), ("offset", "bias"), ("dark", "dark"), ("flat", "flat"))
 _SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
 _ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
+_EXPOSURE = ("EXPTIME", "EXPOSURE", "EXP_TIME")
 _EGAIN = ("EGAIN", "E-GAIN")
 _COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
 
@@ -55,7 +56,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "iso": 100 * 10 ** (decibels / 20) if iso is None and decibels is not None else iso,
         "gain_db": decibels if iso is None else None,
         "egain": _egain(header, decibels is not None or iso is not None),
-        "exposure_s": _number(header, ("EXPTIME", "EXPOSURE", "EXP_TIME"), 0),
+        "exposure_s": _number(header, _EXPOSURE, 0),
         "temperature_c": _number(
             header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), _ABSOLUTE_ZERO_C
         ),
@@ -76,6 +77,7 @@ def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
     origin = tuple(_number(header, (f"{a}ORGSUBF",), 0) or 0.0 for a in "XY")
     name = _text(header, "FILTER")
     return {
+        "doubt": _doubt(header),
         "image_type": image_type or None,
         "filter": name if name.lower() not in _NOT_STATED else None,
         "binning": None if binning == (1, 1) else binning,
@@ -86,6 +88,18 @@ def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "set_temperature_c": _number(header, ("SET-TEMP",), _ABSOLUTE_ZERO_C),
         "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
     }
+
+
+def _doubt(header: Mapping[str, Any]) -> str | None:
+    """What a header says of the exposure that cannot be meant."""
+    stated = {name: header[name] for name in _EXPOSURE if _text(header, name)}
+    good = {name: value for name in stated if (value := _number(header, (name,), 0)) is not None}
+    if stated and not good:
+        return ", ".join(f"{name} {value!r}" for name, value in stated.items()) + ": no time: not used"
+    if good and max(good.values()) - min(good.values()) > max(1.0, 0.01 * max(good.values())):
+        words = [f"{name} {value:g} s" for name, value in good.items()]
+        return f"{' and '.join(words)} contradict: {words[0]} is used"
+    return None
 
 
 def gain_db(header: Mapping[str, Any], camera: str | None) -> float | None:

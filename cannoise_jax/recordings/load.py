@@ -83,7 +83,9 @@ def recording_paths(folder: str | Path) -> list[Path]:
         raise BadInput(f"{broken[0]}: a link to nothing: mend or remove it")
     paths = sorted(p for p in folder.iterdir() if _is_recording(p))
     if not paths:
-        raise BadInput(f"{folder}: holds no recordings: supported are {supported()}")
+        raise BadInput(
+            f"{folder}: holds no recordings (bin/convert sorts folders): supported are {supported()}"
+        )
     return paths
 
 

@@ -27,6 +27,9 @@ PerChannel = tuple[float, float, float, float]
 class BadInput(ValueError):
     """Input that cannot be used: one line that names the file, what is wrong, and what to do about it."""
 
+    def __str__(self) -> str:
+        return " ".join(super().__str__().splitlines())  # names of files may hold line breaks
+
 
 class Frames(Protocol):
     """Frames in memory or on disk, `uint16[T, H, W]`: a slice of the first axis reads only those frames."""

@@ -17,9 +17,14 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet, Frames, Reco
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
 _MOST_NUMBERS = 4
+_FULL = tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
 
 Seen = dict[tuple, tuple[object, int]]
 """Where the pixels of a frame were met first: recording and number, by size and checksum."""
+
+
+class LeftOutWarning(UserWarning):
+    """Frames that show no noise take no part."""
 
 
 def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
@@ -68,6 +73,7 @@ def fault_of(frame: np.ndarray, white: float = 65536.0) -> str | None:
         return f"every pixel is at or above the white level {white:g} (saturated, or state --white-level)"
     if low == high:
         why = "the camera cuts off below black: raise its offset" if low == 0 else "no frame of a sensor"
+        why = "saturated" if low in _FULL else why
         return f"every pixel is {low} ({why})"
     return None
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import bench, bench_runs
+from cannoise_jax.commands.bench_take import take
 from cannoise_jax.mechanisms.peers import GETFRAMES
 from cannoise_jax.physics.core.sensor import Settings
+from tests.conftest import ROOT
 
 
 def test_bad_options_end_with_one_line(capsys):
@@ -67,8 +69,22 @@ def test_the_table_reports_both_and_their_ratio(capsys, monkeypatch):
             assert ours > 0 and abs(ratio - ours / max(peer, fast)) < 0.05 * ratio + 0.01
 
 
-def test_coverage_of_a_named_mechanism_is_tabulated(capsys):
-    assert bench.main(["coverage", "--mechanisms", "quantization", "--simulations", "3"]) == 0
+def test_coverage_of_a_named_mechanism_is_tabulated(capsys, tmp_path):
+    call = [
+        "coverage",
+        "--mechanisms",
+        "quantization",
+        "--simulations",
+        "3",
+        "--out",
+        str(tmp_path / "t.json"),
+    ]
+    assert bench.main(call) == 0
+    taken = take(ROOT, tmp_path / "t.json", "covered", None, ["bin/bench coverage"])
+    assert taken.columns[-1] == "covered, %" and taken.rows[0] == ("quantization", "step dn", "4", "100.0")
+    assert bench.main(call) == 2 and "exists" in capsys.readouterr().err
+    (tmp_path / "t.json").unlink()
+    assert bench.main(call) == 0
     table = capsys.readouterr().out.splitlines()
     assert table[0].split()[0] == "mechanism" and len(table) == 2
     assert table[1].split()[:2] == ["quantization", "step_dn"] and "100.0 %" in table[1]

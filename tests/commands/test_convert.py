@@ -170,6 +170,23 @@ def test_a_black_level_that_is_none_is_refused_in_one_line(level, capsys):
     assert "four as a,b,c,d" in error and error.endswith("(see --help)\n")
 
 
+@pytest.mark.parametrize(
+    "stated, says",
+    [
+        ({"XBINNING": 2, "YBINNING": 2}, "binning is (2.0, 2.0), of"),
+        ({"XORGSUBF": 8}, "origin of the part read out is (8.0, 0.0)"),
+        ({"OFFSET": 50}, "offset is 50"),
+        ({"FILTER": "Ha"}, "filter is Ha"),
+    ],
+)
+def test_files_of_another_readout_are_not_joined(tmp_path, capsys, stated, says):
+    one = write_fits(tmp_path / "a.fits", FRAMES[0], BAYERPAT="RGGB")
+    other = write_fits(tmp_path / "b.fits", FRAMES[1], BAYERPAT="RGGB", **stated)
+    levels = ("--black-level", 9, "--white-level", 1023)
+    assert run(one, other, tmp_path / "out.h5", *levels) == 2
+    assert says in capsys.readouterr().err and not (tmp_path / "out.h5").exists()
+
+
 def test_files_that_contradict_are_not_joined_and_copies_are_used_once(tmp_path, capsys):
     levels = ("--black-level", 9, "--white-level", 1023, "--cfa", "RGGB")
     cold, warm, near = (

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import outputs
-from cannoise_jax.commands.diagnose import main
+from cannoise_jax.commands.diagnose import main, teller
 from cannoise_jax.discovery import save as saving
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -41,6 +41,19 @@ def test_writes_report_page_and_sensor(tmp_path, capsys):
     assert (tmp_path / "out" / "report.html").stat().st_size > 10000
     assert [m.mechanism for m in read_sensor(tmp_path / "out" / "sensor.json").mechanisms][0] == "row_noise"
     assert "row_noise" in capsys.readouterr().out
+
+
+def test_how_long_it_will_take_is_said_once_after_the_first_look(capsys):
+    now = iter([10.0, 12.0, 16.0, 90.0])
+    tell = teller(8.0, lambda: next(now))
+    for text in ("calibrate", "locate: 81 signatures", "step 1: prnu", "step 2: dsnu"):
+        tell(text)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[2:4] == [
+        "[   8.0 s] some 2 min more, give or take a factor of two",
+        "[   8.0 s] step 1: prnu",
+    ]
+    assert len(lines) == 5 and lines[4] == "[  82.0 s] step 2: dsnu"
 
 
 def test_bad_input_is_one_line_and_status_two(tmp_path, capsys):

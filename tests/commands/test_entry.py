@@ -51,6 +51,7 @@ def test_an_interrupt_that_a_callback_swallows_comes_once_more():
     """JAX hangs a callback on the garbage collector; what is raised in one is only printed."""
     script = (
         "import gc, os, signal, sys, time\nfrom cannoise_jax.commands.entry import command\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in what runs behind
         "def callback(phase, info):\n    gc.callbacks.clear()\n    os.kill(os.getpid(), signal.SIGINT)\n"
         "    sum(range(1000))\n"
         "@command('x')\ndef main():\n    gc.callbacks.append(callback)\n    gc.collect()\n"
@@ -95,6 +96,24 @@ def test_an_interruption_is_one_line(capsys):
         raise KeyboardInterrupt
 
     assert main() == 130 and capsys.readouterr().err == "bin/x: interrupted\n"
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_an_interrupt_while_a_command_is_loaded_is_one_line(ignored):
+    """Where a shell ignores it, as for what runs behind, it stays ignored."""
+    script = (
+        "import importlib.abc, os, signal, sys\nfrom cannoise_jax.commands.start import convert\n"
+        "class Late(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'cannoise_jax.commands.convert': os.kill(os.getpid(), signal.SIGINT)\n"
+        f"signal.signal(signal.SIGINT, signal.SIG_IGN if {ignored} else signal.default_int_handler)\n"
+        "sys.meta_path.insert(0, Late())\nsys.argv[1:] = ['--help']\nsys.exit(convert())"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    if ignored:
+        assert done.returncode == 0 and "bin/convert" in done.stdout and done.stderr == ""
+    else:
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", "bin/convert: interrupted\n")
 
 
 def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):

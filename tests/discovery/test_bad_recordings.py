@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
+from cannoise_jax import diagnose
 from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.fit import stepwise
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.recordings.usable import LeftOutWarning
 from tests.discovery.capture import capture_set, offset_map, response_map
 
 SIZE = (64, 64)
@@ -65,6 +68,25 @@ def test_recordings_without_noise_or_of_another_size_are_refused_in_one_line(cha
     with pytest.raises(BadInput, match=says) as refused:
         prepare_split(capture, split_recordings(capture))
     assert "\n" not in str(refused.value)
+
+
+def test_frames_without_noise_are_left_out_of_a_diagnosis_with_a_warning():
+    def repeated(frames):
+        return np.concatenate([frames[:5], frames[2:3], np.zeros_like(frames[:2])])
+
+    capture, drawn = with_frames(capture_set(13, kinds="d", size=SIZE), 1, repeated), []
+
+    def simulator(key, clean, settings):
+        drawn.append(settings.frames)
+        if settings.exposure_s == capture.recordings[1].exposure_s:
+            raise BadInput("enough")
+        return jax.random.normal(key, (settings.frames, *SIZE)) + 200
+
+    with pytest.warns(LeftOutWarning) as said, pytest.raises(BadInput, match="enough"):
+        diagnose(capture, simulator)
+    assert drawn[-1] == 5
+    lines = [str(w.message) for w in said if w.category is LeftOutWarning]
+    assert len(lines) == 2 and "a copy of frame 3" in lines[0] and "every pixel is 0" in lines[1]
 
 
 def test_recordings_that_are_all_at_a_rail_are_refused():

@@ -13,6 +13,7 @@ from cannoise_jax.discovery.diagnose import detectable, diagnose
 from cannoise_jax.discovery.limits import mde
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
+from tests.conftest import SEARCH
 from tests.discovery.capture import capture_set
 from tests.discovery.naive_limits import (
     BLACK,
@@ -42,16 +43,28 @@ FIRST = (
 REST = tuple(m for m in CASES if m not in FIRST)
 
 
+SHIFT = "shift of the likelihood ratio, standard deviations"
+COLUMNS = ("effect at the minimum detectable strength", "measured", "expected")
+
+
+def told(tables, mechanism, what, measured, expected):
+    """Notes it for the table of docs/proof.md."""
+    row = (f"{mechanism.replace('_', ' ')}: {what}", measured, expected)
+    tables.add("detection_limits", COLUMNS, [row], (*SEARCH, "cannoise_jax/blind"))
+
+
 @pytest.mark.parametrize("mechanism", FIRST)
-def test_the_mean_is_shifted_by_five(mechanism):
+def test_the_mean_is_shifted_by_five(mechanism, tables):
     shift, error = shifts(FIRST, NULLS, PAIRS)[mechanism]
+    told(tables, mechanism, SHIFT, f"{shift:.2f} ± {error:.2f}", "5")
     assert shift == pytest.approx(5, abs=0.3), (shift, error)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mechanism", REST)
-def test_the_mean_of_the_others_is_shifted_by_five(mechanism):
+def test_the_mean_of_the_others_is_shifted_by_five(mechanism, tables):
     shift, error = shifts(REST, 2 * NULLS, 4 * PAIRS)[mechanism]
+    told(tables, mechanism, SHIFT, f"{shift:.2f} ± {error:.2f}", "5")
     assert shift == pytest.approx(5, abs=0.3), (shift, error)
 
 
@@ -180,7 +193,7 @@ def nothing_found():
         pytest.param("banding", interference, marks=pytest.mark.slow),
     ],
 )
-def test_the_smallest_detectable_effect_is_found_half_of_the_time(mechanism, effect):
+def test_the_smallest_detectable_effect_is_found_half_of_the_time(mechanism, effect, tables):
     quiet = nothing_found()
     found = detectable(quiet, mechanism)
     assert found is not None
@@ -198,5 +211,7 @@ def test_the_smallest_detectable_effect_is_found_half_of_the_time(mechanism, eff
         return seen / sets
 
     assert share(0.6 * found[0]) <= 0.25
-    assert 0.2 <= share(found[0]) <= 0.8
+    half = share(found[0])
+    told(tables, mechanism, "share of 12 sets in which it is found", f"{half:.2f}", "0.5")
+    assert 0.2 <= half <= 0.8
     assert share(1.6 * found[0]) >= 0.85

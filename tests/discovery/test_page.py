@@ -6,10 +6,13 @@ import math
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+from cannoise_jax.discovery.diagnose import ROWS
 from cannoise_jax.discovery.page import place, verdict
 from cannoise_jax.discovery.prove import Proof
 from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
+from cannoise_jax.signatures.signature import Axes
 
 
 def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
@@ -21,9 +24,53 @@ def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
     }
     signature = combed(MagicMock(), name="comb", parameter="period", covers=("comb",), shapes=())
     step = SimpleNamespace(named=SimpleNamespace(signature=signature), late=False)
-    said = sentence(entry, step, Proof(None, None, math.nan, math.nan, 0), "Some codes never occur.")
+    said = sentence(entry, step, Proof(None, None, math.nan, math.nan, 0), VOCABULARY["missing_codes"])
     assert "Every 2 codes one is rarer" in said and "holds 0.98" in said and "(90 %: 0.96 to 0.99)" in said
     assert "never" not in said
+
+
+def finding(mechanism, value, spread, outcome="FOUND", **more):
+    ci90 = [value - spread, value + spread]
+    amplitude = {"value": value, "unit": VOCABULARY[mechanism].unit, "ci90": ci90}
+    return {"mechanism": mechanism, "outcome": outcome, "amplitude": amplitude, **more}
+
+
+def said_of(entry, proof, axes=ROWS):
+    signature = SimpleNamespace(axes=axes, says=None, frozen=axes.time == "frozen")
+    step = SimpleNamespace(named=SimpleNamespace(signature=signature), late=False)
+    return sentence(entry, step, proof, VOCABULARY[entry["mechanism"]])
+
+
+def test_strengths_are_said_with_what_they_measure():
+    proof = Proof(None, 66582.7, 6e4, 7e4, 10**6)
+    said = said_of(finding("prnu", 0.00316, 0.00011), proof)
+    assert said.endswith(
+        "rms share of the signal 0.316 % (90 %: 0.305 to 0.327 %); on frames not used to find it the fit "
+        "gains 66,600 nats."
+    )
+    assert "2.01 DN rms (90 %: 1.91 to 2.11 DN)" in said_of(finding("row_noise", 2.01, 0.1), proof)
+    tails = said_of(finding("heavy_tails", 0.725, 0.0), proof._replace(gain=8.3e7))
+    assert "excess kurtosis of the read noise 0.725; " in tails and "more than 10 nats a pixel." in tails
+    assert "4,290 DN rms" in said_of(finding("dsnu", 4293.0, 1.0), proof)
+
+
+def test_a_structure_without_a_name_is_described_in_words():
+    axes = Axes("readout", "pixel", "redrawn", "all noise", "neighbours")
+    entry = finding("unknown", 0.05, 0.01, "UNKNOWN_STRUCTURE")
+    said = said_of(entry, Proof(None, 9.0, 1.0, 20.0, 99), axes)
+    assert said.startswith(
+        "A structure without a name, from pixel to pixel, new in every frame, in proportion to all noise "
+        "(law: neighbours): strength 0.05 (90 %: 0.04 to 0.06)"
+    )
+
+
+def test_names_that_cannot_be_told_apart_are_listed():
+    candidates = [{"mechanism": m, "probability": 0.3} for m in ("row_noise", "banding", "unknown", "rts")]
+    entry = finding("row_noise", 1.0, 0.1, "AMBIGUOUS", candidates=candidates)
+    said = said_of(entry, Proof(None, None, math.nan, math.nan, 0))
+    assert said.startswith(
+        "These recordings cannot tell row noise, banding and rts apart; as row noise: 1 DN"
+    )
 
 
 def test_page_counts_names_and_tells_what_is_not_confirmed():

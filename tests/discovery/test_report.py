@@ -274,7 +274,7 @@ def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():
             entry,
             SimpleNamespace(named=SimpleNamespace(signature=signature), late=False),
             proof,
-            VOCABULARY["dsnu"].definition,
+            VOCABULARY["dsnu"],
         )
 
     assert "growing with the exposure" in said("thermal")

@@ -284,7 +284,7 @@ def test_words_card_and_limits_are_complete(signature):
                 for n, (v, u, e) in {"shortfall": (0.9, "1", 0.1), **score.parameters}.items()
             },
         }
-        said = sentence(entry, step, Proof(score, 5.0, 1.0, 9.0, 100), VOCABULARY[id].definition)
+        said = sentence(entry, step, Proof(score, 5.0, 1.0, 9.0, 100), VOCABULARY[id])
         assert "90 %" in said and "nan" not in said
         grows = "exposure" in said
         assert grows or signature.axes.scales != "exposure"

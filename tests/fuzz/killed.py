@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import resource
+import signal
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -57,6 +59,18 @@ def write_reports(folder: str) -> None:
             write_sensor(out / "sensor.json", model)
 
 
+def small_state():
+    """A state of training with a few arrays in place of networks."""
+    import jax
+    import jax.numpy as jnp
+
+    from cannoise_jax.training.state import State
+
+    part = {"params": {"w": jnp.zeros((32, 32)), "b": jnp.zeros(7)}, "spectral": {}}
+    zero = jnp.zeros((), jnp.int32)
+    return State(zero, zero, jax.random.key(3), part, part, part, {}, {}, {"generator": part["params"]})
+
+
 def train(folder: str) -> None:
     """The loop of training with its checkpoints, around a step that needs no compiling; it resumes what is
     there, and at its end writes the digest of the state."""
@@ -64,15 +78,9 @@ def train(folder: str) -> None:
     import jax.numpy as jnp
 
     from cannoise_jax.training import loop
-    from cannoise_jax.training.state import State
 
     (Path(folder) / "ready").touch()
     config = _config()
-
-    def state() -> State:
-        part = {"params": {"w": jnp.zeros((32, 32)), "b": jnp.zeros(7)}, "spectral": {}}
-        zero = jnp.zeros((), jnp.int32)
-        return State(zero, zero, jax.random.key(3), part, part, part, {}, {}, {"generator": part["params"]})
 
     def step(state, batch):
         time.sleep(0.004)
@@ -98,8 +106,8 @@ def train(folder: str) -> None:
 
     silent = SimpleNamespace(update=lambda n=1: None, set_postfix=lambda *a, **k: None)
     loop.batches = lambda *a, **k: Source()
-    loop.init_state = lambda *a, **k: state()
-    loop.abstract_state = lambda *a, **k: state()
+    loop.init_state = lambda *a, **k: small_state()
+    loop.abstract_state = lambda *a, **k: small_state()
     loop.make_train_step = lambda *a, **k: step
     loop.make_sampler = lambda config: lambda state: None
     loop._validate = lambda writer, step, *a, **k: 1 / step
@@ -114,6 +122,17 @@ def train(folder: str) -> None:
     for leaf in jax.tree.leaves(outcome.state._replace(key=None)._asdict()):
         whole.update(np.asarray(leaf).tobytes())
     (Path(folder) / "digest").write_text(f"{outcome.step} {whole.hexdigest()}")
+
+
+def train_on_a_full_disk(folder: str, size: str) -> None:
+    """As `train`, where files end at `size` bytes."""
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(size), most[1]))
+    try:
+        train(folder)
+    finally:  # what is said is written to a file, too
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
 
 
 def _config():

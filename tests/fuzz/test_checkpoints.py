@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import shutil
 from pathlib import Path
-from runpy import run_path
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +13,15 @@ import pytest
 
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.checkpoint import Checkpoints
-from cannoise_jax.training.state import abstract_state, init_state
-from tests.conftest import ROOT
 from tests.fuzz.damage import damaged_bytes
+from tests.fuzz.killed import small_state
 
 
 @pytest.fixture(scope="module")
-def config():
-    return run_path(str(ROOT / "configs" / "ci.py"))["get_config"]()
-
-
-@pytest.fixture(scope="module")
-def saved(config, tmp_path_factory):
+def saved(tmp_path_factory):
     """A workdir with two checkpoints, the newest not the best; and its newest state."""
-    state = init_state(config, 5)
+    draw = jax.random.normal(jax.random.key(0), (64, 64))
+    state = small_state()._replace(generator={"params": {"w": draw, "b": draw[0]}, "spectral": {}})
     folder = tmp_path_factory.mktemp("saved")
     checkpoints = Checkpoints(folder)
     for step, score in [(1, 0.1), (4, 0.3)]:
@@ -66,7 +60,7 @@ def outcome(folder: Path, like, state) -> str:
     return "restored"
 
 
-def damage_and_restore(saved, config, seed: int, folder: Path) -> str:
+def damage_and_restore(saved, seed: int, folder: Path) -> str:
     rng = random.Random(seed)
     workdir, state = saved
     shutil.copytree(workdir, folder)
@@ -79,26 +73,26 @@ def damage_and_restore(saved, config, seed: int, folder: Path) -> str:
     else:
         victim.write_bytes(damaged_bytes(rng, victim.read_bytes())[0])
     try:
-        return outcome(folder, abstract_state(config, 5), state)
+        return outcome(folder, jax.eval_shape(lambda: state), state)
     finally:
         shutil.rmtree(folder)
 
 
-def test_damaged_checkpoints_are_refused_or_whole(saved, config, tmp_path, capfd):
-    outcomes = [damage_and_restore(saved, config, seed, tmp_path / "w") for seed in range(8)]
+def test_damaged_checkpoints_are_refused_or_whole(saved, tmp_path, capfd):
+    outcomes = [damage_and_restore(saved, seed, tmp_path / "w") for seed in range(8)]
     assert "refused" in outcomes
     printed = capfd.readouterr()
     assert "Traceback" not in printed.out + printed.err
 
 
 @pytest.mark.slow
-def test_many_damaged_checkpoints_are_refused_or_whole(saved, config, tmp_path):
-    outcomes = [damage_and_restore(saved, config, 100 + seed, tmp_path / "w") for seed in range(300)]
+def test_many_damaged_checkpoints_are_refused_or_whole(saved, tmp_path):
+    outcomes = [damage_and_restore(saved, 100 + seed, tmp_path / "w") for seed in range(300)]
     print({name: outcomes.count(name) for name in sorted(set(outcomes))})
     assert outcomes.count("refused") > 100 and "restored" in outcomes
 
 
-def test_five_flipped_bytes_in_the_numbers_are_seen(saved, config, tmp_path):
+def test_five_flipped_bytes_in_the_numbers_are_seen(saved, tmp_path):
     workdir, state = saved
     folder = tmp_path / "w"
     shutil.copytree(workdir, folder)
@@ -108,10 +102,10 @@ def test_five_flipped_bytes_in_the_numbers_are_seen(saved, config, tmp_path):
     for _ in range(5):
         content[rng.randrange(len(content) // 4, 3 * len(content) // 4)] ^= 0x10
     victim.write_bytes(bytes(content))
-    assert outcome(folder, abstract_state(config, 5), state) == "refused"
+    assert outcome(folder, jax.eval_shape(lambda: state), state) == "refused"
 
 
-def test_a_changed_score_is_seen(saved, config, tmp_path):
+def test_a_changed_score_is_seen(saved, tmp_path):
     folder = tmp_path / "w"
     shutil.copytree(saved[0], folder)
     record = folder / "checkpoints" / "1" / "iterator" / "metadata"

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import stat
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import Camera, Setting, make_model, save_model
-from tests.conftest import ROOT
+from tests.conftest import ROOT, SIMULATION
 from tests.fuzz.cases import Case, Kit, make_case
 from tests.fuzz.samples import write_samples
 from tests.recordings.folders.night import night
@@ -37,7 +38,9 @@ class Worker:
     """The process that runs the cases."""
 
     def __init__(self):
-        environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
+        # All that is compiled is kept: each fork starts from nothing.
+        cache = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+        environment = {**os.environ, **cache, "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tests.fuzz.worker"],
             cwd=ROOT,
@@ -45,6 +48,7 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            start_new_session=True,
         )
 
     def run(
@@ -64,14 +68,10 @@ class Worker:
 
     def close(self):
         self.process.stdin.close()
-        self.process.wait(30)
-
-
-@pytest.fixture(scope="module")
-def worker():
-    started = Worker()
-    yield started
-    started.close()
+        try:
+            self.process.wait(10)
+        except subprocess.TimeoutExpired:  # a run was interrupted in the middle of a case
+            os.killpg(self.process.pid, signal.SIGKILL)
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +181,25 @@ def run_cases(kit: Kit, worker: Worker, seeds, folder: Path) -> tuple[Counter, l
     return counts, failures
 
 
+OUTCOMES = ("refused", "accepted", "fault")
+WHAT = {
+    "file": "bytes of a recording, any format",
+    "attribute": "fields of a recording",
+    "frames": "type and shape of frames",
+    "header": "keywords of FITS files",
+    "side-car": "JSON beside a stack",
+    "thing": "pipes, broken links, claims of terabytes",
+    "folder": "one file of a night",
+    "calibrate": "flats and darks",
+    "sensor": "a camera model and its maps",
+    "model": "a trained model",
+    "result": "a published result",
+    "call": "command lines of all commands",
+}
+"""The kinds of cases, by their first word, as docs/reliability.md has them."""
+CODE = ("cannoise_jax/commands", *SIMULATION, "cannoise_jax/discovery")
+
+
 def report(counts: Counter) -> str:
     totals = Counter()
     for (_, outcome), n in counts.items():
@@ -197,9 +216,21 @@ def test_three_hundred_cases(kit, worker, tmp_path):
 
 
 @pytest.mark.slow
-def test_ten_thousand_cases(kit, worker, tmp_path):
-    counts, failures = run_cases(kit, worker, range(1_000, 11_000), tmp_path)
+def test_ten_thousand_cases(kit, worker, tmp_path, request, tables):
+    first, number = (request.config.getoption(name) for name in ("--first-seed", "--cases"))
+    counts, failures = run_cases(kit, worker, range(first, first + number), tmp_path)
     print(report(counts))
+    columns = ("what is damaged or odd", "cases", *OUTCOMES)
+    whole: Counter = Counter()
+    for (kind, outcome), n in counts.items():
+        whole[WHAT[kind.partition(" ")[0]], outcome] += n
+        whole["all", outcome] += n
+    rows = [
+        (what, str(sum(whole[what, o] for o in OUTCOMES)), *(str(whole[what, o]) for o in OUTCOMES))
+        for what in (*WHAT.values(), "all")
+    ]
+    values = {"seeds": f"{first:,} to {first + number - 1:,}", "cases": f"{number:,}"}
+    tables.add("fuzz", columns, rows, CODE, **values, faults=str(whole["all", "fault"]))
     assert not failures, "\n".join(failures)
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import random
-import resource
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -26,13 +23,12 @@ from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.test_fuzz import Worker, prepared
 
 FEW, MANY, SOME = 3, 200, 50
-
-
-@pytest.fixture(scope="module")
-def worker():
-    started = Worker()
-    yield started
-    started.close()
+CODE = (
+    *("cannoise_jax/recordings/atomic.py", "cannoise_jax/recordings/native.py", "cannoise_jax/training"),
+    *("cannoise_jax/physics/core/sensor_json.py", "cannoise_jax/discovery/save.py"),
+    *(f"cannoise_jax/commands/{name}.py" for name in ("convert", "diagnose", "sample_frames", "simulate")),
+)
+"""What the table of docs/reliability.md depends on."""
 
 
 def kill(worker: Worker, target: str, folder: Path, seconds: float) -> bool:
@@ -49,11 +45,17 @@ def leftovers(folder: Path) -> list[str]:
     return [p.name for p in folder.rglob(".*") if p.name.endswith((".partial", ".tmp"))]
 
 
+def told(tables, what: str, killed: int, runs: int, held: str) -> None:
+    """Notes a series of kills for the table."""
+    row = (what, f"{killed} of {runs}", held)
+    tables.add("kills", ("killed at random times", "before its end", "what held each time"), [row], CODE)
+
+
 def counts(request) -> int:
     return MANY if request.config.getoption("--slow") else FEW
 
 
-def test_a_camera_model_is_one_of_the_two_that_were_written(worker, tmp_path, request):
+def test_a_camera_model_is_one_of_the_two_that_were_written(worker, tmp_path, request, tables):
     rng, seen = random.Random(0), set()
     path = tmp_path / "sensor.json"
     write_sensor(path, killed.versions(1))
@@ -66,9 +68,10 @@ def test_a_camera_model_is_one_of_the_two_that_were_written(worker, tmp_path, re
         seen.add(number)
     write_sensor(path, killed.versions(2))
     assert leftovers(tmp_path) == [] and (len(seen) == 2 or counts(request) == FEW)
+    told(tables, "a camera model written over and over", *2 * (counts(request),), "one of the two versions")
 
 
-def test_a_recording_is_whole(worker, tmp_path, request):
+def test_a_recording_is_whole(worker, tmp_path, request, tables):
     rng = random.Random(1)
     for _ in range(counts(request)):
         assert kill(worker, "write_recordings", tmp_path, 0.02 + rng.uniform(0, 0.1))
@@ -77,9 +80,10 @@ def test_a_recording_is_whole(worker, tmp_path, request):
             assert values.shape == (4, 32, 48) and values.min() == values.max() in (1, 2)
     write_recording(tmp_path / "r.h5", read_recording(tmp_path / "r.h5"))
     assert leftovers(tmp_path) == []
+    told(tables, "a recording written over and over", *2 * (counts(request),), "one of the two versions")
 
 
-def test_the_files_of_a_report_are_whole(worker, tmp_path, request):
+def test_the_files_of_a_report_are_whole(worker, tmp_path, request, tables):
     rng = random.Random(2)
     for _ in range(counts(request)):
         assert kill(worker, "write_reports", tmp_path, 0.05 + rng.uniform(0, 0.2))
@@ -89,9 +93,12 @@ def test_the_files_of_a_report_are_whole(worker, tmp_path, request):
                 assert len(lines) == 1000 and len(set(lines)) == 1
         if (tmp_path / "sensor.json").exists():
             read_sensor(tmp_path / "sensor.json")
+    told(
+        tables, "the files of a report written over and over", *2 * (counts(request),), "every file is whole"
+    )
 
 
-def test_training_that_is_killed_ends_at_the_same_bits(worker, tmp_path, request):
+def test_training_that_is_killed_ends_at_the_same_bits(worker, tmp_path, request, tables):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     whole.mkdir()
     parts.mkdir()
@@ -114,9 +121,40 @@ def test_training_that_is_killed_ends_at_the_same_bits(worker, tmp_path, request
     assert (parts / "digest").read_text() == expected
     stored = sorted(p.name for p in (parts / "w" / "checkpoints").iterdir())
     assert all(name.isdigit() for name in stored), "what a kill left is cleaned up"
+    told(tables, "the loop of training, a step of milliseconds", kills, rounds, "it ends at the same bits")
 
 
-def test_convert_that_is_killed_leaves_nothing_or_all(worker, tmp_path, request):
+@pytest.mark.slow
+def test_the_command_train_that_is_killed_ends_at_the_same_bits(worker, tmp_path, tables):
+    """Networks, data and checkpoints of the tiny config."""
+    folder, rng, killed_, rounds = prepared(tmp_path / "case"), random.Random(7), 0, 0
+    steps = ["--config.steps=12", "--config.checkpoint_every=2", "--config.evaluate_every=6"]
+    config = str(ROOT / "configs" / "ci.py")
+    case = Case("", "train", ["--workdir", "out/w", "--config", config, *steps])
+    model = folder / "out" / "w" / "model.npz"
+
+    def bits() -> str:
+        with np.load(model) as stored:
+            return hashlib.sha256(b"".join(stored[name].tobytes() for name in sorted(stored))).hexdigest()
+
+    worker.run(case, folder, 1000, cpu=1000)  # what it compiles the others load
+    expected = bits()
+    shutil.rmtree(folder / "out" / "w")
+    whole = worker.run(case, folder, 1000, cpu=1000)
+    assert whole["status"] == 0 and bits() == expected, whole["err"][-600:]
+    while killed_ < SOME:
+        rounds += 1
+        if model.exists():
+            assert bits() == expected
+            shutil.rmtree(folder / "out" / "w")
+        answer = worker.run(case, folder, rng.uniform(0, 1.05) * whole["seconds"], cpu=1000)
+        assert answer["status"] in ("hung", 0), answer["err"][-600:]
+        killed_ += answer["status"] == "hung"
+    assert worker.run(case, folder, 1000, cpu=1000)["status"] == 0 and bits() == expected
+    told(tables, "`train`, the tiny config", killed_, rounds, "it ends at the same bits")
+
+
+def test_convert_that_is_killed_leaves_nothing_or_all(worker, tmp_path, request, tables):
     rng = random.Random(4)
     folder = prepared(tmp_path / "case")
     native(folder / "in" / "a.h5", frames(), FIELDS)
@@ -130,6 +168,7 @@ def test_convert_that_is_killed_leaves_nothing_or_all(worker, tmp_path, request)
     assert worker.run(case, folder)["status"] == 0
     assert [p.name for p in (folder / "out").iterdir()] == ["made.h5"]
     assert set(ended) <= {0, "hung"}
+    told(tables, "`convert`", ended.count("hung"), len(ended), "nothing, or the whole recording")
 
 
 def sound(path: Path) -> bool:
@@ -180,47 +219,30 @@ def drawing(folder: Path, command: str) -> Case:
 
 
 @pytest.mark.parametrize("command", ["simulate", pytest.param("sample", marks=pytest.mark.slow)])
-def test_drawing_that_is_killed_leaves_whole_recordings(command, worker, tmp_path, request):
+def test_drawing_that_is_killed_leaves_whole_recordings(command, worker, tmp_path, request, tables):
     folder = prepared(tmp_path / "case")
     kills = SOME if request.config.getoption("--slow") else FEW
     count = survives(worker, drawing(folder, command), folder, kills, 5)
-    print(f"{command}: {count} of {kills} killed before their end")
+    told(tables, f"`{command}`", count, kills, "every recording is whole, and the next run completes them")
     assert count
 
 
 @pytest.mark.slow
-def test_a_diagnosis_that_is_killed_leaves_whole_reports(worker, tmp_path):
+def test_a_diagnosis_that_is_killed_leaves_whole_reports(worker, tmp_path, tables):
     folder = prepared(tmp_path / "case")
-    for recording in capture_set(5, kinds="df", size=(48, 64)).recordings:
+    for recording in capture_set(5, kinds="d", size=(32, 48)).recordings:
         write_recording(folder / "in" / recording.path, recording)
     case = Case("", "diagnose", ["--recordings", "in", "--out", "out", "--force"])
     count = survives(worker, case, folder, SOME, 6, cpu=1000)
-    print(f"diagnose: {count} of {SOME} killed before their end")
+    told(tables, "`diagnose`", count, SOME, "every file is whole, and the next run replaces them")
     assert count > SOME // 2
 
 
-def limited(size: int):
-    """In a child: files end at `size` bytes, as on a full disk."""
-
-    def set_up():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    return set_up
-
-
 @pytest.mark.parametrize("size", [100, 3_000])
-def test_training_on_a_full_disk_is_one_line_and_resumes(tmp_path, size):
-    program = (
-        "import sys; from tests.fuzz import killed; from cannoise_jax.recordings.recording import BadInput\n"
-        "try: killed.train(sys.argv[1])\n"
-        "except BadInput as error: print(f'bin/train: {error}', file=sys.stderr); sys.exit(2)"
-    )
-    call = [sys.executable, "-c", program, str(tmp_path)]
-    full = subprocess.run(
-        call, cwd=ROOT, capture_output=True, text=True, preexec_fn=limited(size), timeout=120
-    )
-    lines = full.stderr.strip().splitlines()
-    assert full.returncode == 2 and len(lines) == 1 and "cannot be written" in lines[0], full.stderr[-800:]
-    again = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert again.returncode == 0 and (tmp_path / "digest").exists(), again.stderr[-800:]
+def test_training_on_a_full_disk_is_one_line_and_resumes(worker, tmp_path, size):
+    full = Case("", "read:tests.fuzz.killed.train_on_a_full_disk", [str(tmp_path), str(size)])
+    answer = worker.run(full, tmp_path, 120)
+    lines = answer["err"].strip().splitlines()
+    assert answer["status"] == 2 and len(lines) == 1 and "cannot be written" in lines[0], answer["err"][-800:]
+    again = worker.run(Case("", "read:tests.fuzz.killed.train", [str(tmp_path)]), tmp_path, 120)
+    assert again["status"] == 0 and (tmp_path / "digest").exists(), again["err"][-800:]

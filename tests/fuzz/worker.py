@@ -12,6 +12,7 @@ import importlib
 import json
 import math
 import os
+import pkgutil
 import resource
 import select
 import signal
@@ -21,22 +22,16 @@ import time
 import traceback
 import warnings
 
-PRELOADED = (
-    *("convert", "calibrate", "sample", "simulate", "train", "diagnose", "compare", "evaluate", "denoise"),
-    *("bench", "blind"),
-)
+import cannoise_jax
 
-READERS = (
-    *("h5py", "astropy.io.fits", "tifffile", "rawpy", "PIL.Image", "jax.numpy"),
-    *("cannoise_jax.sampling", "cannoise_jax.recordings.folders.store"),
-)
+READERS = ("h5py", "astropy.io.fits", "tifffile", "rawpy", "PIL.Image", "jax.numpy")
+"""What modules import only when they need it."""
 
 
 def main() -> int:
     warnings.filterwarnings("ignore", category=RuntimeWarning, message=r".*fork.*")
-    for name in PRELOADED:
-        importlib.import_module(f"cannoise_jax.commands.{name}")
-    for name in READERS:
+    inside = (module.name for module in pkgutil.walk_packages(cannoise_jax.__path__, "cannoise_jax."))
+    for name in (*READERS, *inside):
         importlib.import_module(name)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a module prints is no answer

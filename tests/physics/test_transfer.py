@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.load import load_capture_set
+from tests.conftest import SIMULATION
 
 BLACK, WHITE, GAIN, READ = 200.0, 16383.0, 2.5, 3.0
 
@@ -201,7 +202,7 @@ def test_interval_of_a_variance_difference_covers_near_zero():
         assert 340 <= hits <= 380
 
 
-def test_agrees_with_the_emva_1288_reference_code(monkeypatch):
+def test_agrees_with_the_emva_1288_reference_code(monkeypatch, tables):
     pytest.importorskip("emva1288", reason="optional: pip install emva1288")
     if not hasattr(np, "asfarray"):  # the reference code was written for numpy 1
         monkeypatch.setattr(np, "asfarray", lambda a: np.asarray(a, float), raising=False)
@@ -234,10 +235,15 @@ def test_agrees_with_the_emva_1288_reference_code(monkeypatch):
     noise = np.mean([o.value for o in ours.outcomes("temporal dark noise", "e-")])
     dsnu = np.mean([o.value for o in ours.outcomes("DSNU1288", "e-")])
     prnu = np.mean([o.value for o in ours.outcomes("PRNU1288")])
-    assert gain == pytest.approx(reference.K, rel=0.02)
-    assert noise == pytest.approx(reference.sigma_d, rel=0.03)
-    assert dsnu == pytest.approx(reference.DSNU1288, rel=0.04)
-    assert prnu == pytest.approx(reference.PRNU1288, rel=0.04)
+    for name, value, other, most in (
+        ("system gain, DN/e-", gain, reference.K, 0.02),
+        ("temporal dark noise, e-", noise, reference.sigma_d, 0.03),
+        ("DSNU, e-", dsnu, reference.DSNU1288, 0.04),
+        ("PRNU, %", prnu, reference.PRNU1288, 0.04),
+    ):
+        assert value == pytest.approx(other, rel=most), name
+        row = (name, f"{value:.4g}", f"{other:.4g}", f"{100 * (value / other - 1):+.1f} %")
+        tables.add("emva1288_agreement", ("quantity", "here", "emva1288", "difference"), [row], SIMULATION)
     assert gain == pytest.approx(GAIN, rel=0.01) and noise == pytest.approx(READ, rel=0.02)
 
 
@@ -257,9 +263,10 @@ BY_HAND = {
     "fixed pattern": 0.65,
 }
 """Measured by hand on the real camera, in DN, per cent or 1."""
+HAND_COLUMNS = ("quantity (DN, % or 1)", "by hand", "the same, corrected", "measured (90 % interval)")
 
 
-def test_real_camera_matches_what_was_measured_by_hand(real_data):
+def test_real_camera_matches_what_was_measured_by_hand(real_data, tables):
     (result,) = photon_transfer(load_capture_set(real_data / "asi178"))
     # By hand means of 256 rows were taken out: 1/255 of the correlation down a column, too.
     by_hand = dict(BY_HAND)
@@ -271,9 +278,17 @@ def test_real_camera_matches_what_was_measured_by_hand(real_data):
         rounding = 0.5 * 10.0 ** -len(f"{BY_HAND[name]:g}".partition(".")[2])
         slack = max(0.02 * abs(value), (found.ci90[1] - found.ci90[0]) / 2) + rounding
         assert abs(found.value - value) <= slack, (name, found)
+        low, high = found.ci90
+        row = (name, f"{BY_HAND[name]:g}", f"{value:.3g}", f"{found.value:.4g} ({low:.4g} to {high:.4g})")
+        tables.add("photon_transfer", HAND_COLUMNS, [row], SIMULATION)
     for gain in result.outcomes("system gain"):
         assert 4.21 * 0.98 < gain.value < 4.24 * 1.02
     prnu = [o.value for o in result.outcomes("PRNU1288, pixels")]
+    gains = [o.value for o in result.outcomes("system gain")]
+    ranges = (("system gain, DN/e-", "4.21–4.24", gains), ("PRNU, pixels, %", "0.36–0.51", prnu))
+    measured = [f"{min(of):.4g}–{max(of):.4g}" for _, _, of in ranges]
+    rows = [(name, hand, hand, said) for (name, hand, _), said in zip(ranges, measured, strict=True)]
+    tables.add("photon_transfer", HAND_COLUMNS, rows, SIMULATION, gain=measured[0], gain_hand="4.21–4.24")
     assert abs(min(prnu) - 0.36) < 0.008 and abs(max(prnu) - 0.51) < 0.011
     # A fixed row pattern of 0.37 DN would be what temporal row noise leaves in the average of 15 frames.
     (rows,), (profile,) = (

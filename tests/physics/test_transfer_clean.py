@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms
 from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 from cannoise_jax.recordings.recording import Recording, per_channel
+from tests.conftest import SIMULATION
 
 
 def shot(rng, kind, light, seconds=0.01, frames=8, gain=2.0, read=3.0):
@@ -60,8 +61,11 @@ def test_nothing_enters_that_is_not_there():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_hardly_ever_does_anything_enter_that_is_not_there(kind):
+def test_hardly_ever_does_anything_enter_that_is_not_there(kind, tables):
     found = [entries(kind, seed) for seed in range(100)]
+    named = ", ".join(sorted({id for ids in found for id in ids})) or "none"
+    row = (kind, f"{sum(map(bool, found))} of {len(found)}", named)
+    tables.add("false_mechanisms", ("simulated clean sets", "with a mechanism", "which"), [row], SIMULATION)
     assert sum(map(bool, found)) <= 4, found
 
 

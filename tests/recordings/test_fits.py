@@ -212,3 +212,12 @@ def test_a_kind_that_is_not_known_is_said(tmp_path, caplog):
     assert "IMAGETYP 'Zorbl' is unknown: taken for a scene" in caplog.text
     caplog.clear()
     assert load_recording(path, cfa="MONO", kind="dark", **LEVELS).kind == "dark" and not caplog.text
+
+
+def test_accents_in_a_header_do_no_harm(tmp_path):
+    """The standard forbids them, and programs write them: an observer, a place."""
+    path = write(tmp_path / "a.fits", FRAMES, INSTRUME="Camera", OBSERVER="Jose X")
+    path.write_bytes(path.read_bytes().replace(b"Jose", b"Jos\xe9"))
+    recording = load_recording(path, cfa="MONO", black_level=0, white_level=65535)
+    np.testing.assert_array_equal(recording.frames[:], FRAMES)
+    assert recording.camera == "Camera"

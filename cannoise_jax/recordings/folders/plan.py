@@ -106,7 +106,7 @@ def text(plan: Plan) -> str:
             lines.append(f"  {group.label + '.h5':<28} {words:<10} {_settings(group):<26} {from_}")
     lines += [f"note: {note}" for note in plan.notes]
     lines += [f"missing or contradictory: {problem}" for problem in plan.problems]
-    return "\n".join(lines)
+    return "\n".join(" ".join(line.splitlines()) for line in lines)
 
 
 def _cfa(one: CaptureGroups) -> str:
@@ -131,6 +131,13 @@ def _notes(found: Scan) -> list[str]:
         by_fault.setdefault(fault, []).append(name)
     notes += [f"{_listed(names)}: {fault}: left out" for fault, names in by_fault.items()]
     notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
+    by_doubt: dict[str, list[str]] = {}
+    for shot in found.shots:
+        if shot.about.get("doubt"):
+            by_doubt.setdefault(shot.about["doubt"], []).append(shot.name)
+    notes += [f"{_listed(names)}: {doubt}" for doubt, names in by_doubt.items()]
+    if found.links:
+        notes.append(f"{_listed(found.links)}: not read, links to folders are not followed")
     if found.unread:
         counts = ", ".join(f"{n} {suffix}" for suffix, n in sorted(found.unread.items()))
         notes.append(f"not read: {counts} (developed pictures and films hold no raw values)")

@@ -49,7 +49,8 @@ class Shot(NamedTuple):
 
 class Scan(NamedTuple):
     """The files of a folder. averages: masters and stacks, with the words that say so. failures: why a file
-    cannot be used. duds: files whose frames hold no noise, and why. unread: of other formats, by suffix."""
+    cannot be used. duds: files whose frames hold no noise, and why. unread: of other formats, by suffix.
+    links: to folders; they may lead anywhere, in circles too."""
 
     shots: tuple[Shot, ...]
     averages: tuple[tuple[str, str], ...]
@@ -57,6 +58,7 @@ class Scan(NamedTuple):
     copies: tuple[tuple[str, str], ...]
     failures: tuple[tuple[str, str], ...]
     unread: dict[str, int]
+    links: tuple[str, ...]
 
 
 class _Dud(BadInput):
@@ -72,7 +74,8 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
         raise BadInput(f"{folder}: no such folder")
     shots, averages, failures, copies, duds = [], [], [], [], []
     unread: dict[str, int] = {}
-    found = list(_files(folder, tuple(leave_out), unread))
+    links: list[str] = []
+    found = list(_files(folder, tuple(leave_out), unread, links))
     if not found:
         kinds = f", only {_counted(unread)}" if unread else ""
         raise BadInput(f"{folder}: holds no recordings{kinds}: see bin/convert --help for the formats")
@@ -103,7 +106,9 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
         seen[key] = name
         shots.append(shot)
     tell(len(found), len(found))
-    return Scan(tuple(shots), tuple(averages), tuple(duds), tuple(copies), tuple(failures), unread)
+    return Scan(
+        tuple(shots), tuple(averages), tuple(duds), tuple(copies), tuple(failures), unread, tuple(links)
+    )
 
 
 def matches(name: str, pattern: str) -> bool:
@@ -112,7 +117,7 @@ def matches(name: str, pattern: str) -> bool:
     return fnmatch(name, pattern) or any(fnmatch(part, pattern) for part in parts)
 
 
-def _files(folder: Path, leave_out: tuple[str, ...], unread: dict[str, int]):
+def _files(folder: Path, leave_out: tuple[str, ...], unread: dict[str, int], links: list[str]):
     if sidd.is_instance(folder):
         yield folder
         return
@@ -120,6 +125,8 @@ def _files(folder: Path, leave_out: tuple[str, ...], unread: dict[str, int]):
         base = Path(root)
         instances = [f for f in sorted(folders) if sidd.is_instance(base / f)]
         folders[:] = sorted(f for f in folders if not f.startswith(".") and f not in instances)
+        named = ((base / f).relative_to(folder).as_posix() for f in folders if (base / f).is_symlink())
+        links += [name for name in named if not any(matches(name, pattern) for pattern in leave_out)]
         for path in sorted([base / n for n in names] + [base / f for f in instances]):
             name = str(path.relative_to(folder))
             if path.name.startswith(".") or any(matches(name, pattern) for pattern in leave_out):

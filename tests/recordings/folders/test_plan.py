@@ -291,6 +291,22 @@ def test_files_of_one_value_are_left_out_and_said(tmp_path):
     assert blanks.sets == () and "every pixel is 0" in blanks.problems[0]
 
 
+def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_path):
+    folder = night(tmp_path / "in")
+    for name, seconds in (("a", {"EXPTIME": "1,5"}), ("b\n", {"EXPTIME": 2.0, "EXPOSURE": 20.0})):
+        shot(folder / f"dark_{name}.fits", "dark", IMAGETYP="Dark", INSTRUME="Acme 100", **seconds)
+    (folder / "night before").symlink_to(tmp_path)  # and back in here
+    plan = plan_folder(folder)
+    assert "dark_a.fits: EXPTIME '1,5': no time: not used" in notes(plan)
+    assert "EXPTIME 2 s and EXPOSURE 20 s contradict: EXPTIME 2 s is used" in notes(plan)
+    assert "night before: not read, links to folders are not followed" in notes(plan)
+    assert "dark_b .fits" in text(plan) and len(plan.shots) == 8
+    (folder / "dark_b\n.fits").write_bytes(b"no header")
+    with pytest.raises(BadInput) as refused:
+        check(plan_folder(folder))
+    assert "\n" not in str(refused.value) and "not a readable FITS file" in str(refused.value)
+
+
 def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_path, monkeypatch):
     folder, cache = night(tmp_path / "in"), tmp_path / "cache"
     (cache / ".making-999999999-x").mkdir(parents=True)

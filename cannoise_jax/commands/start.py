@@ -1,0 +1,40 @@
+"""Starts a command by its name: python -m cannoise_jax.commands.start NAME ...
+
+Loading a command takes some tenths of a second. Ctrl-C ends it within that time as it does later.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+
+def run(name: str) -> int:
+    """Loads and runs a command; returns its status."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # else it is ignored, as a shell has it for what runs behind
+        signal.signal(signal.SIGINT, partial(_end, name))
+    main = import_module(f"cannoise_jax.commands.{name}").main
+    signal.signal(signal.SIGINT, before)
+    return main()
+
+
+def _end(name: str, *_: Any) -> None:
+    # An exception in the middle of an import may be lost, or turned into another one.
+    os.write(2, f"bin/{name}: interrupted\n".encode())
+    os._exit(130)
+
+
+def __getattr__(name: str) -> Any:
+    """The commands by name, as the installed scripts ask for them."""
+    if name.startswith("_"):
+        raise AttributeError(name)
+    return partial(run, name)
+
+
+if __name__ == "__main__":
+    sys.exit(run(sys.argv.pop(1)))
