@@ -120,6 +120,9 @@ def own_part(full: Compared, less: Compared) -> Part:
             continue
         one = mismatch(other, less.recorded[j.where].families[j.family])
         two = mismatch(j, full.recorded[j.where].families[j.family])
+        # Where the simulator's own units scatter more than independent ones, the nats weigh less.
+        weight = np.clip(0.5 * j.z**2 / np.maximum(two, 1e-9), 0.0, 1.0) * (two > 1) + (two <= 1)
+        one, two = weight * one, weight * two
         own = _moved(one, two)
         if j.family.endswith("structure"):
             own |= _broken(own, full.seen[j.where].size)
@@ -129,11 +132,9 @@ def own_part(full: Compared, less: Compared) -> Part:
         found = np.flatnonzero(own & (np.abs(j.z) > j.passing))
         if found.size:
             left.append((j, found))
-    # Twice the nats of two equal normal laws are chi-squared, wider by the scatter of the draws.
-    wider = 1 + 1 / full.sets
-    more = number > 0 and float(stats.chi2.sf(2 * after / wider, number)) < _CHANCE
-    chance = 0.5 * wider * number
-    return Part(max(before - chance, 0.0), max(after - chance, 0.0), number, left, more)
+    # Twice the nats of two equal normal laws are chi-squared.
+    more = number > 0 and float(stats.chi2.sf(2 * after, number)) < _CHANCE
+    return Part(max(before - 0.5 * number, 0.0), max(after - 0.5 * number, 0.0), number, left, more)
 
 
 def doubt(full: Compared, less: Compared) -> Doubt | None:
