@@ -11,7 +11,7 @@ from cannoise_jax.discovery.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.card import card, lines
 from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.fit import Step
-from cannoise_jax.discovery.name import Named
+from cannoise_jax.discovery.name import Doubt, Named
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
 
 HIDDEN = ("row_noise", "row_pink_noise", "column_fpn", "column_gain")
@@ -63,3 +63,14 @@ def test_card_in_words_has_a_line_for_everything_known():
     assert "scales: signal" in text["Place in the grammar"]
     assert "power 1" in text["By signal"] and "±" in text["By signal"]
     assert "Nearest named mechanism" in text and "Means of rows" in text
+
+
+def test_a_card_says_which_name_was_withdrawn_and_why():
+    capture = capture_set(61, row_offsets(2.0), kinds="d")
+    prepared = prepare_split(capture, split_recordings(capture))
+    probe = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
+    named = Named(probe.score(prepared.fields), probe, "row_noise", (("row_noise", 1.0),), False)
+    step = Step(named.withdrawn(Doubt(0.43, ("parts of rows (frame to frame)",))), prepared.fields, -20.0)
+    entry = card(step, prepared.signatures, frozenset({"row_noise", "banding"}))
+    assert entry["nearest"] == "row_noise"
+    assert "43 %" in entry["why_rejected"] and "parts of rows" in entry["why_rejected"]
