@@ -37,10 +37,15 @@ class Checked(NamedTuple):
     held_back: bool
 
     @property
+    def nats(self) -> float:
+        """The mismatch of the simulator that is handed back."""
+        return sum(d.nats for d in self.after.differences)
+
+    @property
     def left(self) -> float | None:
         """Share of the mismatch, in nats, that is left; None where there was none."""
         first = sum(d.nats for d in self.before.differences)
-        return sum(d.nats for d in self.after.differences) / first if first > 0 else None
+        return self.nats / first if first > 0 else None
 
 
 def frames_for(splits: list[tuple[list[int], list[int]]]) -> Chosen:

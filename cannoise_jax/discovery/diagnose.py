@@ -185,17 +185,21 @@ def diagnose(
         tell("prove: on the frames held back")
         proven = prove(fitted, splits)
     sides = judged.sides(first, fitted.steps, own)
-    gated = remains = quality = None
+    gated = remains = quality = panel = None
     if compare and splits.can_prove:
         panel = open_panel(*judged_by(raw, fitted, sides, key))
         if panel is not None:
             tell("gate: draws of the simulator before and after")
             rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
             gated = gate(panel, sides, fitted.steps, proven, rest)
-            quality = quality_of(panel, gated.before, gated.after)
-            if not sides.likelihood:
-                tell("prove: composite score without each finding")
-                proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
+    if compare:
+        tell("check: what still differs")
+        gated, remains = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
+    if panel is not None and gated is not None:
+        quality = quality_of(panel, gated.before, gated.after)
+        if not sides.likelihood:
+            tell("prove: composite score without each finding")
+            proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
     if compare and sides.model is not None:
         against = doubts(
             judged.capture,
@@ -207,9 +211,6 @@ def diagnose(
             tell,
         )
         fitted, gated = withdrawn(fitted, gated, against)
-    if compare:
-        tell("check: what still differs")
-        remains = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
     return Diagnosis(
         judged.capture,
         judged.label,
@@ -311,21 +312,24 @@ def judged_by(
 
 def checked(
     judged: Judged, sides: Sides, gated: Gated | None, splits: Splits, alpha: float, key: Key[Array, ""]
-) -> Checked | None:
-    """What differs between the frames held back and draws before and after; None: none can be drawn."""
+) -> tuple[Gated | None, Checked | None]:
+    """What differs between the frames held back and draws before and after; None: none can be drawn. Where
+    the remainder makes that more than it was, it goes."""
     before = source_of(sides.model, sides.plain, judged.label, key)
-    model = sides.exported if gated is None else gated.model
-    same = model is sides.model
+
+    def against(model: SensorModel) -> Checked:
+        after = None if model is sides.model else lambda: source_of(model, sides.plain, AFTER, key)
+        return check(judged.capture, splits.frames, before, after, alpha * SHARED.layer)
+
     try:
-        return check(
-            judged.capture,
-            splits.frames,
-            before,
-            None if same else lambda: source_of(model, sides.plain, AFTER, key),
-            alpha * SHARED.layer,
-        )
+        found = against(sides.exported if gated is None else gated.model)
+        if gated is not None and gated.remainder and (found.left or 0.0) > 1:
+            without = against(gated.without_remainder.model)
+            if without.nats < found.nats:
+                return gated.without_remainder, without
     except BadInput:
-        return None
+        return gated, None
+    return gated, found
 
 
 def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:

@@ -2,8 +2,9 @@
 
 The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
 are tried alone. What no name explains enters, as the remainder, where it makes the draws better: beside
-all of these findings, beside those that are confirmed, or beside the fitted baseline alone. So the
-simulator that is handed back is no worse than the one that was given, or the report says so first.
+all of these findings, beside those that are confirmed, or beside the fitted baseline alone. It goes again
+where the layer that knows no names then finds more that differs than before. So the simulator that is
+handed back is no worse than the one that was given, or the report says so first.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class Tried(NamedTuple):
 
 class Gated(NamedTuple):
     """The simulator that is handed back, its measures and those of the one that was judged, the findings that
-    are in it, the candidates, and whether the remainder is in it."""
+    are in it, the candidates, and whether the remainder is in it; spare: the same without the remainder."""
 
     model: SensorModel
     before: Looked
@@ -83,6 +84,15 @@ class Gated(NamedTuple):
     steps: tuple[Step, ...]
     tried: tuple[Tried, ...]
     remainder: bool
+    spare: Gated | None = None
+
+    @property
+    def without_remainder(self) -> Gated:
+        """The simulator before the remainder was added, which was tried and did not enter."""
+        if self.spare is None:
+            return self
+        late = self.tried[len(self.spare.tried) :]
+        return self.spare._replace(tried=(*self.spare.tried, *(t._replace(entered=False) for t in late)))
 
 
 def gate(
@@ -116,7 +126,7 @@ def gate(
         if not tried.worse:
             model, after, kept = candidate, looked, some
             break
-    rest = False
+    rest, spare = False, Gated(model, before, after, kept, tuple(all_tried), False)
     # Findings that describe badly what they describe keep the remainder from describing it: it is tried
     # beside
     # fewer of them, and beside the fitted baseline, which also has nothing too much.
@@ -138,7 +148,7 @@ def gate(
         all_tried.append(tried._replace(entered=tried.better))
         if tried.better:
             model, after, kept, rest = candidate, looked, some, True
-    return Gated(model, before, after, kept, tuple(all_tried), rest)
+    return Gated(model, before, after, kept, tuple(all_tried), rest, spare if rest else None)
 
 
 def _told(panel: Panel, looked: Looked) -> bool:
