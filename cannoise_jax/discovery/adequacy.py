@@ -33,6 +33,8 @@ from cannoise_jax.signatures import bank
 
 LEFT = 0.25
 """Share of the mismatch of its own part, in nats, that a name may leave: half of it in amplitude."""
+LEFT_TOGETHER = 0.5
+"""The same where no single statistic differs significantly, but all together leave more than chance."""
 _BEARS = 4.0
 """Nats by which a statistic must change with a mechanism to be of its part: 2.8 standard deviations."""
 _CLEAR = 0.1
@@ -141,7 +143,7 @@ def doubt(full: Compared, less: Compared) -> Doubt | None:
     """What the simulator with a mechanism leaves of that mechanism's part of the mismatch; None where nothing
     significant is left or it is little."""
     part = own_part(full, less)
-    if not (part.left or part.more) or part.after <= LEFT * part.before:
+    if not (part.left or part.more) or part.after <= (LEFT if part.left else LEFT_TOGETHER) * part.before:
         return None
     return Doubt(part.after / max(part.before, 1e-9), tuple(lines_of(full, part.left)[:3]))
 
