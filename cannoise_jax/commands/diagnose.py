@@ -51,6 +51,9 @@ def main(argv: list[str] | None = None) -> int:
     before, after = report["before"]["two_sample_auc"], report["after"]["two_sample_auc"]
     if before is not None:
         print(f"told from draws of the simulator with an area of {before:.3f} before, {after:.3f} after")
+    left = (report["remains"] or {}).get("left")
+    if left is not None and left > 1:
+        print(f"the mismatch of what is handed back is {left:.3g} times that of what was judged, in nats")
     print(f"{arguments.out / 'report.html'}")
     return 0
 

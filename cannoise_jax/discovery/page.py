@@ -18,7 +18,7 @@ from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.pictures import quality_pictures, where_pictures
 from cannoise_jax.discovery.report import listed_steps
 from cannoise_jax.discovery.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
-from cannoise_jax.discovery.wording import amount
+from cannoise_jax.discovery.wording import CERTAIN, amount, nats
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.vocabulary import Term
 
@@ -207,6 +207,8 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
         percent=percent,
         sites=sites,
         size=size,
+        nats=nats,
+        certain=CERTAIN,
         pictures=pictures,
         measures=_MEASURES,
         number=number,

@@ -14,7 +14,7 @@ from cannoise_jax.vocabulary import Term
 
 _PLAIN = 1e6
 """Numbers from which on are written with an exponent."""
-_CERTAIN = 10.0
+CERTAIN = 10.0
 """Nats a pixel from which on more of them say nothing more: e^-10 a pixel is never met."""
 _OVER = {
     "raster time": "along the readout",
@@ -55,8 +55,8 @@ def amount(values: float | Sequence[float], unit: str | None, meaning: str = "")
 
 def nats(gain: float, pixels: int) -> str:
     """A gain on frames held back in words."""
-    if pixels and gain > _CERTAIN * pixels:
-        return f"more than {_CERTAIN:g} nats a pixel"
+    if pixels and gain > CERTAIN * pixels:
+        return f"more than {CERTAIN:g} nats a pixel"
     return f"{short(gain) if abs(gain) >= 1 else f'{gain:.1g}'} nats"
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import logging
 import math
 import os
 import pkgutil
@@ -33,6 +34,7 @@ def main() -> int:
     inside = (module.name for module in pkgutil.walk_packages(cannoise_jax.__path__, "cannoise_jax."))
     for name in (*READERS, *inside):
         importlib.import_module(name)
+    logging.getLogger().handlers.clear()  # a library's own would keep a command from setting up its lines
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a module prints is no answer
     for line in sys.stdin:
