@@ -185,7 +185,7 @@ def of_camera(model: Model, name: str) -> Model:
     if not own:
         names = ", ".join(sensor.camera for sensor in model.sensors)
         raise ValueError(f"{name}: this model holds the sensors of {names}")
-    return model.replace(sensors=own[:1])
+    return dataclasses.replace(model, sensors=own[:1])
 
 
 def check_level(level: str, given: bool) -> None:

@@ -70,24 +70,26 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
 
 
 def _suite(content: dict[str, Any]) -> _Parts:
-    """The first table of a suite; its values are named ROW_COLUMN, in small letters and digits."""
+    """The first table of a suite; its values are named ROW_COLUMN, in small letters and digits. A table wider
+    than long is shown with rows and columns changed about."""
     from cannoise_jax.evaluation.results_page import number
 
     table = content["tables"][0]
     columns = [c for c in table["columns"] if any(isinstance(r.get(c), dict) for r in table["rows"].values())]
-    rows, values = [], {}
+    cells, values = {}, {}
     for name, row in table["rows"].items():
-        cells = []
         for column in columns:
             found = row.get(column)
-            if not isinstance(found, dict):
-                cells.append(str(found or "–"))
-                continue
-            plain = number(found["value"])
-            values[_identifier(f"{name} {column}")] = plain
-            known = found["low"] is not None
-            cells.append(f"{plain} ({number(found['low'])} to {number(found['high'])})" if known else plain)
-        rows.append((name, *cells))
+            cells[name, column] = str(found or "–")
+            if isinstance(found, dict):
+                cells[name, column] = values[_identifier(f"{name} {column}")] = number(found["value"])
+                if found["low"] is not None:
+                    cells[name, column] += f" ({number(found['low'])} to {number(found['high'])})"
+    if len(columns) > len(table["rows"]):
+        rows = [(c, *(cells[name, c] for name in table["rows"])) for c in columns]
+        columns = list(table["rows"])
+    else:
+        rows = [(name, *(cells[name, c] for c in columns)) for name in table["rows"]]
     note = f"{content['patches']} patches, {content['seeds']} seeds; intervals: {content['interval']}."
     notes = (table["note"], note) if table["note"] else (note,)
     return {"columns": ("", *columns), "rows": tuple(rows), "values": values, "notes": notes}
