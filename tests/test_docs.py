@@ -136,6 +136,11 @@ def test_the_table_of_a_suite_is_taken_in(tmp_path):
     assert result.columns == ("", "excess KL", "std ratio")
     assert result.rows == (("no U-Net", "0.00312 (0.00100 to 0.00500)", "1.02"),)
     assert result.values["no_u_net_excess_kl"] == "0.00312"
+    names = [f"q{n}" for n in range(9)]
+    suite["tables"] = [{"note": "", "columns": names, "rows": {"IP": {n: cell(2.0) for n in names}}}]
+    file.write_text(json.dumps(suite))
+    result = take(tmp_path, file, "one", "One", ["bin/x"])  # too wide for a page: turned about
+    assert result.columns == ("", "IP") and result.rows[3] == ("q3", "2.00")
 
 
 def test_source_hash_sees_names_and_content(tmp_path):

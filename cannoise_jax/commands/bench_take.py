@@ -21,6 +21,8 @@ _STRUCTURE = (
     "std_ratio", "row_spectrum", "row_spectrum_real", "lag1_horizontal", "lag1_horizontal_real",
     "excess_kurtosis", "excess_kurtosis_real",
 )  # fmt: skip
+_WIDE = 8
+"""Columns of a suite that fit a page."""
 _Parts = dict[str, Any]
 
 
@@ -70,8 +72,8 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
 
 
 def _suite(content: dict[str, Any]) -> _Parts:
-    """The first table of a suite; its values are named ROW_COLUMN, in small letters and digits. A table wider
-    than long is shown with rows and columns changed about."""
+    """The first table of a suite; its values are named ROW_COLUMN, in small letters and digits. A table too
+    wide for a page is shown with rows and columns changed about."""
     from cannoise_jax.evaluation.results_page import number
 
     table = content["tables"][0]
@@ -85,7 +87,7 @@ def _suite(content: dict[str, Any]) -> _Parts:
                 cells[name, column] = values[_identifier(f"{name} {column}")] = number(found["value"])
                 if found["low"] is not None:
                     cells[name, column] += f" ({number(found['low'])} to {number(found['high'])})"
-    if len(columns) > len(table["rows"]):
+    if len(columns) > max(_WIDE, len(table["rows"])):
         rows = [(c, *(cells[name, c] for name in table["rows"])) for c in columns]
         columns = list(table["rows"])
     else:
