@@ -12,9 +12,8 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +23,13 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.networks.branches import Level
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.networks.layers import fold_spectral_norm
-from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_entries import model_of
+from cannoise_jax.physics.core.sensor_json import sensor_document
+from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise, sensors_of
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.recording import BadInput
@@ -65,7 +68,8 @@ class Model:
 
     generator_module, encoder_module, initial_noise, level: static; initial_noise a name or a function as in
     `physics.initial_noise`; level: of `LEVELS`, where the initial noise's level came from in training, as it
-    must in use.
+    must in use. sensors: the camera models that the initial noise is drawn from, instead of `initial_noise`:
+    one for all cameras, or one for each, named by it; see `of_camera`.
     """
 
     generator: dict[str, Any]
@@ -75,6 +79,7 @@ class Model:
     encoder_module: Encoder | None = struct.field(pytree_node=False)
     initial_noise: str | InitialNoise = struct.field(pytree_node=False, default="poisson_gaussian")
     level: str = struct.field(pytree_node=False, default="both")
+    sensors: tuple[SensorModel, ...] = ()
 
 
 def make_model(
@@ -88,10 +93,14 @@ def make_model(
 ) -> Model:
     """A model from modules and their variables (`params` and `spectral`), as training leaves them.
 
-    Raises ValueError for a level that is none of `LEVELS`.
+    The sensors of an initial noise "sensor:FILE,FILE" are read and become part of the model. Raises
+    ValueError for a level that is none of `LEVELS`, BadInput for a file that is no sensor.
     """
     if level not in LEVELS:
         raise ValueError(f"level must be one of {', '.join(LEVELS)}, got {level!r}")
+    sensors = sensors_of(initial_noise)
+    if sensors:
+        initial_noise = "sensor"
     return Model(
         fold_spectral_norm(generator),
         fold_spectral_norm(encoder) if encoder_module else {},
@@ -100,6 +109,7 @@ def make_model(
         encoder_module,
         initial_noise,
         level,
+        sensors,
     )
 
 
@@ -146,35 +156,36 @@ def sample_noise(
     latent = jnp.repeat(_latent(params, noisy_ref), images.shape[0], 0)
     noise_key, row_key = jax.random.split(key)
     padded = _pad(images)
-    n_init, sigma = initial_noise(params.initial_noise)(noise_key, padded, shot, read)
-    known = jnp.full(images.shape[0], float(nlf is not None))
+    n_init, sigma = initial_noise_of(params)(noise_key, padded, shot, read)
+    said = (float(nlf is not None), float(np.prod(noisy_ref.shape[:-3])))
+    level = Level(shot, read, *(jnp.full(images.shape[0], v) for v in said))
     noise: Any = params.generator_module.apply(
-        params.generator, padded, n_init, latent, sigma, train=False, known=known, rngs={"noise": row_key}
+        params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
     )
     return noise[:, _MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width].reshape(clean.shape)
 
 
-class Samplers(NamedTuple):
-    """A model as `evaluation` takes it, `(key, clean, reference, shot, read) -> noise`, in two ways of use.
+def initial_noise_of(model: Model) -> InitialNoise:
+    """What draws a model's initial noise: the sensor it holds, or the noise it names. Raises ValueError for a
+    model with the sensors of several cameras."""
+    if len(model.sensors) > 1:
+        names = ", ".join(sensor.camera for sensor in model.sensors)
+        raise ValueError(f"this model holds the sensors of {names}: choose one with of_camera(model, name)")
+    return model.sensors[0].n_init() if model.sensors else initial_noise(model.initial_noise)
 
-    usual: the level as most users have it: off the references, unless the model was trained without.
-    given: the level that is handed over; None where the model was trained without.
+
+def of_camera(model: Model, name: str) -> Model:
+    """The model with the sensor of one camera alone; as it is where it holds one for all, or none.
+
+    Raises ValueError for a camera whose sensor it has not.
     """
-
-    usual: Callable[..., Any]
-    given: Callable[..., Any] | None
-
-
-def samplers(level: str, sample: Callable[..., Any]) -> Samplers:
-    """Both from `sample(key, clean, reference, nlf) -> noise` of a model of this `Model.level`."""
-
-    def given(key, clean, reference, shot, read):
-        return sample(key, clean, reference, (shot, read))
-
-    def estimated(key, clean, reference, shot, read):
-        return sample(key, clean, reference, None)
-
-    return Samplers(given if level == "given" else estimated, None if level == "estimated" else given)
+    if len(model.sensors) < 2:
+        return model
+    own = tuple(sensor for sensor in model.sensors if sensor.camera == name)
+    if not own:
+        names = ", ".join(sensor.camera for sensor in model.sensors)
+        raise ValueError(f"{name}: this model holds the sensors of {names}")
+    return dataclasses.replace(model, sensors=own[:1])
 
 
 def check_level(level: str, given: bool) -> None:
@@ -254,7 +265,13 @@ def save_model(path: str | Path, model: Model) -> None:
         "level": model.level,
         "cameras": {name: sorted(camera.settings, key=float) for name, camera in model.cameras.items()},
     }
-    arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
+    arrays: dict[str, Any] = {}
+    description["sensors"] = [sensor_document(sensor) for sensor in model.sensors]
+    for s, sensor in enumerate(model.sensors):
+        for i, fitted in enumerate(sensor.mechanisms):
+            for name, values in fitted.maps.items():
+                arrays[f"sensors/{s}/{i}/{name}"] = np.asarray(values)
+    arrays["description"] = np.array(json.dumps(description))
     for part in ("generator", "encoder"):
         for name, leaf in flatten_dict(getattr(model, part), sep="/").items():
             arrays[f"{part}/{name}"] = np.asarray(leaf)
@@ -340,7 +357,13 @@ def _model(arrays):
         Encoder(**description["encoder"]) if description["encoder"] else None,
         description["initial_noise"],
         description["level"],
+        tuple(_sensor(d, arrays, f"sensors/{s}/") for s, d in enumerate(description.get("sensors", ()))),
     )
+
+
+def _sensor(document, arrays, prefix: str) -> SensorModel:
+    """A camera model that a model file holds, with its maps."""
+    return model_of(document, {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)})
 
 
 def _fields(module):

@@ -1,9 +1,10 @@
 """Whole images in tiles without seams, in memory that does not grow with the image.
 
-A network of finite reach gives on a tile that is wider by that reach what it gives on the whole image. Three
-things of the generator reach further, and are made for the whole image first: the initial noise, drawn in
-blocks with keys of their places; the summary of the setting; and the sizes of the offsets that rows share,
-which are means over whole rows and are added last. The latent of the references is computed once.
+A network of finite reach gives on a tile that is wider by that reach what it gives on the whole image. What
+of the generator reaches further is made for the whole image first: random numbers, those of pixels drawn in
+blocks with keys of their places and those of rows and columns for all of them; the summary of the setting;
+and the sizes of the offsets that the networks give to rows, which are means over whole rows and are added
+last. The latent of the references is computed once.
 """
 
 from __future__ import annotations
@@ -17,18 +18,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from cannoise_jax.networks.branches import Draws, Level, line_draws
 from cannoise_jax.networks.generator import row_draws, setting_summary
 from cannoise_jax.physics.initial_noise import INITIAL_NOISE, initial_noise
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.packing import pack, unpack
-from cannoise_jax.sampling import _MARGIN, _MULTIPLE, SMALLEST, Model, _latent, check_level, repeated
+from cannoise_jax.sampling import (
+    _MARGIN,
+    _MULTIPLE,
+    SMALLEST,
+    Model,
+    _latent,
+    check_level,
+    initial_noise_of,
+    repeated,
+)
 
 TILE = 512
 """Side of a tile in packed pixels, without its surroundings."""
 REACH = 384
-"""Packed pixels, a multiple of 32, that G's output depends on beyond its place on every side: 382. From
+"""Packed pixels, a multiple of 32, that G's output depends on beyond its place on every side: 383. From
 full resolution (3x3: 1) down five levels no more than 2 remain, eight 3x3 convolutions add 8, and each level
-back up doubles and adds 2: 10, 22, 46, 94, 190, 382."""
+back up doubles and adds 2: 10, 22, 46, 94, 190, 382. The branches mix neighbours: 1."""
 _BLOCK = 32
 Progress = Callable[[int], Any]
 Window = tuple[slice, slice]
@@ -58,8 +69,12 @@ def sample_image(
         raise ValueError(f"tile must be a multiple of {_BLOCK}, got {tile}")
     height, width = clean.shape[:2]
     shown = repeated(jnp.asarray(noisy_ref, jnp.float32))
-    shot, read = estimate_nlf(shown) if nlf is None else nlf
-    level = jnp.stack([jnp.broadcast_to(jnp.asarray(v, jnp.float32), (4,)) for v in (shot, read)])
+    shot, read = (
+        jnp.broadcast_to(jnp.asarray(v, jnp.float32), (1, 4))
+        for v in (estimate_nlf(shown) if nlf is None else nlf)
+    )
+    said = (float(nlf is not None), float(np.prod(shown.shape[:-3])))
+    level = Level(shot, read, *(jnp.full(1, v) for v in said))
     latent = _latent(model, shown)
     noise_key, row_key = jax.random.split(key)
     rows, columns = (_mirrored(n) for n in (height, width))
@@ -69,20 +84,22 @@ def sample_image(
     if module.literal:
         tile = max(size)
     summary = _summary(drawn, clean, rows, columns, tile)
-    generate = partial(_program(module), known=jnp.full(1, float(nlf is not None)))
+    draws = _draws_drawer(module, row_key, size)
     made = np.empty(clean.shape, np.float32)
     strips: dict[int, Any] = {}
     for place in _grid(size, tile):
         own, wide, inner = _windows(place, size, tile, REACH)
         image = clean[np.ix_(rows[wide[0]], columns[wide[1]])].astype(np.float32)
-        noise, lines = generate(model.generator, image[None], *drawn(wide), latent, summary)
+        noise, lines = _program(module)(
+            model.generator, image[None], *drawn(wide), latent, level, summary, draws(wide)
+        )
         _put(made, np.asarray(noise[0])[inner], own)
         strips[place[0]] = strips.get(place[0], 0) + np.asarray(lines[0])[inner].sum(1, dtype=np.float64)
         progress(_pixels(own, (height, width)))
-    if module.row_noise and not module.literal:
-        draws = np.asarray(row_draws(row_key, 1, size[0]))[0, :, 0]
+    if module.row_noise and not (module.literal or module.physics):
+        offsets = np.asarray(row_draws(row_key, 1, size[0]))[0, :, 0]
         gains = np.concatenate([strips[y] for y in sorted(strips)]) / size[1]
-        made += (gains * draws)[_MARGIN : _MARGIN + height, None].astype(np.float32)
+        made += (gains * offsets)[_MARGIN : _MARGIN + height, None].astype(np.float32)
     return made
 
 
@@ -172,34 +189,62 @@ def _put(made: np.ndarray, noise: np.ndarray, own: Window) -> None:
 
 def _init_drawer(model, key, clean, rows, columns, level):
     """A function from a window of the padded image to its initial noise and sigma, `[1, h, w, 4]` each."""
-    draw = initial_noise(model.initial_noise)
-    if model.initial_noise not in tuple(INITIAL_NOISE):
+    draw = initial_noise_of(model)
+    if model.sensors or model.initial_noise not in tuple(INITIAL_NOISE):
         # Rows and columns run through the whole image: so does what is drawn.
         whole = clean[np.ix_(rows, columns)].astype(np.float32)[None]
-        noise, sigma = jax.jit(draw)(key, whole, level[0][None], level[1][None])
+        noise, sigma = jax.jit(draw)(key, whole, level.shot, level.read)
         return lambda window: (noise[(0, *window)][None], sigma[(0, *window)][None])
-    across = columns.size // _BLOCK
 
     def of_window(window):
         image = clean[np.ix_(rows[window[0]], columns[window[1]])].astype(np.float32)
-        y, x = (np.arange(w.start // _BLOCK, w.stop // _BLOCK) for w in window)
-        return _blocks(model.initial_noise, key, image, jnp.asarray(y[:, None] * across + x), level)
+        numbers = _block_numbers(window, columns.size)
+        return _blocks(model.initial_noise, key, image, numbers, level.shot[0], level.read[0])
 
     return of_window
 
 
+def _draws_drawer(module, key, size: tuple[int, int]):
+    """A function from a window of the padded image to what the branches draw there; None without branches."""
+    if module.literal or not module.physics:
+        return lambda window: None
+    pixel_key, line_key = jax.random.split(key)
+    white, slow, across = line_draws(line_key, 1, *size)
+
+    def of_window(window):
+        y, x = window
+        pixels = _white_blocks(pixel_key, _block_numbers(window, size[1]))
+        return Draws(pixels, white[:, y], slow[:, y], across[:, x])
+
+    return of_window
+
+
+def _block_numbers(window: Window, width: int) -> Array:
+    """The blocks of a window, numbered through the whole image of this width."""
+    y, x = (np.arange(w.start // _BLOCK, w.stop // _BLOCK) for w in window)
+    return jnp.asarray(y[:, None] * (width // _BLOCK) + x)
+
+
 @partial(jax.jit, static_argnames="choice")
-def _blocks(choice, key, image, numbers, level):
+def _blocks(choice, key, image, numbers, shot, read):
     """Initial noise block by block, each with the key of its place: white noise does not see the seams."""
     ny, nx = numbers.shape
     cells = image.reshape(ny, _BLOCK, nx, _BLOCK, 4).swapaxes(1, 2).reshape(ny * nx, _BLOCK, _BLOCK, 4)
     keys = jax.vmap(partial(jax.random.fold_in, key))(numbers.ravel())
-    both = jax.vmap(lambda k, c: initial_noise(choice)(k, c, level[0], level[1]))(keys, cells)
+    both = jax.vmap(lambda k, c: initial_noise(choice)(k, c, shot, read))(keys, cells)
+    return tuple(_joined(v, ny, nx) for v in both)
 
-    def joined(v):
-        return v.reshape(ny, nx, _BLOCK, _BLOCK, 4).swapaxes(1, 2).reshape(1, ny * _BLOCK, nx * _BLOCK, 4)
 
-    return tuple(joined(v) for v in both)
+@jax.jit
+def _white_blocks(key, numbers):
+    """Standard normals, block by block."""
+    keys = jax.vmap(partial(jax.random.fold_in, key))(numbers.ravel())
+    return _joined(jax.vmap(lambda k: jax.random.normal(k, (_BLOCK, _BLOCK, 4)))(keys), *numbers.shape)
+
+
+def _joined(blocks, ny: int, nx: int):
+    whole = blocks.reshape(ny, nx, _BLOCK, _BLOCK, 4).swapaxes(1, 2)
+    return whole.reshape(1, ny * _BLOCK, nx * _BLOCK, 4)
 
 
 def _summary(drawn, clean, rows, columns, tile: int) -> Float[Array, "1 s"]:
@@ -216,9 +261,10 @@ def _summary(drawn, clean, rows, columns, tile: int) -> Float[Array, "1 s"]:
 
 @lru_cache(maxsize=4)
 def _program(module):
-    def run(variables, image, n_init, sigma, latent, summary, known):
+    def run(variables, image, n_init, sigma, latent, level, summary, draws):
         return module.apply(
-            variables, image, n_init, latent, sigma, train=False, known=known, summary=summary, lines=False
-        )
+            variables, image, n_init, latent, sigma, train=False, level=level, summary=summary, draws=draws,
+            lines=False,
+        )  # fmt: skip
 
     return jax.jit(run)

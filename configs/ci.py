@@ -30,8 +30,19 @@ def get_config() -> ConfigDict:
     config.networks.encoder = ConfigDict({"hidden": 8})
     config.networks.critic = ConfigDict({"hidden": 4})
     config.optimiser.warmup = 2
+    config.loss.update({"adversarial": 1.0, "triplet": 0.5})  # the critic and the triplet too
     config.compiler = ConfigDict({"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False})
     config.data.update(
-        {"scenes": 5, "validation_scenes": 3, "test_scenes": 3, "per_scene": 1, "held_out_per_scene": 1}
+        {
+            "cameras": 8,
+            "references": 2,
+            "validation_cameras": 4,
+            "calibration_scenes": 5,
+            "scenes": 5,
+            "validation_scenes": 3,
+            "test_scenes": 3,
+            "per_scene": 1,
+            "held_out_per_scene": 1,
+        }
     )
     return config

@@ -26,7 +26,8 @@ def get_config() -> ConfigDict:
             "patch": 64,
             "reference": 64,
             "width": 1.0,
-            "literal": True,
+            "literal": False,
+            "paper": True,
             "level": "given",
             "clip": False,
             "critic_updates": 1,
@@ -45,7 +46,12 @@ def get_config() -> ConfigDict:
             "slope": 1.0,
             "feature_matching": 1.0,
             "feature_target": "clean",
+            "adversarial": 1.0,
             "statistics": 0.0,
+            "quantiles": 0.0,
+            "spectra": 0.0,
+            "physics": 0.0,
+            "triplet": 0.5,
             "triplets": "drawn",
         }
     )

@@ -11,7 +11,13 @@ from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.vocabulary import CLASSES
 
 PACKAGE = Path(cannoise_jax.__file__).parent
-NAMED = ("mechanisms", "blind", "physics/core/presets.py", "physics/synthetic/virtual.py")
+NAMED = (
+    "mechanisms",
+    "blind",
+    "physics/core/presets.py",
+    "physics/synthetic/prior.py",
+    "physics/synthetic/virtual.py",
+)
 """Where the name of a mechanism may stand: its own room, the injectors, and cameras made of named parts."""
 NAMES = frozenset(MECHANISMS) - frozenset(CLASSES)  # a class of mechanisms is called as one of them is
 LATE = {

@@ -119,6 +119,30 @@ def test_a_result_is_taken_in_rendered_and_grows_old_with_its_code(tmp_path):
     assert "Measured on older code" in (tmp_path / "docs" / "page.md").read_text()
 
 
+def test_the_table_of_a_suite_is_taken_in(tmp_path):
+    """Numbers with their intervals; a cell of the table can be cited."""
+
+    def cell(value, low=None, high=None):
+        return {"value": value, "low": low, "high": high, "seeds": 1, "patches": 10}
+
+    row = {"is told": "all", "excess KL": cell(0.00312, 0.001, 0.005), "std ratio": cell(1.02)}
+    suite = {
+        "schema": "cannoise/evaluation/1", "patches": 10, "seeds": 1, "interval": "scenes",
+        "tables": [{"note": "", "columns": ["is told", "excess KL", "std ratio"], "rows": {"no U-Net": row}}],
+    }  # fmt: skip
+    file = tmp_path / "ablation.json"
+    file.write_text(json.dumps(suite))
+    result = take(tmp_path, file, "one", "One", ["bin/x"])
+    assert result.columns == ("", "excess KL", "std ratio")
+    assert result.rows == (("no U-Net", "0.00312 (0.00100 to 0.00500)", "1.02"),)
+    assert result.values["no_u_net_excess_kl"] == "0.00312"
+    names = [f"q{n}" for n in range(9)]
+    suite["tables"] = [{"note": "", "columns": names, "rows": {"IP": {n: cell(2.0) for n in names}}}]
+    file.write_text(json.dumps(suite))
+    result = take(tmp_path, file, "one", "One", ["bin/x"])  # too wide for a page: turned about
+    assert result.columns == ("", "IP") and result.rows[3] == ("q3", "2.00")
+
+
 def test_source_hash_sees_names_and_content(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "b.py").write_text("1")

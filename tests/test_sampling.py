@@ -10,9 +10,20 @@ import numpy as np
 import pytest
 
 from cannoise_jax.networks import Encoder, Generator
-from cannoise_jax.physics.initial_noise import gaussian
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import write_sensor
+from cannoise_jax.physics.initial_noise import gaussian, initial_noise_by_camera
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.sampling import Camera, Model, Setting, load_model, make_model, sample_noise, save_model
+from cannoise_jax.sampling import (
+    Camera,
+    Model,
+    Setting,
+    load_model,
+    make_model,
+    of_camera,
+    sample_noise,
+    save_model,
+)
 
 WIDTH = 1 / 64
 SHOT, READ = 2e-3, 1e-5
@@ -56,8 +67,9 @@ def noisy(key, height=64, width=64):
 
 def at_its_start(model):
     params = model.generator["params"]
-    last = jax.tree.map(jnp.zeros_like, {name: params["pixels"][name] for name in ("out", "direct")})
-    return model.replace(generator={"params": params | {"pixels": params["pixels"] | last}})
+    out, physics = (jax.tree.map(jnp.zeros_like, p) for p in (params["pixels"]["out"], params["physics"]))
+    start = params | {"pixels": params["pixels"] | {"out": out}, "physics": physics}
+    return model.replace(generator={"params": start})
 
 
 def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
@@ -110,6 +122,7 @@ def test_a_reference_of_any_size(model, size):
 
 
 def test_small_references_tell_the_noise_level(model):
+    model = at_its_start(model)
     patches = jnp.stack([noisy(k)[:8, :8] for k in jax.random.split(jax.random.key(7), 64)])
     given = sample(model, jax.random.key(1), scene(32, 32), patches, NLF)
     estimated = sample(model, jax.random.key(1), scene(32, 32), patches)
@@ -198,6 +211,63 @@ def test_a_function_as_initial_noise_samples_but_is_not_saved(model, tmp_path):
     with pytest.raises(ValueError, match="function"):
         save_model(tmp_path / "model.npz", own)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_sensor_travels_inside_the_model(model, tmp_path):
+    sensor = SensorModel.from_nlf(SHOT, READ, 64, 1023).with_mechanism("row_noise", sigma_dn=6.0)
+    sensor = sensor.with_mechanism("dsnu", sigma_dn=4.0).with_maps((256, 256))
+    write_sensor(tmp_path / "sensor.json", sensor)
+    own = make_model(
+        model.generator_module, model.generator, model.encoder_module, model.encoder,
+        initial_noise=f"sensor:{tmp_path / 'sensor.json'}",
+    )  # fmt: skip
+    save_model(tmp_path / "model.npz", own)
+    for path in tmp_path.glob("sensor*"):
+        path.unlink()
+    again = load_model(tmp_path)
+    made = [sample(m, jax.random.key(1), scene(32, 32), scene(32, 32), NLF) for m in (own, again, model)]
+    np.testing.assert_array_equal(made[0], made[1])
+    rows = [float(jnp.std(jnp.mean(n, 1))) for n in made]
+    assert rows[0] > 1.5 * rows[2]
+
+
+@pytest.fixture(scope="module")
+def two_sensors(tmp_path_factory):
+    """Cameras of one level, the second with rows, and the choice of initial noise that names their files."""
+    quiet, striped = (SensorModel.from_nlf(SHOT, READ, 64, 1023, camera=n) for n in ("quiet", "striped"))
+    striped = striped.with_mechanism("row_noise", sigma_dn=6.0)
+    folder = tmp_path_factory.mktemp("sensors")
+    for sensor in (quiet, striped):
+        write_sensor(folder / f"{sensor.camera}.json", sensor)
+    return (quiet, striped), f"sensor:{folder / 'quiet.json'},{folder / 'striped.json'}"
+
+
+def test_images_of_a_batch_start_from_the_sensor_of_their_camera(two_sensors):
+    sensors, choice = two_sensors
+    clean, levels = jnp.stack([scene(32, 32)] * 3), [jnp.full((3, 4), v) for v in NLF]
+    key, camera = jax.random.key(1), np.array([1, 0, 1])
+    noise, sigma = jax.jit(initial_noise_by_camera(choice))(key, clean, *levels, camera)
+    alone = [jax.jit(sensor.n_init())(key, clean, *levels) for sensor in sensors]
+    for i, c in enumerate(camera):
+        np.testing.assert_allclose(noise[i], alone[c][0][i], atol=1e-6)
+        np.testing.assert_allclose(sigma[i], alone[c][1][i], rtol=1e-5)
+
+
+def test_every_camera_keeps_its_own_sensor(model, two_sensors, tmp_path):
+    """The file holds the sensor of each camera; which one draws must be said where there are several."""
+    own = make_model(
+        model.generator_module, model.generator, model.encoder_module, model.encoder,
+        initial_noise=two_sensors[1],
+    )  # fmt: skip
+    save_model(tmp_path / "model.npz", own)
+    again = load_model(tmp_path)
+    images = (jax.random.key(1), scene(32, 32), scene(32, 32), NLF)
+    rows = [float(jnp.std(jnp.mean(sample(of_camera(again, n), *images), 1))) for n in ("quiet", "striped")]
+    assert rows[1] > 1.5 * rows[0]
+    with pytest.raises(ValueError, match="quiet, striped: choose one"):
+        sample_noise(again, *images)
+    with pytest.raises(ValueError, match="third: this model holds the sensors of quiet, striped"):
+        of_camera(again, "third")
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no archive at all"])

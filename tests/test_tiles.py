@@ -24,10 +24,10 @@ def drawn(shapes, size):
     return jax.tree.map(lambda leaf: jnp.asarray(size * rng.normal(size=leaf.shape), jnp.float32), shapes)
 
 
-@pytest.fixture(scope="module")
-def model():
+@pytest.fixture(scope="module", params=[True, False], ids=["branches", "networks"])
+def model(request):
     """As after some training, rows and all; no encoder, which tiles do not concern."""
-    generator = Generator(1 / 64, hidden=4, spectral=False)
+    generator = Generator(1 / 64, hidden=4, spectral=False, physics=request.param)
     image, key = jnp.ones((1, 32, 32, 4)), jax.random.key(0)
     shapes = jax.eval_shape(
         lambda: generator.init(

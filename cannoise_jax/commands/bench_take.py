@@ -1,9 +1,11 @@
-"""What a command wrote (results.json, blind.json, report.json, or a table) as a published result."""
+"""What a command wrote (results.json, an evaluation's SUITE.json, blind.json, report.json, or a table) as a
+published result."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,12 @@ _PACKAGE = "cannoise_jax/"
 _SIMULATION = ("recordings", "physics", "mechanisms", "evaluation")
 _SEARCH = (*_SIMULATION, "vocabulary.py", "signatures", "discovery")
 _TRAINING = (*_SIMULATION, "networks", "training", "sampling.py")
+_STRUCTURE = (
+    "std_ratio", "row_spectrum", "row_spectrum_real", "lag1_horizontal", "lag1_horizontal_real",
+    "excess_kurtosis", "excess_kurtosis_real",
+)  # fmt: skip
+_WIDE = 8
+"""Columns of a suite that fit a page."""
 _Parts = dict[str, Any]
 
 
@@ -35,7 +43,7 @@ def take(root: Path, file: Path, name: str, title: str | None, command: list[str
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise BadInput(
-            f"{file}: neither results.json, blind.json, report.json nor a table ({reason})"
+            f"{file}: neither results.json, a suite, blind.json, report.json nor a table ({reason})"
         ) from error
     code = {"commits": _commit(root, paths), "paths": paths, "sha256": source_sha256(root, paths)}
     machine, date = here()
@@ -46,6 +54,8 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
     schema = content.get("schema")
     if schema == "cannoise/results/1":
         return [*_below(_TRAINING), "configs/default.py"], _comparison(content)
+    if schema == "cannoise/evaluation/1":
+        return [*_below(_TRAINING), "configs/default.py"], _suite(content)
     if str(schema).startswith("cannoise/diagnosis/"):
         return _below(_SEARCH), _diagnosis(content)
     if "false_alarms" in content:
@@ -59,6 +69,36 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
         "rows": rows,
         "values": values,
     }
+
+
+def _suite(content: dict[str, Any]) -> _Parts:
+    """The first table of a suite; its values are named ROW_COLUMN, in small letters and digits. A table too
+    wide for a page is shown with rows and columns changed about."""
+    from cannoise_jax.evaluation.results_page import number
+
+    table = content["tables"][0]
+    columns = [c for c in table["columns"] if any(isinstance(r.get(c), dict) for r in table["rows"].values())]
+    cells, values = {}, {}
+    for name, row in table["rows"].items():
+        for column in columns:
+            found = row.get(column)
+            cells[name, column] = str(found or "–")
+            if isinstance(found, dict):
+                cells[name, column] = values[_identifier(f"{name} {column}")] = number(found["value"])
+                if found["low"] is not None:
+                    cells[name, column] += f" ({number(found['low'])} to {number(found['high'])})"
+    if len(columns) > max(_WIDE, len(table["rows"])):
+        rows = [(c, *(cells[name, c] for name in table["rows"])) for c in columns]
+        columns = list(table["rows"])
+    else:
+        rows = [(name, *(cells[name, c] for c in columns)) for name in table["rows"]]
+    note = f"{content['patches']} patches, {content['seeds']} seeds; intervals: {content['interval']}."
+    notes = (table["note"], note) if table["note"] else (note,)
+    return {"columns": ("", *columns), "rows": tuple(rows), "values": values, "notes": notes}
+
+
+def _identifier(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
 
 
 def _below(parts: tuple[str, ...]) -> list[str]:
@@ -82,6 +122,16 @@ def _comparison(content: dict[str, Any]) -> _Parts:
     names = {"poisson_gaussian": "published", "poisson_gaussian_recalibrated": "recalibrated"}
     values = {names.get(m, m): kl for m, kl in pooled.items()} | {"floor": cells[-1][-1]}
     values["duration"] = f"{content['seconds'] / 60:.0f} min"
+    right, wrong = "model_given" if "model_given" in models else "model", "model_wrong_reference"
+    if wrong in models:
+        own = content["cameras"].values()
+        values["right_better"] = f"{sum(r[right]['kl'] < r[wrong]['kl'] for r in own)} of {len(own)}"
+    for camera, row in content["cameras"].items():
+        for quantity in _STRUCTURE:
+            if row["model"].get(quantity) is not None:
+                values[f"{_identifier(camera)}_{quantity}"] = f"{row['model'][quantity]:.2f}"
+        if "std_ratio" in row.get(one, {}):
+            values[f"{_identifier(camera)}_std_ratio_one_reference"] = f"{row[one]['std_ratio']:.2f}"
     return {"columns": ("camera", *(HEADINGS[m] for m in models), "floor"), "rows": cells, "values": values}
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.outputs import check_folder
-from cannoise_jax.commands.parser import OneLineParser, count, folder, whole
+from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, whole
 from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
@@ -60,14 +60,17 @@ def _run(arguments, argv: list[str]) -> None:
     paths = arguments.model or ([arguments.workdir] if (arguments.workdir / MODEL_FILE).is_file() else [])
     models = [load_model(path) for path in paths]
     ablations = {name: [load_model(p) for p in runs] for name, runs in arguments.ablation}
-    fitted = {name: _sensor_files(path, virtual_cameras()) for name, path in arguments.sensors}
+    fitted = {name: _sensor_files(path, virtual_cameras(arguments.ratio)) for name, path in arguments.sensors}
     known = [*BASELINES, *fitted, *(["noise_flow"] if "noise" in chosen and arguments.flow_steps else [])]
     unknown = sorted(set(arguments.noise) - set(known))
     if unknown:
         raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(known)}")
-    check_folder(out, tuple(f"{name}.json" for name in chosen), arguments.force)
+    ending = "" if arguments.ratio is None else f"_ratio_{arguments.ratio:g}"
+    check_folder(out, tuple(f"{name}{ending}.json" for name in chosen), arguments.force)
     tell("recording the virtual cameras")
-    bench = make_bench(arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes)
+    bench = make_bench(
+        arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes, arguments.ratio
+    )
     draws = baselines(bench)
     draws |= {name: sensors(bench, by_camera) for name, by_camera in fitted.items()}
     if "noise" in chosen and arguments.flow_steps:
@@ -92,7 +95,9 @@ def _run(arguments, argv: list[str]) -> None:
             "notes": outcome.notes,
         }  # fmt: skip
         _made(out)
-        with texts_in_place({out / f"{name}.json": json.dumps(record, indent=1, allow_nan=False) + "\n"}):
+        with texts_in_place(
+            {out / f"{name}{ending}.json": json.dumps(record, indent=1, allow_nan=False) + "\n"}
+        ):
             pass
         for table in record["tables"]:
             print(_text(table), flush=True)
@@ -220,6 +225,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--train-scenes", type=count, default=40, help="for what baselines are fitted to")
     add("--flow-steps", type=whole, default=1500, help="training steps of Noise Flow; 0: leave it out")
     add("--seed", type=whole, default=0, help="of the scenes")
+    add("--ratio", type=above_zero, metavar="X", help="cameras whose noise is X times as strong as published")
     add("--force", action="store_true", help="replace results that exist")
     return parser
 

@@ -82,6 +82,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             f"{arguments.reference}: this model must be told shot and read, which the file does not state: "
             "use a file that does, or a model trained with config.level=both"
         )
+    model = _own_sensor(model, target.camera)
     sources = _clean_images(arguments)
     outputs = [arguments.out / f"{source.path.stem}_{target.camera}.h5" for source in sources]
     levels = [_levels(arguments, source, target) for source in sources]
@@ -122,6 +123,15 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
                 ),
             )  # fmt: skip
     return outputs
+
+
+def _own_sensor(model, camera: str):
+    from cannoise_jax.sampling import of_camera
+
+    try:
+        return of_camera(model, camera)
+    except ValueError as error:
+        raise BadInput(f"{error}: use a reference of one of them") from error
 
 
 def _codes(mosaic, black, white, step):

@@ -253,7 +253,13 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     print(f"{workdir}: reading the data", flush=True)
     data = load_data(config, workdir)
     check()
-    print(f"{len(data.train)} patches of {', '.join(data.cameras)}; compiling takes a minute", flush=True)
+    named = ", ".join(data.cameras)
+    trained = (
+        f"{len(data.train)} patches of {named}"
+        if data.trained_on is None
+        else f"{len(data.train)} cameras drawn from the prior, to be measured on {named}"
+    )
+    print(f"{trained}; compiling takes a minute", flush=True)
 
     def progress(step: int, steps: int):
         return tqdm(

@@ -25,6 +25,7 @@ from cannoise_jax.evaluation.baselines import (
 )
 from cannoise_jax.evaluation.evaluators import EVALUATORS, Evaluator, Samples, evaluate, pooled
 from cannoise_jax.evaluation.kl import clipped_noise
+from cannoise_jax.evaluation.samplers import ByCamera
 
 MODELS = (
     "gaussian",
@@ -54,14 +55,14 @@ class Patches(Protocol):
 class Column(NamedTuple):
     """One noise model: its sampler, the patches that its references come from, its noise levels."""
 
-    sampler: Sampler
+    sampler: Sampler | ByCamera
     reference: Int[np.ndarray, "n k"]
     shot: Float[np.ndarray, "n 4"]
     read: Float[np.ndarray, "n 4"]
 
 
 def evaluate_model(
-    sampler: Sampler | None,
+    sampler: Sampler | ByCamera | None,
     patches: Patches,
     camera_names: Sequence[str],
     key: Key[Array, ""],
@@ -71,14 +72,15 @@ def evaluate_model(
     evaluators: tuple[Evaluator, ...] = EVALUATORS,
     columns: Sequence[str] = MODELS,
     references: int = 1,
-    given: Sampler | None = None,
+    given: Sampler | ByCamera | None = None,
 ) -> Results:
     """Every model of `columns` on every patch.
 
     `{"settings": {name: {iso: row}}, "cameras": {name: row}, "pooled": row}` with rows `{model: numbers}`:
     numbers are computed for every camera and ISO, a camera's are the mean over its patches, and so on up.
 
-    sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise`, called on batches of
+    sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise` or one `ByCamera`, called
+      on batches of
       `batch` patches with references `[b, k, h, w, 4]` (jit it); None leaves its columns out. shot and read
       are the published ones: a model that reads its level off the references looks at neither.
     given: the same model, where it obeys shot and read that it is given; None: it cannot.
@@ -116,12 +118,12 @@ def _column_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
 
 
 def model_columns(
-    sampler: Sampler | None,
+    sampler: Sampler | ByCamera | None,
     patches: Patches,
     key: Key[Array, ""],
     recalibrated: Mapping[tuple[int, int], tuple[float, float]] | None = None,
     references: int = 1,
-    given: Sampler | None = None,
+    given: Sampler | ByCamera | None = None,
 ) -> dict[str, Column]:
     """The columns of the comparison by name, each with its references and noise levels."""
     right, wrong = choose_references(patches.camera, patches.scene, key, references, patches.iso)
@@ -194,13 +196,17 @@ def draw_noise(
     made = []
     for number, start in enumerate(range(0, chosen.size, batch)):
         index = chosen[np.minimum(np.arange(start, start + batch), chosen.size - 1)]
-        noise = column.sampler(
+        asked = [
             jax.random.fold_in(key, number),
             clean[index],
             noisy[column.reference[index]],
             np.asarray(column.shot[index], np.float32),
             np.asarray(column.read[index], np.float32),
-        )
+        ]
+        if isinstance(column.sampler, ByCamera):
+            noise = column.sampler.sample(*asked, np.asarray(patches.camera)[index])
+        else:
+            noise = column.sampler(*asked)
         made.append(clipped_noise(np.asarray(noise, np.float32), clean[index])[: chosen.size - start])
     return np.concatenate(made)
 

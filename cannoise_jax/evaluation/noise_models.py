@@ -77,9 +77,11 @@ class Bench:
         return 100_000 * np.asarray(self.test.camera) + np.asarray(self.test.scene)
 
 
-def make_bench(seed: int, scenes: int, per_scene: int, train_scenes: int) -> Bench:
-    """The five virtual cameras on test scenes that no training sees."""
-    key, cameras = jax.random.key(seed), virtual_cameras()
+def make_bench(
+    seed: int, scenes: int, per_scene: int, train_scenes: int, ratio: float | None = None
+) -> Bench:
+    """The five virtual cameras on test scenes that no training sees. ratio: see `virtual_cameras`."""
+    key, cameras = jax.random.key(seed), virtual_cameras(ratio)
     test = virtual_patches(key, "test", scenes, per_scene, cameras)
     return Bench(test, virtual_patches(key, "train", train_scenes, per_scene, cameras), cameras)
 
@@ -115,14 +117,22 @@ BASELINES = (
 """The names that `baselines` gives."""
 
 
+def fitted_levels(bench: Bench) -> Float[np.ndarray, "n 2"]:
+    """(shot, read) of every test patch's camera and setting, fitted to its training pairs; the published ones
+    of a setting without any."""
+    train, test = bench.train, bench.test
+    pairs = clipped_noise(train.noisy - train.clean, train.clean)
+    fitted = calibrate_by_setting(train.clean, pairs, train.camera, train.iso)
+    keys = zip(test.camera.tolist(), test.iso.tolist(), strict=True)
+    published = zip(test.shot[:, 0].tolist(), test.read[:, 0].tolist(), strict=True)
+    return np.array([fitted.get(k, p) for k, p in zip(keys, published, strict=True)], np.float32)
+
+
 def baselines(bench: Bench) -> dict[str, Draw]:
     """Every noise model that needs nothing but the bench."""
     test = bench.test
     pairs = clipped_noise(bench.train.noisy - bench.train.clean, bench.train.clean)
-    fitted = calibrate_by_setting(bench.train.clean, pairs, bench.train.camera, bench.train.iso)
-    keys = list(zip(test.camera.tolist(), test.iso.tolist(), strict=True))
-    published = [(float(s), float(r)) for s, r in zip(test.shot[:, 0], test.read[:, 0], strict=True)]
-    levels = np.array([fitted.get(k, p) for k, p in zip(keys, published, strict=True)], np.float32)
+    levels = fitted_levels(bench)
     pooled = float(np.var(pairs))
     clean = np.maximum(test.clean, 0)
 

@@ -34,6 +34,7 @@ class Discriminator(nn.Module):
     padding 1 on the last layer, so 64x64 gives 7x7 scores (the printed h/16 would need stride 2).
     spectral, norm ("none", "channel", "instance"): of d2, d3 and, spectral only, the last layer.
     hidden: channels of the pointwise branch; 0: none. rows: show row means. moments: show size and square.
+    output_norm: the literal table's last norm, with which the loss has no gradient.
 
     `noise`: normalised units. `latent`: of the camera, or None; to be given always or never.
     Returns (scores, features): the score map, and d3 (the table's D_f) at an eighth of the size.
@@ -48,6 +49,7 @@ class Discriminator(nn.Module):
     rows: bool = True
     moments: bool = True
     level_input: bool = True
+    output_norm: bool = True
 
     @nn.compact
     def __call__(
@@ -82,7 +84,9 @@ class Discriminator(nn.Module):
         if not self.literal:
             x = self._join(x, pixels, latent, train)
         scores = Conv(1, 4, 1, 1, use_bias=not self.literal, **shared, name="out")(x, train=train)
-        return (Norm("instance", name="out_norm")(scores) if self.literal else scores), features
+        if self.literal and self.output_norm:
+            scores = Norm("instance", name="out_norm")(scores)
+        return scores, features
 
     def _join(self, x, pixels, latent, train):
         """d3 beside the pointwise branch and the latent, mixed once so that they can act on one another."""

@@ -26,7 +26,8 @@ class Encoder(nn.Module):
 
     width: scales every channel count. literal: Table A-3 as printed (2,766,848 parameters: no biases, affine
     instance norms after e2..e4, spectral norm on every layer as released, raw average-pooled latent).
-    spectral, norm ("none", "channel", "instance"): of e1..e4. latent_scale: the latent's length; None: raw.
+    spectral, norm ("none", "channel", "instance"): of e1..e4. latent_scale: the latent's length; 0: raw, so
+    that an image that tells much counts for more in the mean of several.
     hidden: width of the layers that read the statistics. Their parameters `centre` and `spread` are constants
     of the data, see `standardised`.
     """
@@ -35,7 +36,7 @@ class Encoder(nn.Module):
     literal: bool = False
     spectral: bool = False
     norm: str = "none"
-    latent_scale: float | None = 1.0
+    latent_scale: float = 1.0
     hidden: int = 64
 
     @nn.compact
@@ -51,7 +52,7 @@ class Encoder(nn.Module):
         x = leaky_relu(nn.Dense(self.hidden, name="statistics")(statistics))
         x = leaky_relu(nn.Dense(self.hidden, name="join")(jnp.concatenate([x, pooled], -1)))
         latent = nn.Dense(latent_size, name="latent")(x)
-        if self.latent_scale is None:
+        if not self.latent_scale:
             return latent
         return self.latent_scale * unit_length(latent)
 
@@ -85,7 +86,7 @@ def standardised(params: Mapping[str, Any], noisy: Float[Array, "n h w 4"]) -> d
 def mean_latent(encoder: Encoder, latents: Float[Array, "*b n l"]) -> Float[Array, "*b l"]:
     """One latent for n images of a camera: their mean, as long as each of them."""
     mean = jnp.mean(latents, -2)
-    if encoder.literal or encoder.latent_scale is None:
+    if encoder.literal or not encoder.latent_scale:
         return mean
     return encoder.latent_scale * unit_length(mean)
 

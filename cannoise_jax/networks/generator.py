@@ -8,11 +8,13 @@ training patch and a whole image. The default therefore
 - changes the initial noise by factors: n = n_init exp(tanh a) + sigma tanh b + row noise, with a, b and the
   row gain zero at the start, so that training begins at n = n_init exactly;
 - normalises over channels at each pixel instead of over pixels;
+- makes what is known to be in a camera by small branches that each have one parameter of it (`branches`):
+  the latent sets levels, tails, rows, columns, neighbours and offsets, the networks add what is left;
 - ends in a small full-resolution branch, modulated by the latent and the image's noise level function: at
   small widths the U-Net's first layer has fewer channels than pixels under its stride, and no pointwise
   function (a camera's level, tails, offset) could pass it;
-- draws one more number per sensor row. White initial noise has no row structure, and a convolution of finite
-  reach cannot make any.
+- draws numbers per sensor row and column. White initial noise has no such structure, and a convolution of
+  finite reach cannot make any.
 """
 
 from __future__ import annotations
@@ -24,6 +26,17 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float, Key
 
+from cannoise_jax.networks.branches import (
+    LEAST_READ,
+    LEAST_SHOT,
+    OUTPUTS,
+    Draws,
+    Level,
+    Physics,
+    branch_draws,
+    physical_noise,
+    physics_of,
+)
 from cannoise_jax.networks.layers import Block, Conv, Norm, he_init, leaky_relu, scaled
 
 
@@ -57,6 +70,7 @@ class UNet(nn.Module):
     spectral: bool
     norm: str
     literal: bool
+    output_norm: bool = True
 
     @nn.compact
     def __call__(
@@ -79,7 +93,7 @@ class UNet(nn.Module):
             )(x, train=train)  # fmt: skip
             x = jnp.concatenate([x, skips[4 - i]], -1)
         x = Conv(self.outputs, 4, transposed=True, **shared, name="out")(x, train=train)
-        return Norm("instance", name="out_norm")(x) if self.literal else x
+        return Norm("instance", name="out_norm")(x) if self.literal and self.output_norm else x
 
 
 class PixelBranch(nn.Module):
@@ -122,10 +136,14 @@ class Generator(nn.Module):
     whether that function was handed over (`known`: 1) or estimated from the references (0, or None).
     direct: also let both set factor, shift and row gain of each channel for the whole image at once.
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
+    physics: the branches; they replace `direct` and `row_noise`, and need the stream `noise`. Their
+    parameters are sown into the collection `physics`. residue: the networks after them. output_norm: of the
+    literal table's last layer, with which no level can be learned.
 
     Returns noise in normalised units, not clipped. Height and width must be multiples of 32. For a tile of an
-    image, summary: that of the whole image; lines=False: `(noise without row offsets, their sizes)`, the
-    sizes to be averaged over whole rows and multiplied by `row_draws`.
+    image, summary: that of the whole image; draws: its part of those of the whole image; lines=False:
+    `(noise without row offsets, their sizes)`, the sizes to be averaged over whole rows and multiplied by
+    `row_draws`.
     """
 
     width: float = 1.0
@@ -137,6 +155,9 @@ class Generator(nn.Module):
     row_noise: bool = True
     setting_input: bool = True
     direct: bool = True
+    physics: bool = True
+    residue: bool = True
+    output_norm: bool = True
 
     @nn.compact
     def __call__(
@@ -147,40 +168,79 @@ class Generator(nn.Module):
         sigma: Float[Array, "b h w 4"],
         *,
         train: bool,
-        known: Float[Array, "b"] | None = None,
+        level: Level | None = None,
         summary: Float[Array, "b s"] | None = None,
+        draws: Draws | None = None,
         lines: bool = True,
     ) -> Any:
         if self.literal:
             x = jnp.concatenate([clean, n_init], -1)
-            noise = n_init + jnp.tanh(
-                UNet(self.width, 4, True, "instance", True, name="unet")(x, latent, train=train)
-            )
+            unet = UNet(self.width, 4, True, "instance", True, self.output_norm, name="unet")
+            noise = n_init + jnp.tanh(unet(x, latent, train=train))
             return noise if lines else (noise, jnp.zeros_like(noise))
-        x = in_sigma_units(clean, n_init, sigma, level=self.level_input)
-        features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
-        x = jnp.concatenate([x, features], -1)
         told = latent * latent.shape[-1] ** 0.5
+        level = _as_noise(sigma) if level is None else level
         if self.setting_input:
-            source = jnp.zeros(clean.shape[0]) if known is None else known
+            # An estimate from n images varies as 1 / n, so that more of them than training shows are no leap.
+            source = jnp.stack([level.known, (1 - level.known) * (1 - 1 / level.shown)], -1)
             summary = setting_summary(clean, sigma) if summary is None else summary
-            told = jnp.concatenate([told, summary, source[:, None]], -1)
-        # One hidden layer: how far a camera is from its published noise differs from setting to setting.
-        told = leaky_relu(nn.Dense(2 * self.hidden, kernel_init=he_init, name="told")(told))
-        maps = PixelBranch(self.hidden, 12, self.direct, name="pixels")(x, told, train=train)
-        factor, shift, row = (jnp.tanh(m) for m in jnp.split(maps, 3, -1))
-        noise = n_init * jnp.exp(factor) + sigma * shift
+            told = jnp.concatenate([told, summary, level_summary(level), source], -1)
+        if self.physics:
+            physics = self._physics(told)
+            if draws is None:
+                draws = branch_draws(self.make_rng("noise"), n_init.shape)
+            n_init = physical_noise(draws, n_init / sigma, clean, level, physics)
+            if not self.residue:
+                return n_init if lines else (n_init, jnp.zeros_like(n_init))
+        noise, row = self._networks(clean, n_init, latent, sigma, told, train)
         if not lines:
             return noise, sigma * row
-        if self.row_noise:
-            draws = row_draws(self.make_rng("noise"), *noise.shape[:2])
-            noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * draws
+        if self.row_noise and not self.physics:
+            offsets = row_draws(self.make_rng("noise"), *noise.shape[:2])
+            noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * offsets
         return noise
+
+    def _physics(self, told) -> Physics:
+        """The branches' parameters for what is told."""
+        for i in range(2):
+            told = leaky_relu(nn.Dense(4 * self.hidden, kernel_init=he_init, name=f"physics{i}")(told))
+        physics = physics_of(nn.Dense(OUTPUTS, kernel_init=nn.initializers.zeros, name="physics")(told))
+        self.sow("physics", "parameters", physics)
+        return physics
+
+    def _networks(self, clean, noise, latent, sigma, told, train):
+        """The U-Net and the full-resolution branch: noise, and the sizes of row offsets beside it."""
+        x = in_sigma_units(clean, noise, sigma, level=self.level_input)
+        features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
+        x = jnp.concatenate([x, features], -1)
+        # One hidden layer: how far a camera is from its published noise differs from setting to setting.
+        told = leaky_relu(nn.Dense(2 * self.hidden, kernel_init=he_init, name="told")(told))
+        direct, rows = (setting and not self.physics for setting in (self.direct, self.row_noise))
+        maps = PixelBranch(self.hidden, 12 if rows else 8, direct, name="pixels")(x, told, train=train)
+        factor, shift, *row = (jnp.tanh(maps[..., i : i + 4]) for i in range(0, maps.shape[-1], 4))
+        noise = noise * jnp.exp(factor) + sigma * shift
+        if not rows:
+            return noise, jnp.zeros_like(noise)
+        return noise, row[0]
 
 
 def row_draws(key: Key[Array, ""], images: int, rows: int) -> Float[Array, "b h 1 4"]:
     """One standard normal draw a sensor row: R and Gr share the row above, Gb and B the one below."""
     return jnp.repeat(jax.random.normal(key, (images, rows, 1, 2)), 2, -1)
+
+
+def _as_noise(sigma) -> Level:
+    """The level where none is told: all of it read noise."""
+    read = jnp.mean(jnp.square(sigma), (1, 2))
+    count = sigma.shape[0]
+    return Level(jnp.zeros_like(read), read, jnp.zeros(count), jnp.ones(count))
+
+
+def level_summary(level: Level) -> Float[Array, "b 2"]:
+    """Logs of shot and of read noise in electrons, of about -1.5..1.5."""
+    shot = jnp.mean(jnp.log(jnp.maximum(level.shot, LEAST_SHOT)), -1)
+    read = jnp.mean(jnp.log(jnp.maximum(level.read, LEAST_READ)), -1)
+    return jnp.stack([(shot + 6) / 1.5, (read / 2 - shot - 0.5) / 1.5], -1)
 
 
 def setting_summary(clean: Float[Array, "b h w 4"], sigma: Float[Array, "b h w 4"]) -> Float[Array, "b s"]:

@@ -11,9 +11,10 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
-from cannoise_jax.physics.single_image import high_pass, local_mean
+from cannoise_jax.physics.single_image import estimate_nlf, high_pass, local_mean, smoothness
 
 # Signal levels at which the noise level is read off, normalised units; log(m + TOE) is about uniform over
 # them.
@@ -22,6 +23,8 @@ TOE = 0.01
 FLOOR = 1e-5
 """Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""
 TAILS = (2.5, 3.5, 5.0)
+LINES = 0.02
+"""What lines seem to share by chance in a patch of 64 x 64."""
 
 
 def _level_weights(mean):
@@ -35,13 +38,16 @@ def _level_weights(mean):
 def noise_statistics(
     noisy: Float[Array, "b h w 4"],
 ) -> tuple[Float[Array, "b s"], Float[Array, "b h-2 w-2 4"]]:
-    """Statistics of each image's noise, of order one, and its high-pass residual in units of its own level.
+    """Statistics of each image's noise, of order one, and its high-pass residual in units of its own level,
+    faded out where there is texture.
 
     In order: log noise level at five signal levels for each channel (empty levels fall back on the rest) and
-    how many pixels lie there; per channel kurtosis, shares beyond 2.5, 3.5 and 5 sigma; correlation of
-    horizontal and vertical neighbours; correlation of channel pairs; size of row offsets against white noise,
-    and how much of them the two channels of a sensor row share; how many pixels lie below and exactly at the
-    black level, which tells whether the camera's codes end there.
+    how many pixels lie there, once over all of the image and once, all channels together, over its smooth
+    part; how large that part is; logs of estimated shot and read noise; per channel kurtosis, shares beyond
+    2.5, 3.5 and 5 sigma; the same of dark, smooth parts; correlation of horizontal and vertical neighbours;
+    correlation of channel pairs; what rows and what columns share, at lags of 0 to 4, and how much of it the
+    two channels of a line share; how many pixels lie below and exactly at the black level, which tells
+    whether the camera's codes end there.
     """
     residual, mean = high_pass(noisy), local_mean(noisy)
     weights = _level_weights(mean)
@@ -50,46 +56,86 @@ def noise_statistics(
     share = jnp.mean(weights, (1, 2))
     # 0.1 % of prior weight: a level that holds fewer pixels says the image's average instead.
     level = (jnp.mean(weights * size[..., None], (1, 2)) + 1e-3 * total) / (share + 1e-3) + FLOOR
-    sigma = jnp.sum(weights * level[:, None, None], -1)
-    z = residual / sigma * np.float32(np.sqrt(2 / np.pi))  # mean absolute value to standard deviation
+    shot, read = jax.vmap(estimate_nlf)(noisy)
+    variance = jnp.maximum(shot[:, None, None] * jnp.maximum(mean, 0) + read[:, None, None], FLOOR**2)
+    smooth = smoothness(residual, variance)
+    z = residual * lax.rsqrt(variance)
+    part = smooth[..., None]
+    dark = part * (shot[:, None, None] * jnp.maximum(mean, 0) < 2 * read[:, None, None])
     soft = jnp.tanh(z / 2)
+    smooth_share = jnp.mean(part[..., None] * weights, (1, 2, 3))
+    smooth_power = jnp.mean((part * jnp.minimum(jnp.square(z), 50))[..., None] * weights, (1, 2, 3))
 
-    def correlation(a, b):
-        return 4 * jnp.mean(a * b, (1, 2))
+    def correlation(a, b, weight):
+        return 4 * _weighted(a * b, weight)
 
-    tails = [jnp.mean(jax.nn.sigmoid((jnp.abs(z) - t) * 5), (1, 2)) for t in TAILS]
     pairs = [(0, 1), (2, 3), (0, 3), (1, 2), (0, 2), (1, 3)]
-    rows, shared_rows = _row_offsets(noisy, sigma)
     flat = (*noisy.shape[:1], -1)
     parts = [
         (jnp.log(level) + 5).reshape(flat),
         jnp.mean(share, 1),
-        jnp.log(jnp.mean(jnp.minimum(jnp.square(z), 100), (1, 2)) + FLOOR),
-        *((jnp.log(t + 1e-3) + 5) / 2 for t in tails),
-        correlation(soft[:, :, 1:], soft[:, :, :-1]),
-        correlation(soft[:, 1:], soft[:, :-1]),
-        jnp.stack([correlation(soft[..., a], soft[..., b]) for a, b in pairs], -1),
-        rows,
-        shared_rows,
+        4 * jnp.log((smooth_power + 1e-3) / (smooth_share + 1e-3)),
+        smooth_share,
+        jnp.mean(part, (1, 2, 3))[:, None],
+        (jnp.log(jnp.stack([jnp.mean(shot, -1), jnp.mean(read, -1)], -1) + 1e-8) + 8) / 2,
+        *_tails(z, part),
+        *(jnp.mean(t, -1, keepdims=True) for t in _tails(z, dark)),
+        jnp.mean(dark, (1, 2, 3))[:, None],
+        correlation(soft[:, :, 1:], soft[:, :, :-1], part[:, :, 1:]),
+        correlation(soft[:, 1:], soft[:, :-1], part[:, 1:]),
+        jnp.stack([correlation(soft[..., a], soft[..., b], smooth) for a, b in pairs], -1),
+        *_line_offsets(noisy, variance, smooth),
+        *_line_offsets(*(jnp.swapaxes(v, 1, 2) for v in (_transposed(noisy), _transposed(variance), smooth))),
         (jnp.log(jnp.stack([_share(noisy < 0), _share(noisy == 0)], -1) + 1e-4) + 5) / 3,
     ]
-    return jnp.concatenate(parts, -1), z
+    return jnp.concatenate(parts, -1), z * part
+
+
+def _weighted(values, weight):
+    """Mean over an image's pixels, where there is any weight; towards zero where there is hardly any."""
+    return jnp.sum(values * weight, (1, 2)) / (jnp.sum(weight * jnp.ones_like(values), (1, 2)) + 20)
+
+
+def _tails(z, weight):
+    """Per channel log of the fourth moment, and of the shares beyond the thresholds."""
+    yield jnp.log(_weighted(jnp.minimum(jnp.square(jnp.square(z)), 1e3), weight) + 1)
+    for t in TAILS:
+        yield (jnp.log(_weighted(jax.nn.sigmoid((jnp.abs(z) - t) * 5), weight) + 1e-3) + 5) / 2
 
 
 def _share(condition):
     return jnp.mean(condition.astype(jnp.float32), (1, 2, 3))
 
 
-def _row_offsets(noisy, sigma):
-    """Log size of row-mean second differences against white noise; correlation in and across rows."""
-    rows = jnp.mean(noisy, 2)
-    width = noisy.shape[2]
-    difference = (rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]) / 6**0.5
-    white = jnp.sqrt(jnp.mean(jnp.square(sigma), 2) / width) + FLOOR
-    units = difference / white
-    soft = jnp.tanh(units / 4)
-    power = jnp.mean(jnp.square(soft), 1) + 1e-3
-    shared = jnp.mean(soft[..., 0] * soft[..., 1] + soft[..., 2] * soft[..., 3], 1)
-    crossed = jnp.mean(soft[..., 0] * soft[..., 3] + soft[..., 1] * soft[..., 2], 1)
-    scale = jnp.mean(power, -1)
-    return jnp.log(power) + 2, jnp.stack([shared / scale, crossed / scale], -1)
+def _transposed(image):
+    """The packed channels as they lie in a transposed mosaic: rows become columns."""
+    return image[..., np.array([0, 2, 1, 3])]
+
+
+def _line_offsets(noisy, variance, smooth):
+    """What the pixels of a row have in common beside the scene: of second differences down the columns, in
+    units of the noise, the mean along each row, large ones counting less. Second differences have no memory
+    for slow scene content, and keep of slow offsets what tells them from white ones.
+
+    Products of the two channels of a row, at lags of 0 to 4 rows of one colour; of each channel's own pixels
+    with one another; of neighbouring sensor rows.
+    """
+    difference = (noisy[:, :-2] - 2 * noisy[:, 1:-1] + noisy[:, 2:])[:, :, 1:-1] / 6**0.5
+    soft = jnp.tanh(difference * lax.rsqrt(variance) / 2) * smooth[..., None]
+    weight = jnp.sum(jnp.square(smooth), 2)[..., None] + 1
+    total = jnp.sum(soft, 2)
+    own = jnp.sum(jnp.square(soft), 2)
+    pairs = [(total[..., 0], total[..., 1]), (total[..., 2], total[..., 3])]
+    scale = jnp.sum(weight[..., 0], 1) * 2
+    # Products of two channels have no noise of their own in them, so that white noise gives zero.
+    crossed = [sum(jnp.sum(_lagged(a, b, k), 1) for a, b in pairs) / scale for k in range(5)]
+    alone = jnp.sum(jnp.square(total) - own, (1, 2)) / scale / 2
+    upper, lower = (a + b for a, b in pairs)
+    between = [jnp.sum(_lagged(upper, lower, k), 1) / scale / 2 for k in range(2)]
+    # Shares of the variance: of the order of their chance below LINES, logarithmic above.
+    return (jnp.arcsinh(jnp.stack([*crossed, alone, *between], -1) / LINES) / 2,)
+
+
+def _lagged(a, b, lag):
+    size = a.shape[1] - lag
+    return (a[:, :size] * b[:, lag:] + b[:, :size] * a[:, lag:]) / 2

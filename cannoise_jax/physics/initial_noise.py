@@ -3,6 +3,9 @@ deviation."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
@@ -45,17 +48,37 @@ INITIAL_NOISE: dict[str, InitialNoise] = {"poisson_gaussian": poisson_gaussian, 
 
 
 def initial_noise(choice: str | InitialNoise) -> InitialNoise:
-    """By name; "sensor:FILE" or "preset:NAME" for that of a sensor model; or any
-    `f(key, clean, shot, read) -> (noise, sigma)` as it stands. Raises ValueError for another name, BadInput
-    for a file or preset that is not one."""
+    """By name; any `f(key, clean, shot, read) -> (noise, sigma)` as it stands. Raises ValueError for another
+    name."""
     if callable(choice):
         return choice
-    kind, _, name = choice.partition(":")
-    if name and kind in ("sensor", "preset"):
-        return (read_sensor(name) if kind == "sensor" else SensorModel.preset(name)).n_init()
     if choice not in INITIAL_NOISE:
         names = ", ".join(INITIAL_NOISE)
         raise ValueError(
             f"initial_noise must be {names}, sensor:FILE, preset:NAME or a function, got {choice!r}"
         )
     return INITIAL_NOISE[choice]
+
+
+def sensors_of(choice: str | InitialNoise) -> tuple[SensorModel, ...]:
+    """The sensor models of "sensor:FILE", "sensor:FILE,FILE" (one a camera) or "preset:NAME"; none for other
+    choices. Raises BadInput for a file or preset that is not one."""
+    kind, _, name = choice.partition(":") if isinstance(choice, str) else ("", "", "")
+    if name and kind == "sensor":
+        return tuple(read_sensor(file) for file in name.split(","))
+    return (SensorModel.preset(name),) if name and kind == "preset" else ()
+
+
+def initial_noise_by_camera(choice: str | InitialNoise) -> Callable[..., tuple[Any, Any]]:
+    """`(key, clean, shot, read, camera) -> (noise, sigma)`: of the sensor of each image's camera, `[B]`,
+    where the choice names several; else as `initial_noise`."""
+    sensors = sensors_of(choice)
+    draws = [sensor.n_init() for sensor in sensors] or [initial_noise(choice)]
+
+    def draw(key, clean, shot, read, camera):
+        if len(draws) == 1:
+            return draws[0](key, clean, shot, read)
+        made = [jnp.stack(part) for part in zip(*(d(key, clean, shot, read) for d in draws), strict=True)]
+        return tuple(part[camera, jnp.arange(clean.shape[0])] for part in made)
+
+    return draw

@@ -99,6 +99,20 @@ def estimate_nlf(
     return tuple(jnp.where(seen, _BIAS * factor * v, 0) for v in (shot, read))  # type: ignore[return-value]
 
 
+def smoothness(residual: Float[Array, "b h w c"], variance: Float[Array, "b h w c"]) -> Float[Array, "b h w"]:
+    """From 1 where the high-pass residual is noise of this variance to 0 where it holds texture: by the mean
+    square around each pixel, all planes together, and by what the planes share."""
+    channels = residual.shape[-1]
+    z = residual * lax.rsqrt(variance)
+    power = jnp.mean(jnp.square(z), -1)
+    shared = (jnp.square(jnp.sum(z, -1)) / channels - power) / max(channels - 1, 1)
+    window = (1, BLOCK, BLOCK)
+    power, shared = (
+        lax.reduce_window(v, 0.0, lax.add, window, (1, 1, 1), "SAME") / BLOCK**2 for v in (power, shared)
+    )
+    return _gentle((power - 1) / (2 * _SPREAD / channels**0.5)) * _gentle(shared / (2 * _SHARED))
+
+
 def _gentle(excess):
     """A weight that falls from one as the excess grows past one; one below zero."""
     return 1 / (1 + jnp.square(jnp.square(jnp.maximum(excess, 0))))

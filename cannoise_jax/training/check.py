@@ -6,7 +6,7 @@ import math
 
 from ml_collections import ConfigDict
 
-from cannoise_jax.physics.initial_noise import INITIAL_NOISE
+from cannoise_jax.physics.initial_noise import INITIAL_NOISE, sensors_of
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import LEVELS
 
@@ -16,12 +16,13 @@ _COUNTS = (
     "data.per_scene", "data.held_out_per_scene",
     "data.per_recording", "data.half_real_scenes", "data.train_patches", "data.test_patches",
     "data.held_out_patches",
-    "data.calibration_patches",
+    "data.calibration_patches", "data.cameras", "data.references", "data.validation_cameras",
+    "data.calibration_scenes",
 )  # fmt: skip
 _POSITIVE = ("width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate")
 _NOT_NEGATIVE = (
     "optimiser.warmup", "loss.adversarial", "loss.penalty", "loss.feature_matching", "loss.statistics",
-    "loss.triplet", "loss.margin",
+    "loss.triplet", "loss.margin", "loss.physics", "loss.quantiles", "loss.spectra",
 )  # fmt: skip
 _BELOW_ONE = ("ema", "optimiser.beta1", "optimiser.beta2")
 _CHOICES = {
@@ -66,6 +67,16 @@ def check_config(config: ConfigDict) -> None:
     for name, allowed in choices.items():
         if _value(config, name) not in allowed:
             raise _wrong(name, _value(config, name), f"use one of {', '.join(allowed)}")
+
+
+def check_sensors(config: ConfigDict, cameras: tuple[str, ...]) -> None:
+    """Raises BadInput where "sensor:FILE,FILE" are not those of the cameras, in their order."""
+    names = tuple(sensor.camera for sensor in sensors_of(config.initial_noise))
+    if len(names) > 1 and names != cameras:
+        raise BadInput(
+            f"config.initial_noise: sensors of {', '.join(names)} for the cameras {', '.join(cameras)}: name "
+            "one file for each camera, in the order of the recordings"
+        )
 
 
 def _value(config: ConfigDict, name: str):

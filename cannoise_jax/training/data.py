@@ -1,7 +1,9 @@
-"""What a run trains on and is measured on: virtual cameras, folders of recordings, or SIDD.
+"""What a run trains on and is measured on: drawn cameras, virtual cameras, folders of recordings, or SIDD.
 
-Three sets of scenes that share none: training; validation, which picks the best checkpoint; test, which the
-final table is about and nothing else looks at.
+Drawn cameras come from a prior over the sensor grammar and are as many as one likes; a run that is trained on
+them is measured on the virtual cameras, none of which it has seen. Three sets of scenes that share none:
+training; validation, which picks the best checkpoint; test, which the final table is about and nothing else
+looks at.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ from cannoise_jax.recordings.patches import (
     split_scenes,
     write_patches,
 )
-from cannoise_jax.recordings.pipeline import ArrayPatches, PatchSource
+from cannoise_jax.recordings.pipeline import ArrayPatches, BatchIterator, PatchSource, batches
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.sidd import load_sidd, scene_id
 from cannoise_jax.sampling import Camera, Setting
+from cannoise_jax.training.drawn import DrawnBatches, DrawnCameras, drawn_cameras
 from cannoise_jax.training.recorded import recorded_patches
 
 Levels = dict[tuple[int, int], tuple[float, float]]
@@ -60,19 +63,47 @@ class TrainingData:
     """train: patches to learn from. recalibrated: (shot, read) by (camera, ISO), fitted to them.
 
     examples: for each camera some of its noisy patches, and its noise level functions by ISO.
+    validation_cameras, trained_on: names and number, where those of the test are not the ones of training.
     """
 
-    train: PatchSource
+    train: PatchSource | DrawnCameras
     validation: HeldOut
     test: HeldOut
     cameras: tuple[str, ...]
     recalibrated: Levels
     examples: dict[str, Camera]
+    validation_cameras: tuple[str, ...] | None = None
+    trained_on: int | None = None
+
+    @property
+    def known(self) -> int:
+        """How many cameras the critic may be told apart."""
+        return len(self.cameras) if self.trained_on is None else self.trained_on
+
+    def batches(self, config: ConfigDict) -> BatchIterator:
+        """Endless batches of the training patches as the config has them."""
+        if isinstance(self.train, DrawnCameras):
+            return DrawnBatches(self.train, config.batch_size, config.seed, config.patch)
+        return batches(
+            self.train,
+            config.batch_size,
+            seed=config.seed,
+            size=config.patch,
+            reference_size=config.reference,
+            triplet=bool(config.loss.triplet),
+        )
+
+    def noisy_examples(self) -> Float[np.ndarray, "n h w 4"]:
+        """Noisy training images of many cameras, on which E's statistics are standardised."""
+        if isinstance(self.train, DrawnCameras):
+            return self.train.noisy(np.arange(min(len(self.train), 128)), 0)
+        return np.concatenate([camera.reference for camera in self.examples.values()])
 
 
 def load_data(config: ConfigDict, workdir: Path) -> TrainingData:
     """The data that `config.data` names. Raises BadInput."""
     loaders: dict[str, Callable[[ConfigDict, Path], TrainingData]] = {
+        "drawn": _drawn,
         "virtual": _virtual,
         "recordings": _recordings,
         "sidd": _sidd,
@@ -80,6 +111,46 @@ def load_data(config: ConfigDict, workdir: Path) -> TrainingData:
     if config.data.source not in loaders:
         raise BadInput(f"config.data.source: {config.data.source!r}: use one of {', '.join(loaders)}")
     return loaders[config.data.source](config, workdir)
+
+
+def _drawn(config: ConfigDict, workdir: Path) -> TrainingData:
+    """Training and validation on drawn cameras; the virtual cameras are the test."""
+    data, cameras = config.data, virtual_cameras()
+    key = jax.random.key(data.seed)
+    train = drawn_cameras(key, "train", data.cameras, data.references, data.scenes)
+    held = drawn_cameras(
+        jax.random.fold_in(key, 1), "validation", data.validation_cameras, config.references,
+        data.validation_scenes,
+    )  # fmt: skip
+    test = HeldOut(**virtual_patches(key, "test", data.test_scenes, data.held_out_per_scene)._asdict())
+    shown = virtual_patches(key, "validation", data.calibration_scenes, data.per_scene)
+    known = HeldOut(**shown._asdict())
+    levels = calibrate_by_setting(
+        known.clean, clipped_noise(known.noisy - known.clean, known.clean), known.camera, known.iso
+    )
+    for i, (c, iso) in enumerate(zip(known.camera.tolist(), known.iso.tolist(), strict=True)):
+        known.shot[i], known.read[i] = levels[c, iso]
+    names = tuple(camera.name for camera in cameras)
+    return TrainingData(
+        train, _held_out_of(held), test, names, levels, _examples(known, names),
+        tuple(f"drawn {n}" for n in range(len(held))), len(train),
+    )  # fmt: skip
+
+
+def _held_out_of(drawn: DrawnCameras) -> HeldOut:
+    """Every patch of the first setting of each camera."""
+    count, patches = len(drawn), drawn.references + 1
+    camera, patch = (v.ravel() for v in np.mgrid[:count, :patches])
+    shot, read = (np.repeat(drawn.level[camera, i][:, None], 4, 1) for i in (0, 1))
+    return HeldOut(
+        clean=drawn.clean(camera, patch),
+        noisy=drawn.noisy(camera, patch),
+        shot=shot,
+        read=read,
+        camera=camera.astype(np.int32),
+        iso=np.zeros(len(camera), np.int32),
+        scene=np.arange(len(camera), dtype=np.int32),
+    )
 
 
 def _virtual(config: ConfigDict, workdir: Path) -> TrainingData:

@@ -18,19 +18,22 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
+from cannoise_jax.evaluation.samplers import Samplers, samplers
+from cannoise_jax.networks.branches import Level
 from cannoise_jax.networks.encoder import mean_latent
-from cannoise_jax.physics.initial_noise import initial_noise
+from cannoise_jax.physics.initial_noise import initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
-from cannoise_jax.recordings.pipeline import batches
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.sampling import Samplers, samplers
-from cannoise_jax.training.check import check_config
+from cannoise_jax.training.check import check_config, check_sensors
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.metrics import MetricWriter, noise_panel
 from cannoise_jax.training.state import State, abstract_state, init_state, latent_of, make_networks
 from cannoise_jax.training.step import make_train_step
+
+_MOST_CAMERAS = 12
+"""Cameras whose validation is written one by one."""
 
 
 class Progress(Protocol):
@@ -103,20 +106,22 @@ def make_sampler(config: ConfigDict) -> Callable[[State], Samplers]:
 
     def of_state(state: State) -> Samplers:
         spectral = (state.generator["spectral"], state.encoder["spectral"])
-        return samplers(config.level, lambda *arguments: sample(state.average, spectral, *arguments))
+        return samplers(config.level, partial(sample, state.average, spectral), by_camera=True)
 
     return of_state
 
 
 @lru_cache(maxsize=4)
 def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
-    networks, draw = make_networks(config), initial_noise(config.initial_noise)
+    networks, draw = make_networks(config), initial_noise_by_camera(config.initial_noise)
 
     @partial(jax.jit, compiler_options=compiler_options(config))
-    def sample(average, spectral, key, clean, reference, nlf):
+    def sample(average, spectral, key, clean, reference, nlf, camera):
         noise_key, row_key = jax.random.split(key)
-        known = jnp.full(clean.shape[0], float(nlf is not None))
-        n_init, sigma = draw(noise_key, clean, *(nlf or jax.vmap(estimate_nlf)(reference)))
+        shot, read = nlf or jax.vmap(estimate_nlf)(reference)
+        known, shown = (jnp.full(clean.shape[0], float(v)) for v in (nlf is not None, reference.shape[1]))
+        level = Level(shot, read, known, shown)
+        n_init, sigma = draw(noise_key, clean, shot, read, camera)
         encoder = {"params": average["encoder"], "spectral": spectral[1]}
         latent = latent_of(networks, encoder, reference.reshape(-1, *reference.shape[-3:]))
         if networks.encoder is not None:
@@ -125,7 +130,7 @@ def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
             latent = latent[:: reference.shape[1]]
         generator = {"params": average["generator"], "spectral": spectral[0]}
         return networks.generator.apply(
-            generator, clean, n_init, latent, sigma, train=False, known=known, rngs={"noise": row_key}
+            generator, clean, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
         )
 
     return sample
@@ -168,25 +173,21 @@ def train(
     cannot be trained.
     """
     check_config(config)
+    check_sensors(config, data.cameras)
     check_workdir(config, workdir)
-    source = batches(
-        data.train,
-        config.batch_size,
-        seed=config.seed,
-        size=config.patch,
-        reference_size=config.reference,
-        triplet=bool(config.loss.triplet),
-    )
+    source = data.batches(config)
     _write_config(config, workdir)
     checkpoints = Checkpoints(workdir)
     newest = checkpoints.newest()
     if newest is None:
-        examples = np.concatenate([camera.reference for camera in data.examples.values()])
-        state = init_state(config, len(data.cameras), jnp.asarray(examples))
+        state = init_state(config, data.known, jnp.asarray(data.noisy_examples()))
+        if config.start:
+            state = started(config, state, data.known)
     else:
-        state, position = checkpoints.restore(abstract_state(config, len(data.cameras)), newest)
+        state, position = checkpoints.restore(abstract_state(config, data.known), newest)
         source.set_state(position)
-    train_step = make_train_step(config, len(data.cameras))
+    train_step = make_train_step(config, data.known)
+    validation_cameras = data.validation_cameras or data.cameras
     sampler = make_sampler(config)
     validation = data.validation.some(config.validation_patches)
     step, scored = int(state.step), None
@@ -201,13 +202,14 @@ def train(
                 if step % config.log_every == 0 or last:
                     numbers = {name: float(value) for name, value in metrics.items()}
                     _check_finite(numbers, step, checkpoints)
-                    bar.set_postfix(D=f"{numbers['critic/wasserstein']:.3f}", refresh=False)
+                    name, value = next(iter(numbers.items()))
+                    bar.set_postfix({name.partition("/")[2]: f"{value:.3f}"}, refresh=False)
                     writer.write_scalars(step, numbers)
                 scored = None
                 if step % config.evaluate_every == 0 or last:
                     _check_state(state, metrics, checkpoints)
                     scored = _validate(
-                        writer, step, sampler(state), validation, data.cameras, config.references
+                        writer, step, sampler(state), validation, validation_cameras, config.references
                     )
                 if step % config.checkpoint_every == 0 or scored is not None:
                     _save(checkpoints, state, metrics, source, scored)
@@ -221,6 +223,30 @@ def train(
         return Outcome(finished, state, int(state.step))
     finally:
         checkpoints.close()
+
+
+def started(config: ConfigDict, state: State, cameras: int) -> State:
+    """The first state with the networks of another run, `config.start`, as it samples from them.
+
+    Raises BadInput where that folder holds no checkpoint, or one of other networks.
+    """
+    folder = Path(config.start)
+    if not (folder / "checkpoints").is_dir():
+        raise BadInput(f"config.start: {folder}: holds no checkpoints: name the folder of a training run")
+    checkpoints = Checkpoints(folder)
+    try:
+        best = checkpoints.best()
+        if best is None:
+            raise BadInput(f"config.start: {folder}: holds no finished checkpoint: let that run go on first")
+        other, _ = checkpoints.restore(abstract_state(config, cameras), best)
+    finally:
+        checkpoints.close()
+    networks: dict[str, Any] = {
+        name: {"params": other.average[name], "spectral": getattr(other, name)["spectral"]}
+        for name in ("generator", "encoder")
+    }
+    copied = jax.tree.map(jnp.copy, other.average)
+    return state._replace(critic=other.critic, average=copied, **networks)
 
 
 def _save(checkpoints: Checkpoints, state: State, metrics, source, score: float | None) -> None:
@@ -265,6 +291,7 @@ def _validate(
         f"validation/{name}/{camera}": row[name]["kl"]
         for camera, row in {**results["cameras"], "pooled": results["pooled"]}.items()
         for name in row
+        if camera == "pooled" or len(cameras) <= _MOST_CAMERAS
     }
     writer.write_scalars(step, scalars)
     shown = patches.some(5)

@@ -13,6 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from cannoise_jax.networks.branches import Physics
+from cannoise_jax.physics.core.tukey_lambda import excess_kurtosis
+
 
 def critic_loss(real: Float[Array, "b y x 1"], fake: Float[Array, "b y x 1"]) -> Float[Array, ""]:
     """The Wasserstein part of the critic's loss, E[D(fake)] - E[D(real)]: negative when D can tell."""
@@ -114,6 +117,116 @@ def _fisher_z(noise, axis):
     first, second = (jax.lax.slice_in_dim(noise, k, noise.shape[axis] - 1 + k, axis=axis) for k in (0, 1))
     sums, differences = (jnp.mean(jnp.square(x), (1, 2, 3)) + 1e-6 for x in (first + second, first - second))
     return 0.5 * jnp.log(sums / differences)
+
+
+class Truth(NamedTuple):
+    """What a drawn camera really has: see `networks.branches.Physics`. shot, read: of its whole variance."""
+
+    shot: Float[Array, "b 4"]
+    read: Float[Array, "b 4"]
+    tail: Float[Array, "b"]
+    row: Float[Array, "b"]
+    slow_row: Float[Array, "b"]
+    column: Float[Array, "b"]
+    blend: Float[Array, "b"]
+
+
+LEAST_TAIL = -0.215
+"""Heavier Tukey-lambda tails count as this: a fourth moment that hardly exists is no target."""
+
+
+def deviance(true: Float[Array, "*b"], found: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """a / b - 1 - log(a / b) for positive numbers: least, in expectation, where b is the mean of a.
+
+    Of variances it is twice the KL divergence of normal noise.
+    """
+    ratio = true / found
+    return ratio - 1 - jnp.log(ratio)
+
+
+LEVEL_REACH = 0.2
+"""Log ratio of variances beyond which an error of the level counts in proportion, no longer squared."""
+
+
+def level_loss(true: Float[Array, "*b"], found: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """KL of normal noise of these variances, nats, where they are close; less than it where they are not.
+
+    A level that is read off pixels is a ratio with a noisy denominator: where shadows are clipped or noise is
+    below a code the estimate may be ten times too low. The mean of such ratios, which the KL itself asks for,
+    makes every other camera too loud; their median does not.
+    """
+    off = jnp.log(true / found) / LEVEL_REACH
+    return 0.5 * LEVEL_REACH**2 * (jnp.sqrt(1 + jnp.square(off)) - 1)
+
+
+def physics_loss(
+    variance: Float[Array, "b h w 4"], clean: Float[Array, "b h w 4"], physics: Physics, truth: Truth
+) -> dict[str, Float[Array, ""]]:
+    """How far parameters that were read off pixels are from those of the camera, where these are known.
+
+    variance: that of the branches at every pixel. `level`: see `level_loss`; the rest: deviances of the
+    fourth moment, of the shares of lines, of the weight of neighbours. What of these the pixels do not tell
+    costs least at its mean over the cameras that would look alike.
+    """
+    whole = truth.shot[:, None, None] * jnp.maximum(clean, 0) + truth.read[:, None, None]
+
+    def fourth(tail):
+        return excess_kurtosis(jnp.maximum(tail, LEAST_TAIL)) + 1.5
+
+    lines = [
+        deviance(getattr(truth, n) + 0.002, getattr(physics, n) + 0.002)
+        for n in ("row", "slow_row", "column")
+    ]
+    return {
+        "level": jnp.mean(level_loss(whole, variance)),
+        "tails": jnp.mean(deviance(fourth(truth.tail), fourth(physics.tail))),
+        "lines": jnp.mean(sum(lines)),
+        "neighbours": jnp.mean(deviance(truth.blend + 0.02, physics.blend + 0.02)),
+    }
+
+
+def paired_loss(first: Float[Array, "*s"], second: Float[Array, "*s"], real: Float[Array, "*s"]):
+    """Mean of (first - real) (second - real) for statistics of two independent draws of one model.
+
+    Its expectation is the squared distance of the model's mean statistic from the real one, plus a constant.
+    The square of one draw's distance holds the draw's own variance too, so that it would favour noise whose
+    statistics vary little: light tails, no slow rows.
+    """
+    return jnp.mean((first - real) * (second - real))
+
+
+def quantiles(noise: Float[Array, "b h w c"]) -> Float[Array, "b n"]:
+    """The sorted values of each image: where a histogram loses its tails, the first and the last."""
+    return jnp.sort(noise.reshape(noise.shape[0], -1), -1)
+
+
+def log_spectra(noise: Float[Array, "b h w 4"], bands: int = 4) -> Float[Array, "b s"]:
+    """Log power of row means, of column means, and in two dimensions, in bands of frequency an octave wide.
+
+    noise: packed, in units of its sigma. Rows and columns are those of the mosaic.
+    """
+    batch, height, width, _ = noise.shape
+    rows = jnp.mean(noise.reshape(batch, height, width, 2, 2), (2, 4)).reshape(batch, -1) * (2 * width) ** 0.5
+    pairs = noise.reshape(batch, height, width, 2, 2)
+    columns = jnp.mean(pairs, (1, 3)).reshape(batch, -1) * (2 * height) ** 0.5
+    parts = [
+        _log_bands(jnp.square(jnp.abs(jnp.fft.rfft(x)))[:, 1:] / x.shape[1], bands) for x in (rows, columns)
+    ]
+    plane = jnp.mean(jnp.square(jnp.abs(jnp.fft.rfft2(noise, axes=(1, 2)))), -1) / (height * width)
+    y, x = jnp.meshgrid(jnp.abs(jnp.fft.fftfreq(height)), jnp.fft.rfftfreq(width), indexing="ij")
+    edges = jnp.array([0.125, 0.25])
+    cell = 3 * jnp.searchsorted(edges, y) + jnp.searchsorted(edges, x)
+    chosen = jax.nn.one_hot(cell, 9) * ((y + x) > 0)[..., None]
+    power = jnp.einsum("byx,yxk->bk", plane, chosen) / jnp.sum(chosen, (0, 1))
+    return jnp.concatenate([*parts, jnp.log(power + 1e-3)], -1)
+
+
+def _log_bands(power, bands):
+    """Log of mean power in octaves, the last one up to the highest frequency."""
+    ends = [power.shape[1] >> k for k in range(bands - 1, -1, -1)]
+    starts = [0, *ends[:-1]]
+    means = [jnp.mean(power[:, a:b], 1) for a, b in zip(starts, ends, strict=True)]
+    return jnp.log(jnp.stack(means, -1) + 1e-3)
 
 
 def triplet_loss(

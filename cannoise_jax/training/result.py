@@ -7,10 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.compare import evaluate_model
-from cannoise_jax.sampling import MODEL_FILE, Model, Samplers, make_model, sample_noise, samplers, save_model
+from cannoise_jax.evaluation.samplers import Samplers, samplers
+from cannoise_jax.sampling import (
+    MODEL_FILE,
+    Model,
+    make_model,
+    of_camera,
+    sample_noise,
+    save_model,
+)
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import TrainingData
 from cannoise_jax.training.state import State, make_networks
@@ -43,7 +52,8 @@ def write_model(config: ConfigDict, state: State, data: TrainingData, workdir: P
 
 def samplers_of(model: Model, config: ConfigDict) -> Samplers:
     """`sample_noise` itself on batches with references of their own, as `evaluation` takes it:
-    (key, clean, reference, shot, read) -> noise; compiled as `config.compiler` says."""
+    (key, clean, reference, shot, read) -> noise; compiled as `config.compiler` says. A model with a sensor
+    for each camera is told the camera."""
 
     @partial(jax.jit, compiler_options=compiler_options(config))
     def sample(model, key, clean, reference, nlf):
@@ -52,6 +62,13 @@ def samplers_of(model: Model, config: ConfigDict) -> Samplers:
 
         return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, nlf)
 
+    def of_its_camera(key, clean, reference, nlf, camera):
+        own = [of_camera(model, sensor.camera) for sensor in model.sensors]
+        made = [np.asarray(sample(m, key, clean, reference, nlf)) for m in own]
+        return np.stack(made)[camera, np.arange(len(camera))]
+
+    if len(model.sensors) > 1:
+        return samplers(model.level, of_its_camera, by_camera=True)
     return samplers(model.level, partial(sample, model))
 
 

@@ -17,6 +17,7 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.networks import Discriminator, Encoder, Generator
 from cannoise_jax.networks.encoder import standardised
+from cannoise_jax.physics.initial_noise import INITIAL_NOISE
 from cannoise_jax.training.compiler import compiler_options
 
 Variables = Mapping[str, Any]
@@ -57,12 +58,17 @@ class State(NamedTuple):
 
 
 def make_networks(config: ConfigDict) -> Networks:
-    """The modules that the config describes."""
-    shared = {"width": config.width, "literal": config.literal}
+    """The modules that the config describes. Noise that is drawn from a sensor model has its mechanisms
+    already, and is no normal number that the branches could shape: they are left out."""
+    shared = {"width": config.width, "literal": config.literal or config.paper}
+    norm: dict[str, Any] = {"output_norm": not config.paper}
+    generator = config.networks.generator.to_dict()
+    if config.initial_noise not in tuple(INITIAL_NOISE):
+        generator["physics"] = False
     return Networks(
-        Generator(**shared, **config.networks.generator),
+        Generator(**shared, **norm, **generator),
         Encoder(**shared, **config.networks.encoder) if config.encoder else None,
-        Discriminator(**shared, **config.networks.critic),
+        Discriminator(**shared, **norm, **config.networks.critic),
     )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,10 @@ import optax
 from jaxtyping import Array, Float, Key
 from ml_collections import ConfigDict, FrozenConfigDict
 
-from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise
+from cannoise_jax.networks.branches import LEAST_READ, LEAST_SHOT, Level, line_variance
+from cannoise_jax.networks.encoder import mean_latent
+from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma
+from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.training import losses
 from cannoise_jax.training.compiler import compiler_options
@@ -34,6 +37,7 @@ from cannoise_jax.training.state import (
 )
 
 Batch = dict[str, Any]
+_LEAST = {"shot": LEAST_SHOT, "read": LEAST_READ}
 
 
 def visible(noise: Float[Array, "..."], clean: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -41,28 +45,21 @@ def visible(noise: Float[Array, "..."], clean: Float[Array, "..."]) -> Float[Arr
     return jnp.clip(clean + noise, 0, 1) - clean
 
 
-class Level(NamedTuple):
-    """The level of the initial noise of a batch, and whether it was handed over (1) or estimated (0)."""
-
-    shot: Float[Array, "b 4"]
-    read: Float[Array, "b 4"]
-    known: Float[Array, "b"]
-
-
 def choose_level(level: str, key: Key[Array, ""], batch: Batch) -> Level:
     """The level of each element as `config.level` says; for "both", by the toss of a coin."""
     count = batch["clean"].shape[0]
+    shown = batch.get("shown", jnp.ones(count))
     if level == "given":
-        return Level(batch["shot"], batch["read"], jnp.ones(count))
+        return Level(batch["shot"], batch["read"], jnp.ones(count), jnp.ones(count))
     estimated = jax.vmap(estimate_nlf)(batch["anchor"])
     if level == "estimated":
-        return Level(*estimated, jnp.zeros(count))
+        return Level(*estimated, jnp.zeros(count), shown)
     known = jax.random.bernoulli(key, shape=(count,))
     shot, read = (
         jnp.where(known[:, None], given, found)
         for given, found in zip((batch["shot"], batch["read"]), estimated, strict=True)
     )
-    return Level(shot, read, known.astype(jnp.float32))
+    return Level(shot, read, known.astype(jnp.float32), jnp.where(known, 1.0, shown))
 
 
 def make_train_step(
@@ -72,14 +69,20 @@ def make_train_step(
 
     cameras: how many there are, for a critic that is told which. draw: instead of config.initial_noise.
     """
-    return _train_step(FrozenConfigDict(config), cameras, draw or initial_noise(config.initial_noise))
+    return _train_step(FrozenConfigDict(config), cameras, draw or config.initial_noise)
 
 
 @lru_cache(maxsize=4)
-def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
+def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoise):
     """Cached, so that a run that is resumed in the same process compiles once."""
     networks, optimisers = make_networks(config), make_optimisers(config)
+    draw = initial_noise_by_camera(choice)
     weights = config.loss
+    adversarial = bool(weights.adversarial or weights.feature_matching)
+    # With a level that is handed over the camera may be shown at another setting: by the positive.
+    wanted = 1 if config.level == "estimated" else 2
+    if weights.triplet:
+        wanted = 2 if weights.triplets == "batch" else 3
 
     def shown(noise, clean):
         return visible(noise, clean) if config.clip else noise
@@ -88,15 +91,15 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         draw_key, row_key, mix_key, level_key = jax.random.split(key, 4)
         clean = batch["clean"]
         level = choose_level(config.level, level_key, batch)
-        n_init, sigma = draw(draw_key, clean, level.shot, level.read)
-        latent = latent_of(networks, state.encoder, _shown_reference(batch, level.known))
+        n_init, sigma = draw(draw_key, clean, level.shot, level.read, batch["camera"])
+        latent = _choose_latent(_latents(networks, state.encoder["params"], state, batch, 2)[0], level)
         fake = networks.generator.apply(
-            state.generator, clean, n_init, latent, sigma, train=False, known=level.known,
+            state.generator, clean, n_init, latent, sigma, train=False, level=level,
             rngs={"noise": row_key},
         )  # fmt: skip
         told = condition(config, latent, batch["camera"], cameras)
         # The penalty asks for slope one per unit of noise: sigma, unless literal.
-        unit = jnp.ones_like(sigma) if config.literal else sigma
+        unit = jnp.ones_like(sigma) if config.literal or config.paper else sigma
         real = shown(batch["noisy"] - clean, clean) / unit
         fake = shown(fake, clean) / unit
         between = losses.interpolate(real, fake, jax.random.uniform(mix_key, clean.shape[:1]))
@@ -128,41 +131,58 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
         draw_key, row_key, level_key = jax.random.split(key, 3)
         clean = batch["clean"]
         level = choose_level(config.level, level_key, batch)
-        n_init, sigma = draw(draw_key, clean, level.shot, level.read)
+        draws = 2 if weights.quantiles or weights.spectra else 1
+        several = jax.tree.map(lambda x: jnp.concatenate([x] * draws), (clean, level, batch["camera"]))
+        n_init, sigmas = draw(draw_key, several[0], several[1].shot, several[1].read, several[2])
+        sigma = sigmas[: len(clean)]
         real = shown(batch["noisy"] - clean, clean)
+        # The level that the data state, not the one estimated: where that is far too low, noise in its units
+        # would outweigh all other images.
+        unit = nlf_sigma(
+            clean, *(jnp.maximum(batch[name], least)[:, None, None] for name, least in _LEAST.items())
+        )
 
         def loss(params):
-            latents, encoder_changed = _latents(networks, params["encoder"], state, batch, weights)
-            latent = latents[0]
-            if len(latents) > 1:
-                latent = jnp.where(level.known[:, None] > 0, latents[1], latent)
-            generated, generator_changed = networks.generator.apply(
+            latents, encoder_changed = _latents(networks, params["encoder"], state, batch, wanted)
+            latent = _choose_latent(latents, level)
+            generated, changed = networks.generator.apply(
                 {"params": params["generator"], "spectral": state.generator["spectral"]},
-                clean, n_init, latent, sigma, train=True, known=level.known, mutable=["spectral"],
-                rngs={"noise": row_key},
+                several[0], n_init, jnp.concatenate([latent] * draws), sigmas, train=True, level=several[1],
+                mutable=["spectral", "physics"], rngs={"noise": row_key},
             )  # fmt: skip
-            told = condition(config, latent, batch["camera"], cameras)
-            seen: Any = networks.critic.apply(
-                state.critic, shown(generated, clean), clean, sigma, train=False, latent=told
-            )
-            scores, features = seen
-            terms = {"adversarial": losses.generator_loss(scores)}
-            if weights.feature_matching:
-                target = {"clean": clean, "real": real}[weights.feature_target]
-                wanted: Any = networks.critic.apply(
-                    state.critic, target, clean, sigma, train=False, latent=told
-                )[1]
-                terms["feature_matching"] = losses.feature_matching_loss(features, wanted)
+            made = [shown(g, clean) for g in jnp.split(generated, draws)]
+            terms = {}
+            if adversarial:
+                told = condition(config, latent, batch["camera"], cameras)
+                seen: Any = networks.critic.apply(
+                    state.critic, made[0], clean, sigma, train=False, latent=told
+                )
+                terms["adversarial"] = losses.generator_loss(seen[0])
+                if weights.feature_matching:
+                    target = {"clean": clean, "real": real}[weights.feature_target]
+                    matched: Any = networks.critic.apply(
+                        state.critic, target, clean, sigma, train=False, latent=told
+                    )[1]
+                    terms["feature_matching"] = losses.feature_matching_loss(seen[1], matched)
             if weights.triplet and networks.encoder:
                 terms["triplet"] = _triplet(latents, batch["camera"], weights)
             if weights.statistics:
-                terms["statistics"] = losses.statistics_loss(
-                    shown(generated, clean) / sigma, real / sigma, clean
-                )
+                terms["statistics"] = losses.statistics_loss(made[0] / sigma, real / sigma, clean)
+            for name, statistic in (("quantiles", losses.quantiles), ("spectra", losses.log_spectra)):
+                if weights[name]:
+                    terms[name] = losses.paired_loss(*(statistic(n / unit) for n in (*made, real)))
             total = sum(weights[name] * value for name, value in terms.items())
+            if weights.physics and "truth" in batch and "physics" in changed:
+                physics = jax.tree.map(lambda x: x[: len(clean)], changed["physics"]["parameters"][0])
+                more = losses.physics_loss(
+                    line_variance(physics, level, clean), clean, physics, losses.Truth(**batch["truth"])
+                )
+                parts = {name: weights.parts[name] * value for name, value in more.items()}
+                total = total + weights.physics * sum(parts.values())
+                terms |= {f"physics_{name}": value for name, value in more.items()}
             aux = {f"generator/{name}": value for name, value in terms.items()}
-            aux["generator/spread"] = jnp.std(generated / sigma)
-            return total, (aux, generator_changed.get("spectral", {}), encoder_changed)
+            aux["generator/spread"] = jnp.std(made[0] / sigma)
+            return total, (aux, changed.get("spectral", {}), encoder_changed)
 
         trained = {"generator": state.generator["params"], "encoder": state.encoder["params"]}
         (_, (aux, g_spectral, e_spectral)), gradient = jax.value_and_grad(loss, has_aux=True)(trained)
@@ -182,9 +202,10 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
 
     @partial(jax.jit, donate_argnums=0, compiler_options=compiler_options(config))
     def train_step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
+        batch = _stacked(batch)
         keys = jax.random.split(jax.random.fold_in(state.key, state.step), config.critic_updates + 1)
         metrics: dict[str, Array] = {}
-        for key in keys[1:]:
+        for key in keys[1:] if adversarial else ():
             state, metrics = critic_update(state, batch, key)
         state, more = generator_update(state, batch, keys[0])
         return state, metrics | more
@@ -192,11 +213,17 @@ def _train_step(config: FrozenConfigDict, cameras: int, draw: InitialNoise):
     return train_step
 
 
-def _shown_reference(batch: Batch, known: Float[Array, "b"]) -> Float[Array, "b h w 4"]:
-    """What the encoder sees: any image of the camera where the level is known, else one of the setting."""
-    if "positive" not in batch:
-        return batch["anchor"]
-    return jnp.where(known[:, None, None, None] > 0, batch["positive"], batch["anchor"])
+def _stacked(batch: Batch) -> Batch:
+    """The batch with one or several anchors of each element, `[b, k, h, w, 4]`."""
+    anchor = jnp.asarray(batch["anchor"])
+    return {**batch, "anchor": anchor if anchor.ndim == 5 else anchor[:, None]}
+
+
+def _choose_latent(latents, level: Level):
+    """That of any image of the camera where the level is known, else that of the images of the setting."""
+    if len(latents) == 1:
+        return latents[0]
+    return jnp.where(level.known[:, None] > 0, latents[1], latents[0])
 
 
 def _twice(x):
@@ -211,15 +238,18 @@ def _triplet(latents, camera, weights):
     return losses.triplet_loss(latents[0], latents[1], latents[2], weights.margin)
 
 
-def _latents(networks: Networks, params, state: State, batch: Batch, weights):
-    """Latents of anchor, positive and negative in one pass of E (the anchor's alone without a triplet loss;
-    triplets of the batch need no negatives of their own), and the new spectral vectors."""
+def _latents(networks: Networks, params, state: State, batch: Batch, wanted: int):
+    """The latents of the anchors, mean over them, of the positive and of the negative, the first `wanted` of
+    them in one pass of E, and the new spectral vectors; those that the batch has."""
+    count, several = batch["anchor"].shape[:2]
     if networks.encoder is None:
-        return (latent_of(networks, {}, batch["anchor"]),), {}
-    wanted = 1 if not weights.triplet else 2 if weights.triplets == "batch" else 3
-    names = ("anchor", "positive", "negative")[:wanted]
+        return (latent_of(networks, {}, batch["anchor"][:, 0]),), {}
+    names = [name for name in ("positive", "negative")[: wanted - 1] if name in batch]
+    images = [batch["anchor"].reshape(-1, *batch["anchor"].shape[2:]), *(batch[name] for name in names)]
     latent, changed = networks.encoder.apply(
         {"params": params, "spectral": state.encoder["spectral"]},
-        jnp.concatenate([batch[name] for name in names]), train=True, mutable=["spectral"],
+        jnp.concatenate(images), train=True, mutable=["spectral"],
     )  # fmt: skip
-    return tuple(jnp.split(latent, len(names))), changed.get("spectral", {})
+    anchors, *rest = jnp.split(latent, [several * count + i * count for i in range(len(names))])
+    anchors = mean_latent(networks.encoder, anchors.reshape(count, several, -1))
+    return (anchors, *rest), changed.get("spectral", {})

@@ -11,14 +11,14 @@ from cannoise_jax.commands.sample import main
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import Recording
-from cannoise_jax.sampling import Camera, Setting, make_model, save_model
+from cannoise_jax.sampling import Camera, Setting, load_model, make_model, save_model
 
 SHOT, READ, BLACK, WHITE = 1e-3, 1e-5, 64.0, 1023.0
 
 
 def write_model(folder):
     """A generator that hands on its initial noise: its zero start, with the other layers drawn small."""
-    generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False)
+    generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False, physics=False)
     encoder = Encoder(1 / 64, hidden=4)
     image, latent, key = jnp.ones((1, 32, 32, 4)), jnp.ones((1, 8)), jax.random.key(0)
     shapes = jax.eval_shape(lambda: generator.init(key, image, image, latent, image, train=False))
@@ -94,6 +94,20 @@ def test_a_reference_that_states_no_levels_has_flags_of_its_own(model, tmp_path,
     flags = ("--cfa", "RGGB", *LEVELS, "--reference-black-level", 50, "--reference-white-level", 999)
     assert run(model, clean, tmp_path / "ref.npy", tmp_path / "out", *flags) == 0
     assert read_recording(next((tmp_path / "out").glob("*.h5"))).white_level == 999
+
+
+def test_a_model_that_was_told_levels_asks_for_them_and_one_that_was_not_reads_them_off(
+    model, tmp_path, capsys
+):
+    reference, clean = write(tmp_path / "ref.h5"), write(tmp_path / "scene.h5", camera="C")
+    for level, camera, message in (("given", reference, "shot and read"), ("estimated", "A", "a recording")):
+        save_model(tmp_path / "model.npz", load_model(model).replace(level=level))
+        assert run(tmp_path / "model.npz", clean, camera, tmp_path / "out", *(
+            () if camera is reference else ("--iso", 100)
+        )) == 2  # fmt: skip
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+    assert run(tmp_path / "model.npz", clean, reference, tmp_path / "out") == 0
 
 
 def test_a_reference_on_coarse_codes_gives_its_codes(model, tmp_path):

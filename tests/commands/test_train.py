@@ -42,7 +42,7 @@ def test_a_run_ends_with_table_picture_and_results(tmp_path, capsys):
     # Two steps leave the model at its initial noise: Poisson-Gaussian at the level it has, up to chance.
     pooled = results["pooled"]
     for name, level in (("model", "estimated"), ("model_given", "recalibrated")):
-        assert pooled[name]["kl"] == pytest.approx(pooled[f"poisson_gaussian_{level}"]["kl"], rel=0.2)
+        assert pooled[name]["kl"] == pytest.approx(pooled[f"poisson_gaussian_{level}"]["kl"], rel=0.25)
     assert pooled["gaussian"]["kl"] > 3 * pooled["poisson_gaussian"]["kl"]
     assert results["seconds"] > 0
 

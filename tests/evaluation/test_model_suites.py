@@ -15,7 +15,7 @@ from cannoise_jax.sampling import make_model
 @pytest.fixture(scope="module")
 def request_():
     bench = make_bench(0, 3, 1, 6)
-    generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False)
+    generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False, physics=False)
     encoder = Encoder(1 / 64, hidden=8)
     image, key = jnp.ones((1, 32, 32, 4)), jax.random.key(0)
     shapes = jax.eval_shape(
@@ -27,7 +27,7 @@ def request_():
     generated = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), shapes)
     model = make_model(generator, generated, encoder, encoder.init(key, image, train=False))
     everything = baselines(bench)
-    draws = {name: everything[name] for name in ("truth", "pg", "pg_estimated")}
+    draws = {name: everything[name] for name in ("truth", "pg", "pg_estimated", "pg_recalibrated")}
     return Request(bench, draws, (model,), seeds=2, references=2, ablations={"nothing": (model,)})
 
 
@@ -42,6 +42,8 @@ def test_without_learning_the_model_is_the_estimate(request_):
     assert set(rows) == {"IP", "GP", "S6", "N6", "G4", "all"}
     gap, own = rows["all"]["model - pg_estimated"], rows["all"]["model"]
     assert gap.low <= 0.02 * abs(own.value) and abs(gap.value) < 0.2 * abs(own.value)
+    told, fitted = rows["all"]["model, level given"], rows["all"]["pg_recalibrated"]
+    assert abs(told.value - fitted.value) < 0.2 * abs(fitted.value)
     assert sum(rows[n]["pg"].patches for n in rows if n != "all") == request_.bench.size
 
 

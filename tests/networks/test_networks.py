@@ -37,7 +37,7 @@ def inputs(batch=2, side=64):
 def test_the_generator_starts_as_its_initial_noise():
     clean, noise, sigma = inputs(1)
     latent, keys = draw(2, 1, 8), {"params": jax.random.key(0), "noise": jax.random.key(1)}
-    generator = Generator(WIDTH, hidden=4)
+    generator = Generator(WIDTH, hidden=4, physics=False)
 
     def start(clean, noise, latent, sigma):
         variables = generator.init(keys, clean, noise, latent, sigma, train=False)
@@ -49,7 +49,7 @@ def test_the_generator_starts_as_its_initial_noise():
 def test_row_noise_is_common_to_the_two_channels_of_a_sensor_row():
     clean, _, sigma = inputs(1, 32)
     latent, keys = draw(2, 1, 8), {"noise": jax.random.key(1)}
-    generator = Generator(WIDTH, hidden=4, spectral=False)
+    generator = Generator(WIDTH, hidden=4, spectral=False, physics=False)
     shapes = jax.eval_shape(
         lambda: generator.init({"params": keys["noise"], **keys}, clean, clean, latent, sigma, train=False)
     )
@@ -194,10 +194,14 @@ def test_statistics_tell_level_tails_rows_and_neighbours_apart():
         mean, spread = measure(noise)
         return np.abs(mean - base) / np.hypot(error, spread + 1e-9)
 
-    levels, kurtosis, horizontal = slice(0, 20), slice(25, 29), slice(41, 45)
-    rows = slice(55, 59)
+    levels, kurtosis, horizontal = slice(0, 20), slice(38, 42), slice(59, 63)
+    rows, next_rows, columns = [73, 78], 79, [81, 86]
     louder = moved(1.3 * white)
     assert louder[levels].max() > 20 and louder[kurtosis].max() < 5
     assert moved(tails)[kurtosis].max() > 10
-    assert moved(white + 0.3 * row)[rows].min() > 5
+    assert moved(white + 0.3 * row)[rows].min() > 5 > moved(white + 0.3 * row)[columns].max()
+    column = np.tile(rng.normal(size=(n, 1, side, 2)), 2)
+    assert moved(white + 0.3 * column)[columns].min() > 5 > moved(white + 0.3 * column)[rows].max()
+    pairs = np.repeat(rng.normal(size=(n, side, 1, 1)), 4, -1)  # the two sensor rows of a cell alike
+    assert moved(white + 0.3 * pairs)[next_rows] > 5 > moved(white + 0.3 * row)[next_rows]
     assert moved(smooth)[horizontal].min() > 10

@@ -29,6 +29,15 @@ def test_literal_generator_has_the_papers_parameters(keys):
     assert count(jax.eval_shape(init, x, latent)) == 68_053_640
 
 
+def test_the_paper_without_its_impossible_norms_lacks_their_parameters_alone(keys):
+    x, latent = shape(1, 64, 64, 4), shape(1, 512)
+    module = Generator(literal=True, output_norm=False)
+    init = lambda x, latent: module.init(keys, x, x, latent, x, train=True)  # noqa: E731
+    assert count(jax.eval_shape(init, x, latent)) == 68_053_640 - 2 * 4
+    critic = lambda x: Discriminator(literal=True, output_norm=False).init(keys, x, x, x, train=True)  # noqa: E731
+    assert count(jax.eval_shape(critic, x)) == 668_416
+
+
 def test_literal_encoder_has_the_papers_parameters(keys):
     init = lambda x: Encoder(literal=True).init(keys, x, train=True)  # noqa: E731
     assert count(jax.eval_shape(init, shape(1, 64, 64, 4))) == 2_766_848

@@ -36,6 +36,16 @@ def flats():
     return {name: noise(camera) for name, camera in CAMERAS.items()}
 
 
+@pytest.mark.parametrize("ratio", [0.65, 1.6])
+def test_a_ratio_sets_the_noise_against_what_is_published(ratio):
+    """Pixels alone; rows and offsets come on top."""
+    for camera in virtual.virtual_cameras(ratio):
+        nlf, true = (table[camera.isos[0]] for table in (camera.published, camera.true))
+        kept = 0.85**2 + 0.15**2 / 4 if camera.denoises else 1.0
+        assert math.sqrt(true.shot * kept / nlf.shot) == pytest.approx(ratio)
+        assert math.sqrt(true.read * kept / nlf.read) == pytest.approx(ratio)
+
+
 @pytest.fixture(scope="module")
 def patches():
     return virtual.virtual_patches(jax.random.key(0), "test", scenes=5, per_scene=4)

@@ -8,8 +8,10 @@ from runpy import run_path
 import pytest
 from ml_collections import FrozenConfigDict
 
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.training.check import check_config
+from cannoise_jax.training.check import check_config, check_sensors
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -32,6 +34,16 @@ def test_a_sensor_model_may_be_the_initial_noise(choice):
     check_config(config)
 
 
+def test_several_sensors_must_be_those_of_the_cameras(tmp_path):
+    config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
+    for name in ("A", "B"):
+        write_sensor(tmp_path / f"{name}.json", SensorModel.from_nlf(1e-3, 1e-6, 64, 1023, camera=name))
+    config.initial_noise = f"sensor:{tmp_path / 'A.json'},{tmp_path / 'B.json'}"
+    check_sensors(config, ("A", "B"))
+    with pytest.raises(BadInput, match="sensors of A, B for the cameras B, A: name one file"):
+        check_sensors(config, ("B", "A"))
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -45,6 +57,9 @@ def test_a_sensor_model_may_be_the_initial_noise(choice):
         ("log_every", 0),
         ("initial_noise", "none"),
         ("critic_condition", "name"),
+        ("level", "published"),
+        ("loss.quantiles", -1.0),
+        ("data.cameras", 0),
         ("optimiser.schedule", "linear"),
         ("optimiser.critic_rate", float("nan")),
         ("loss.penalty", -1.0),

@@ -238,6 +238,22 @@ def test_darks_without_flats_cannot_give_shot_noise(config, tmp_path):
     assert "\n" not in str(refused.value)
 
 
+def test_drawn_cameras_train_and_the_virtual_ones_are_the_test(config, tmp_path):
+    config.data.source = "drawn"
+    data = load_data(config, tmp_path)
+    assert len(data.train) == data.known == config.data.cameras
+    assert set(np.unique(data.test.camera)) == set(range(5)) and len(data.cameras) == 5
+    assert len(data.validation_cameras) == config.data.validation_cameras
+    assert len(data.validation.camera) == config.data.validation_cameras * (config.references + 1)
+    seen = {patch.tobytes() for patch in data.train.scenes}
+    assert not seen & {patch.tobytes() for patch in data.test.clean}
+    # The levels by name are those that recordings show, not the published ones.
+    for name, camera in data.examples.items():
+        for iso, setting in camera.settings.items():
+            wanted = data.recalibrated[data.cameras.index(name), int(iso)]
+            np.testing.assert_allclose(setting.shot, wanted[0], rtol=1e-5)
+
+
 def test_virtual_scenes_are_disjoint(config, tmp_path):
     config.data.source = "virtual"
     data = load_data(config, tmp_path)

@@ -19,9 +19,10 @@ from cannoise_jax.training.result import samplers_of, write_model
 from cannoise_jax.training.step import choose_level
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-STEPS, TOLERANCE = 60, 0.2
-"""Enough to learn gains of up to 1.6, which is what a model corrects twice that takes one level for another.
-The tolerance: of a model that small, trained that short, on a few scenes."""
+STEPS, TOLERANCE = 60, 0.15
+"""A model that corrects a level twice, or takes one for another, is off by 0.3 and more on some camera. The
+tolerance: of a model that small, trained that short, which does not yet know what denoising in the camera
+hides from the estimate (G4: 0.12)."""
 
 
 class Silent:
@@ -34,12 +35,12 @@ class Silent:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """The tiny config on the virtual cameras themselves, whose published levels are up to 1.6 off."""
+    """The tiny config, asked for the virtual cameras, which it never saw."""
     config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
     config.update({"steps": STEPS, "evaluate_every": STEPS, "checkpoint_every": STEPS, "batch_size": 8})
     config.optimiser.update({"generator_rate": 3e-3, "encoder_rate": 3e-3, "warmup": 10})
-    config.data.update({"source": "virtual", "scenes": 12, "per_scene": 4, "test_scenes": 10})
-    config.data.held_out_per_scene = 4
+    config.data.update({"cameras": 48, "scenes": 12, "per_scene": 4, "test_scenes": 10})
+    config.data.update({"held_out_per_scene": 4, "calibration_scenes": 15})
     config.loss.adversarial = 0.0
     folder = tmp_path_factory.mktemp("run")
     data = load_data(config, folder)
@@ -57,7 +58,9 @@ def ratios(noise, test, cameras):
 def test_noise_is_as_loud_as_the_cameras_with_and_without_nlf(trained, way):
     config, data, model = trained
     samplers = samplers_of(model, config)
-    columns = model_columns(samplers.usual, data.test, jax.random.key(1), None, 4, samplers.given)
+    columns = model_columns(
+        samplers.usual, data.test, jax.random.key(1), data.recalibrated, 4, samplers.given
+    )
     found = ratios(draw_noise(columns[way], data.test, jax.random.key(2), 20), data.test, data.cameras)
     assert all(abs(ratio - 1) < TOLERANCE for ratio in found.values()), found
 

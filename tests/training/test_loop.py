@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.networks.statistics import noise_statistics
-from cannoise_jax.recordings.pipeline import Subset
+from cannoise_jax.recordings.pipeline import ArrayPatches, Subset
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import loop
 from cannoise_jax.training.checkpoint import Checkpoints
@@ -107,7 +107,7 @@ def test_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp
 
 
 def test_the_encoder_starts_with_statistics_of_mean_zero_and_variance_one(config, data):
-    noisy = np.concatenate([camera.reference for camera in data.examples.values()])
+    noisy = data.noisy_examples()
     state = init_state(config, 5, noisy)
     params, (statistics, _) = state.encoder["params"], noise_statistics(noisy)
     z = (statistics - params["centre"]) / params["spread"]
@@ -120,7 +120,7 @@ def test_the_encoder_starts_with_statistics_of_mean_zero_and_variance_one(config
 
 
 def test_what_the_statistics_are_standardised_by_is_never_trained(config, data, finished):
-    noisy = np.concatenate([camera.reference for camera in data.examples.values()])
+    noisy = data.noisy_examples()
     start, end = init_state(config, 5, noisy), newest_state(config, finished[0])
     for name in ("centre", "spread"):
         np.testing.assert_array_equal(end.encoder["params"][name], start.encoder["params"][name])
@@ -140,6 +140,21 @@ def test_a_workdir_keeps_numbers_and_pictures(finished):
     assert sum("critic/wasserstein" in line for line in lines) == 6
     assert list(folder.glob("events*"))
     assert 1 <= len(list((folder / "checkpoints").glob("[0-9]*"))) <= 2
+
+
+def test_a_run_starts_from_the_networks_of_another(config, finished, first_state, tmp_path):
+    other = config.copy_and_resolve_references()
+    other.start = str(finished[0])
+    state = loop.started(other, first_state, 5)
+    best = Checkpoints(finished[0])
+    wanted, _ = best.restore(abstract_state(config, 5), best.best())
+    best.close()
+    assert int(state.step) == 0
+    for network, name in ((state.generator, "generator"), (state.encoder, "encoder")):
+        jax.tree.map(np.testing.assert_array_equal, network["params"], wanted.average[name])
+    other.start = str(tmp_path / "nowhere")
+    with pytest.raises(BadInput, match="holds no checkpoints"):
+        loop.started(other, first_state, 5)
 
 
 def test_another_config_is_refused(config, data, finished):
@@ -220,7 +235,9 @@ def test_a_full_disk_under_the_metrics_ends_training_in_one_line(config, data, t
 
 
 def test_a_start_that_fails_leaves_the_workdir_free(config, data, tmp_path):
-    few = dataclasses.replace(data, train=Subset(data.train, np.arange(1)))
+    t = data.test
+    patches = ArrayPatches(t.clean, t.noisy, t.shot, t.read, t.camera, data.cameras, ("RGGB",) * 5)
+    few = dataclasses.replace(data, train=Subset(patches, np.arange(1)))
     with pytest.raises(BadInput, match="at least two"):
         run(config, tmp_path, few)
     assert list(tmp_path.iterdir()) == []

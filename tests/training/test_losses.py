@@ -195,3 +195,78 @@ def test_statistics_loss_has_finite_gradients_without_noise_or_contrast():
     nothing, noise = np.zeros((1, 4, 4, 2)), RNG.normal(size=(1, 4, 4, 2))
     gradient = jax.grad(losses.statistics_loss)(nothing, noise, nothing)
     assert np.isfinite(gradient).all()
+
+
+def test_a_deviance_is_least_at_the_mean():
+    true = RNG.gamma(2.0, size=4000)
+    costs = [np.mean(losses.deviance(true, factor * true.mean())) for factor in (0.8, 1.0, 1.25)]
+    assert costs[1] < min(costs[0], costs[2])
+    assert float(losses.deviance(jnp.array(3.0), jnp.array(3.0))) == 0
+    # Twice the KL of normal distributions of these variances.
+    assert float(losses.deviance(jnp.array(2.0), jnp.array(1.0))) == pytest.approx(2 - 1 - np.log(2))
+
+
+def test_the_level_loss_is_the_kl_of_normal_noise_and_is_not_moved_by_a_few():
+    close = losses.level_loss(jnp.array(1.02), jnp.array(1.0))
+    assert float(close) == pytest.approx((1.02 - 1 - np.log(1.02)) / 2, rel=0.03)
+    true = np.concatenate([RNG.gamma(100.0, 0.01, 950), np.full(50, 20.0)])  # 5 % beyond all bounds
+    found = np.linspace(0.8, 2.5, 171)
+    least = [
+        found[np.argmin([float(np.mean(loss(true, f))) for f in found])]
+        for loss in (losses.level_loss, losses.deviance)
+    ]
+    assert abs(least[0] - 1) < 0.03 and least[1] > 1.5
+
+
+def test_the_loss_of_two_draws_asks_for_the_tails_and_that_of_one_does_not():
+    """Laplace tails of any weight, sorted: the slope of the loss at the true weight, mean over draws."""
+    key = jax.random.key(0)
+
+    def noise(weight, key):
+        z, e = jax.random.normal(key, (2, 400, 64))
+        return losses.quantiles((z * jnp.exp(weight * e))[:, :, None, None])
+
+    real = noise(0.5, jax.random.key(7))
+
+    def paired(weight):
+        first, second = (noise(weight, k) for k in jax.random.split(key))
+        return losses.paired_loss(first, second, real)
+
+    def single(weight):
+        return jnp.mean(jnp.square(noise(weight, key) - real))
+
+    weights = np.linspace(0.2, 0.8, 25)
+    least = [weights[np.argmin([float(loss(w)) for w in weights])] for loss in (paired, single)]
+    assert abs(least[0] - 0.5) < 0.06 and least[1] < least[0]
+
+
+def test_spectra_see_rows_columns_and_neighbours_apart():
+    white = RNG.normal(size=(40, 32, 32, 4))
+    rows = np.repeat(RNG.normal(size=(40, 32, 1, 2)), 2, -1)
+    columns = np.tile(RNG.normal(size=(40, 1, 32, 2)), 2)
+    blend = (white + np.roll(white, 1, 2)) / 2**0.5
+    plain, by_row, by_column, by_blend = (
+        np.asarray(losses.log_spectra(n)).mean(0)
+        for n in (white, white + 0.3 * rows, white + 0.3 * columns, blend)
+    )
+    assert np.abs(plain).max() < 0.25
+    assert (by_row - plain)[:4].min() > 1 and np.abs(by_row - plain)[4:8].max() < 0.2
+    assert (by_column - plain)[4:8].min() > 1 and np.abs(by_column - plain)[:4].max() < 0.2
+    assert (by_blend - plain)[8:].max() > 0.3 and (by_blend - plain)[8:].min() < -0.5
+
+
+def test_the_physics_loss_is_zero_at_the_truth():
+    from cannoise_jax.networks.branches import Level, Physics, line_variance
+
+    one = jnp.ones(2)
+    level = Level(1e-3 * jnp.ones((2, 4)), 1e-5 * jnp.ones((2, 4)), one, one)
+    physics = Physics(
+        0 * one, 0 * one, -0.1 * one, 0.01 * one, 0.02 * one, 0 * one, 0.1 * one, jnp.zeros((2, 4))
+    )
+    truth = losses.Truth(level.shot, level.read, *physics[2:7])
+    clean = jnp.asarray(RNG.random((2, 8, 8, 4)))
+    parts = losses.physics_loss(line_variance(physics, level, clean), clean, physics, truth)
+    assert all(abs(float(v)) < 1e-12 for v in parts.values())
+    louder = line_variance(physics._replace(log_shot=0.2 * one, log_read=0.2 * one), level, clean)
+    more = losses.physics_loss(louder, clean, physics, truth)
+    assert float(more["level"]) == pytest.approx(float(losses.level_loss(1.0, np.exp(0.2))), rel=1e-6)

@@ -25,7 +25,8 @@ def config():
 
 def make_batch(size=4, side=32, scale=0.02):
     rng = np.random.default_rng(0)
-    clean = rng.uniform(0.05, 0.5, (size, side, side, 4)).astype(np.float32)
+    # Smooth: texture would be taken for noise, and clipped.
+    clean = np.tile(rng.uniform(0.1, 0.5, (size, 1, 1, 4)), (1, side, side, 1)).astype(np.float32)
     noisy = [clean + scale * rng.standard_normal(clean.shape).astype(np.float32) for _ in range(4)]
     return {
         "clean": clean,

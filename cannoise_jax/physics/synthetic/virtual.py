@@ -97,14 +97,18 @@ class VirtualPatches(NamedTuple):
 
 
 @functools.cache
-def virtual_cameras() -> tuple[VirtualCamera, ...]:
-    """The five virtual cameras IP, GP, S6, N6 and G4, in the order of the camera index."""
+def virtual_cameras(ratio: float | None = None) -> tuple[VirtualCamera, ...]:
+    """The five virtual cameras IP, GP, S6, N6 and G4, in the order of the camera index.
+
+    ratio: of the true over the published standard deviation, in place of the measured ones.
+    """
+    camera = functools.partial(_camera, ratio=ratio)
     return (
-        _camera("IP", "RGGB", 64, unit=0, row=0.16, tail=0.10, offset=0.2),
-        _camera("GP", "BGGR", 64, unit=1, row=0.12, tail=-0.03, offset=0.15),
-        _camera("S6", "GRBG", 0, unit=2, row=0.14, tail=-0.09, offset=0.45),
-        _camera("N6", "BGGR", 64, unit=3, pink_row=0.16, tail=-0.20, offset=0.15),
-        _camera("G4", "BGGR", 64, unit=4, row=0.09, tail=0.05, offset=0.35, denoising=0.15),
+        camera("IP", "RGGB", 64, unit=0, row=0.16, tail=0.10, offset=0.2),
+        camera("GP", "BGGR", 64, unit=1, row=0.12, tail=-0.03, offset=0.15),
+        camera("S6", "GRBG", 0, unit=2, row=0.14, tail=-0.09, offset=0.45),
+        camera("N6", "BGGR", 64, unit=3, pink_row=0.16, tail=-0.20, offset=0.15),
+        camera("G4", "BGGR", 64, unit=4, row=0.09, tail=0.05, offset=0.35, denoising=0.15),
     )
 
 
@@ -170,14 +174,15 @@ def _camera(
     row: float = 0.0,
     pink_row: float = 0.0,
     denoising: float = 0.0,
+    ratio: float | None = None,
 ) -> VirtualCamera:
     """A camera of the table. row, pink_row, offset: rms in units of the read noise; tail: Tukey-lambda shape;
-    unit: the camera unit, from which its black-level errors are drawn."""
+    unit: the camera unit, from which its black-level errors are drawn; ratio: see `virtual_cameras`."""
     tables, white = read_table("phones"), 1023.0
     published = {int(iso): Nlf(*value) for iso, value in tables["published"][name].items()}
     # White noise that passes the blend keeps this share of its variance.
     kept = (1 - denoising) ** 2 + denoising**2 / 4
-    true = {iso: _true_nlf(tables, name, iso, nlf, kept) for iso, nlf in published.items()}
+    true = {iso: _true_nlf(tables, name, iso, nlf, kept, ratio) for iso, nlf in published.items()}
     isos = tuple(float(iso) for iso in true)
     read_dn = np.sqrt([nlf.read for nlf in true.values()]) * (white - black)
     sensor = SensorModel.from_nlf(
@@ -198,14 +203,18 @@ def _camera(
     return VirtualCamera(name, cfa, published, true, sensor)
 
 
-def _true_nlf(tables: dict, name: str, iso: int, published: Nlf, kept: float) -> Nlf:
-    """Re-calibrated values where there are any, else the published function times the measured ratio."""
-    if name in tables["recalibrated"]:
-        return Nlf(*tables["recalibrated"][name][str(iso)])
-    known = tables["sigma_ratio"][name]
-    at = np.log([float(i) for i in known])
-    # Two learned models were measured: their geometric mean, linear in log ISO in between.
-    ratio = float(np.exp(np.interp(math.log(iso), at, np.log(list(known.values())).mean(axis=1))))
+def _true_nlf(
+    tables: dict, name: str, iso: int, published: Nlf, kept: float, ratio: float | None = None
+) -> Nlf:
+    """The published function times the ratio; without one, re-calibrated values where there are any, else it
+    times the measured ratio."""
+    if ratio is None:
+        if name in tables["recalibrated"]:
+            return Nlf(*tables["recalibrated"][name][str(iso)])
+        known = tables["sigma_ratio"][name]
+        at = np.log([float(i) for i in known])
+        # Two learned models were measured: their geometric mean, linear in log ISO in between.
+        ratio = float(np.exp(np.interp(math.log(iso), at, np.log(list(known.values())).mean(axis=1))))
     return Nlf(published.shot * ratio**2 / kept, published.read * ratio**2 / kept)
 
 
