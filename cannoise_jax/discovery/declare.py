@@ -10,6 +10,7 @@ from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.signature import Signature
+from cannoise_jax.vocabulary import UNKNOWN
 
 
 def registered(
@@ -20,7 +21,7 @@ def registered(
     own = tuple(m for m in mechanisms or () if isinstance(m, Entry) and m not in LISTED)
     known = {entry.id: entry for entry in LISTED}
     for entry in own:
-        if entry.id in known:
+        if entry.id in known or entry.id == UNKNOWN.id:
             raise ValueError(f"{entry.id}: there is a mechanism of this name: choose another")
         known[entry.id] = entry
     wanted = None if mechanisms is None else {m if isinstance(m, str) else m.id for m in mechanisms}

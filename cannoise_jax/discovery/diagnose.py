@@ -170,7 +170,7 @@ def diagnose(
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
-    own = own_effects(judged.drawn, allowed, log_alpha)
+    own = own_effects(judged.drawn, entries, allowed, log_alpha)
     splits = raw.less(partial(without_own, own=own))
     first = splits.looking
 
@@ -255,7 +255,7 @@ def _searchable(entry: Entry) -> Entry:
     if entry.looked_for:
         return entry
     unit = next(p.unit for p in entry.record.parameters if p.name == generic.strength_of(entry.record))
-    by_sampling = generic.by_sampling(entry.record, name=entry.id, unit=unit, known={})
+    by_sampling = generic.by_sampling(entry.record, name=f"sampled_{entry.id}", unit=unit, known={})
     return dataclasses.replace(entry, signatures=by_sampling)
 
 
@@ -344,11 +344,13 @@ def contrasts(prepared: Prepared) -> int:
     return sum(len(f.contrasts) for f in prepared.fields)
 
 
-def own_effects(drawn: CaptureSet | None, allowed: frozenset[str], log_alpha: float) -> tuple[Step, ...]:
+def own_effects(
+    drawn: CaptureSet | None, entries: tuple[Entry, ...], allowed: frozenset[str], log_alpha: float
+) -> tuple[Step, ...]:
     """What a simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
     if drawn is None:
         return ()
-    prepared = splits_of(drawn).looking
+    prepared = splits_of(drawn, entries=searched(entries)).looking
     return stepwise(prepared.fields, prepared.signatures, allowed, log_alpha).steps
 
 

@@ -168,7 +168,7 @@ def _counted(findings: list[dict[str, Any]]) -> str:
 
 
 def _name(id: str) -> str:
-    return "a structure without a name" if id == "unknown" else id.replace("_", " ")
+    return "a structure without a name" if id == UNKNOWN else id.replace("_", " ")
 
 
 def advice(report: dict[str, Any]) -> list[tuple[str, str]]:

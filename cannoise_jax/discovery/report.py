@@ -14,6 +14,7 @@ from cannoise_jax.discovery.card import card
 from cannoise_jax.discovery.declare import kinds
 from cannoise_jax.discovery.diagnose import Diagnosis, absorbed_by, detectable
 from cannoise_jax.discovery.fit import Step, part_of
+from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.prove import Proof, same_place
 from cannoise_jax.discovery.wording import sentence
 from cannoise_jax.signatures.score import Score
@@ -217,9 +218,9 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     score = step.named.signature.quoted(again, mechanism)
     term = diagnosis.terms[mechanism]
     name_is = (
-        "UNKNOWN_STRUCTURE" if mechanism == "unknown" else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
+        "UNKNOWN_STRUCTURE" if mechanism == UNKNOWN else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
     )
-    unit = term.unit if mechanism != "unknown" else _unit(score)
+    unit = term.unit if mechanism != UNKNOWN else _unit(score)
     value = score.amplitude
     interval = [
         max(value - _Z90 * score.error, 0.0) if score.power == 2 else value - _Z90 * score.error,
@@ -233,7 +234,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         }
     out: dict[str, Any] = {
         "mechanism": mechanism,
-        "class": "sensor" if term.kind == "unknown" else term.kind,
+        "class": "sensor" if term.kind == UNKNOWN else term.kind,
         "outcome": name_is,
         "candidates": [{"mechanism": m, "probability": p} for m, p in step.named.candidates],
         "where": _where(step.named.score),
@@ -255,7 +256,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     for part in (steps[n].named.score for n in moved):
         of = [max(part.amplitude + e, 0.0) for e in (-_Z90 * part.error, _Z90 * part.error)]
         out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
-    if mechanism == "unknown":
+    if mechanism == UNKNOWN:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof, term)
     return out

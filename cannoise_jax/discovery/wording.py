@@ -8,6 +8,7 @@ from typing import Any
 
 from cannoise_jax.discovery.card import said_against
 from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.prove import Proof
 from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term
@@ -76,7 +77,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
         others = [
             c["mechanism"].replace("_", " ")
             for c in entry["candidates"]
-            if c["mechanism"] != "unknown" and c["probability"] > 0.01
+            if c["mechanism"] != UNKNOWN and c["probability"] > 0.01
         ]
         together = " and ".join([", ".join(others[:-1]), *others[-1:]] if len(others) > 1 else others)
         start = f"These recordings cannot tell {together} apart; as {name}: {size}"

@@ -155,13 +155,15 @@ def baselines(bench: Bench) -> dict[str, Draw]:
 
     floors = lru_cache(maxsize=None)(partial(_darks, bench))
 
+    settings = list(zip(test.camera.tolist(), test.iso.tolist(), strict=True))
+
     def on_floor(noise: Callable[[np.random.Generator, np.ndarray, tuple], np.ndarray]) -> Draw:
         """Shot noise at the re-calibrated level, and a floor made from the darks of the setting."""
 
         def draw(key, references):
             rng = numpy_generator(key)
             made = np.empty_like(test.clean)
-            for i, (c, iso) in enumerate(keys):
+            for i, (c, iso) in enumerate(settings):
                 shape = (2 * test.clean.shape[1], 2 * test.clean.shape[2])
                 floor = pack(noise(rng, floors(c, iso), shape).astype(np.float32), bench.cameras[c].cfa)
                 shot = levels[i, 0]

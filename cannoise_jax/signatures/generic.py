@@ -170,11 +170,12 @@ def _values(model: SensorModel, clean, seconds: float, seed: int) -> np.ndarray:
 
 def learned(record: Mechanism, fields: Many, recorded: Recorded) -> Template | None:
     """The template of a mechanism at the settings of some recordings; None where none of them shows it."""
-    strength = record.defaults()[strength_of(record)]
+    top = next(p.high for p in record.parameters if p.name == strength_of(record))
+    # A mechanism that is off by default has a strength, too.
+    strength = record.defaults()[strength_of(record)] or min(top, 1.0)
     least = max(float(np.sqrt(np.mean(effect(record, strength, f, recorded, 0) ** 2))) for f in fields)
     if not least > 0:
         return None
-    top = next(p.high for p in record.parameters if p.name == strength_of(record))
     strength = float(min(strength * _TYPICAL / least, top))
     matrix = helmert(_FRAMES)
     moving, still, power = [], [], {}

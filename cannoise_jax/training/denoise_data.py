@@ -20,7 +20,7 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_poisson
 from cannoise_jax.physics.synthetic.scenes import Split, draw_scenes, mosaic
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording, mosaic_map
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, mosaic_map
 
 FULL_SCALE_E = 100.0
 """Electrons of a clean value of 1: as dim as scenes are whose darks matter."""
@@ -62,9 +62,9 @@ def half_real(capture: CaptureSet, exposure_s: float, full_scale_e: float = FULL
     this exposure, per mosaic site. Raises BadInput without two such frames, or without a gain.
     """
     place = capture.path or capture.camera
-    darks = [r for r in capture.of_kind("dark", "bias") if _is(r, exposure_s) and r.count > 1]
+    darks = [r for r in capture.of_kind(*DARK) if _is(r, exposure_s) and r.count > 1]
     if not darks:
-        times = sorted({r.exposure_s for r in capture.of_kind("dark", "bias") if r.exposure_s is not None})
+        times = sorted({r.exposure_s for r in capture.of_kind(*DARK) if r.exposure_s is not None})
         known = ", ".join(f"{e:g}" for e in times) or "none"
         raise BadInput(f"{place}: no two dark frames of {exposure_s:g} s: exposures of darks, s: {known}")
     dark = darks[0]

@@ -34,6 +34,7 @@ from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.packing import pack, to_packed_order
 from cannoise_jax.recordings.recording import (
+    DARK,
     BadInput,
     CaptureSet,
     PerChannel,
@@ -98,7 +99,7 @@ def _camera_patches(
     """(split, patches) of one camera."""
     repeated = [r for r in captured.of_kind("scene", "flat") if r.clean is not None or r.count > 1]
     repeated = [r for r in repeated if not _is_saturated(r)]
-    darks = [r for r in captured.of_kind("dark", "bias") if r.count > 2 and (r.exposure_s or 0) <= _LONGEST_S]
+    darks = [r for r in captured.of_kind(*DARK) if r.count > 2 and (r.exposure_s or 0) <= _LONGEST_S]
     known = all(r.shot is not None and r.read is not None for r in repeated) and not darks
     transfer = None if known else _levels_of(captured)
     found = []
