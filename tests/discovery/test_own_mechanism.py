@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.report import document
 from cannoise_jax.mechanisms.entry import Entry
@@ -49,6 +52,19 @@ def corner_blocks(key, x, values, maps, context):
 
 THIRD = entry("third_rows", "Every third row has an offset of its own.", every_third)
 BLOCKS = entry("corner_blocks", "Blocks along the anti-diagonal jump.", corner_blocks, over="pixel")
+
+
+@pytest.mark.parametrize("id", ["unknown", "row_noise"])
+def test_names_that_mean_something_already_are_refused(id):
+    with pytest.raises(ValueError, match="choose another"):
+        registered(mechanisms=[entry(id, "Something else.", every_third)])
+
+
+def test_one_that_is_off_by_default_is_looked_for():
+    off = entry("third_rows", "Every third row has an offset of its own.", every_third)
+    parameter = off.record.parameters[0]._replace(default=0.0)
+    off = dataclasses.replace(off, record=dataclasses.replace(off.record, parameters=(parameter,)))
+    assert generic.learned(off.record, white(np.random.default_rng(5)), RECORDED) is not None
 
 
 def sampled(own, sigma):
