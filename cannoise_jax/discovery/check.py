@@ -37,6 +37,11 @@ class Checked(NamedTuple):
     held_back: bool
 
     @property
+    def unchanged(self) -> Checked:
+        """The same where the simulator that was judged is handed back."""
+        return self._replace(after=self.before, nearer=None)
+
+    @property
     def nats(self) -> float:
         """The mismatch of the simulator that is handed back."""
         return sum(d.nats for d in self.after.differences)

@@ -54,8 +54,7 @@ class Diagnosis:
 
     entries: mechanisms that may be named. splits: frames of every recording that looked for effects, and that
     proved them. steps of `fitted` and `proofs` go together; proven: also the likelihood of the frames held
-    back; quality: draws of the simulator before and after against those, None where not measured.
-    """
+    back; quality: draws of the simulator before and after against those, None where not measured."""
 
     capture: CaptureSet
     simulator: str
@@ -72,11 +71,12 @@ class Diagnosis:
     model: SensorModel
     gated: Gated | None = None
     remains: Checked | None = None
+    entered: bool = True
 
     @property
     def verdict(self) -> Verdict:
         """What all of it says together: findings, the layer that knows no names, and the two-sample test."""
-        handed_back = self.fitted.steps if self.gated is None else self.gated.steps
+        handed_back = self.gated.steps if self.gated else self.fitted.steps if self.entered else ()
         aside = part_of(self.fitted.steps)
         kept = [
             s.named.mechanism
@@ -195,6 +195,10 @@ def diagnose(
     if compare:
         tell("check: what still differs")
         gated, remains = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
+    model = sides.exported if gated is None else gated.model
+    if gated is None and remains is not None and sides.model is not None and (remains.left or 0.0) > 1:
+        # Too few frames for the gate, and the layer finds more that differs than before.
+        model, remains = sides.model, remains.unchanged
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
         if not sides.likelihood:
@@ -224,9 +228,10 @@ def diagnose(
         fitted,
         unconfirmed(proven if sides.likelihood else proven.without_likelihood(), fitted.steps),
         quality,
-        sides.exported if gated is None else gated.model,
+        model,
         gated,
         remains,
+        model is not sides.model,
     )
 
 

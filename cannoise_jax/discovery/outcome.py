@@ -57,7 +57,7 @@ def score_of(gated: Gated) -> float:
 def entered(diagnosis: Diagnosis, n: int) -> bool | None:
     """Whether a finding is in the simulator that is handed back; None where none was chosen by draws."""
     if diagnosis.gated is None:
-        return None
+        return None if diagnosis.entered else False
     return diagnosis.fitted.steps[n] in diagnosis.gated.steps
 
 
