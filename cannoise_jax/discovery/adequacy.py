@@ -22,7 +22,7 @@ from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.measure import Family
 from cannoise_jax.discovery.compare.run import Chosen, Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
-from cannoise_jax.discovery.compare.table import lines_of
+from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.fit import Step
 from cannoise_jax.discovery.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.chain import closed_form
@@ -41,8 +41,8 @@ _CLEAR = 0.1
 """Share of the larger mismatch by which it must change, beside what the draws scatter."""
 _CHANCE = 1e-4
 """Probability that all statistics of the part leave as much by chance."""
-_PIXELS = 4e6
-"""Pixels of all frames that are looked at, beyond which fewer frames of each recording are."""
+_PIXELS = 1.2e6
+"""Pixels of all frames that are looked at, beyond which fewer are."""
 
 
 def doubts(
@@ -54,8 +54,7 @@ def doubts(
     alpha: float,
     tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Doubt | None, ...]:
-    """What speaks against the name of each step, on the frames held back (all where there are none); None:
-    nothing does, or it has none.
+    """What speaks against the name of each step, on the frames held back; None: nothing does, or it has none.
 
     of: the camera model with some of the steps, and one of them `silent` where asked, see
     `model.extended_model`. alpha: chance that something is said against a true one.
@@ -68,18 +67,28 @@ def doubts(
     def drawn_from(model: SensorModel) -> Compared:
         return compare_bank(capture, modelled(model, key), alpha=alpha, held_back=chosen, sets=2)
 
-    model = of(steps)
-    full = drawn_from(model)
+    model, plain = of(steps), of(())
+    full, start = drawn_from(model), drawn_from(plain)
     out: list[Doubt | None] = [None] * len(steps)
+    # Where all names together make it worse, each has to show by itself what it is worth.
+    alone = _found(full) > _found(start)
     for n in drawn:
         less = of(tuple(s for s in steps if s is not steps[n]))
         if len(less.mechanisms) == len(model.mechanisms):
             continue  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}")
+        if alone:
+            out[n] = doubt(drawn_from(of((steps[n],))), start)
+            continue
         # A program of the same mechanisms is compiled already.
         quiet = of(steps, silent=steps[n])
         out[n] = doubt(full, drawn_from(quiet if _alike(quiet, less, capture.recordings[0].size) else less))
     return tuple(out)
+
+
+def _found(compared: Compared) -> float:
+    """Nats of all that differs."""
+    return sum(d.nats for d in differences(compared))
 
 
 def _alike(one: SensorModel, two: SensorModel, size: tuple[int, int]) -> bool:
@@ -176,10 +185,19 @@ def mismatch(j: Judgement, family: Family) -> Float[np.ndarray, "k"]:
 
 
 def _few(capture: CaptureSet, splits: Sequence[tuple[list[int], list[int]]]) -> Chosen:
-    """The frames that are looked at: of large recordings the first few of those held back."""
-    held = any(b for _, b in splits)
-    chosen = frames_for(list(splits)) if held else [([], a) for a, _ in splits]
+    """The frames that are looked at, of those held back: of large recordings two of each, and of many large
+    ones those of some recordings, spread evenly, the first and the last among them."""
+    chosen = frames_for(list(splits))
     size = [r.size[0] * r.size[1] for r in capture.recordings]
-    total = sum((len(a) + len(b)) * n for (a, b), n in zip(chosen, size, strict=True) if b)
-    share = min(1.0, _PIXELS / max(total, 1))
-    return [(a, b[: max(int(share * len(b)), 2)]) for a, b in chosen]
+
+    def pixels(some: Chosen) -> int:
+        return sum((len(a) + len(b)) * n for (a, b), n in zip(some, size, strict=True) if b)
+
+    if pixels(chosen) > _PIXELS:
+        chosen = [(a, b[:2]) for a, b in chosen]
+    shown = [n for n, (_, b) in enumerate(chosen) if b]
+    most = max(int(len(shown) * _PIXELS / max(pixels(chosen), 1)), 3)
+    if most < len(shown):
+        kept = {shown[k] for k in np.linspace(0, len(shown) - 1, most).round().astype(int)}
+        chosen = [c if n in kept else ([], []) for n, c in enumerate(chosen)]
+    return chosen

@@ -204,7 +204,7 @@ def diagnose(
         if not sides.likelihood:
             tell("prove: composite score without each finding")
             proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
-    if compare and sides.model is not None:
+    if gated is not None and sides.model is not None:
         against = doubts(
             judged.capture,
             splits.frames,
