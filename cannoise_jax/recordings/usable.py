@@ -84,7 +84,7 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
     good: list[int] = []
     faults: dict[str, list[int]] = {}
     number = 0
-    for part in chunks(recording.frames, 16 << 20):
+    for part in chunks(recording.frames, 1 << 20):
         for frame in part:
             fault = fault_of(frame, recording.white_level)
             if fault is None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
-from cannoise_jax.discovery.compare.baseline import fitted_baseline
 
+from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
 from cannoise_jax.discovery.compare import better, compare
 from cannoise_jax.discovery.compare.remainder import with_remainder
+from cannoise_jax.discovery.model import baseline_model
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from tests.discovery.capture import capture_set
@@ -26,6 +27,11 @@ def odd_camera(rng):
         return dn + halves + banks + np.sin(2 * np.pi * (y / 5.3 + rng.random()))
 
     return change
+
+
+def fitted_baseline(capture):
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    return baseline_model(capture, prepared)
 
 
 @pytest.fixture(scope="module")

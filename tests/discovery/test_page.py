@@ -23,7 +23,7 @@ def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
         "parameters": {"shortfall": {"value": 0.02, "unit": "1", "ci90": [0.01, 0.04]}},
     }
     signature = combed(MagicMock(), name="comb", parameter="period", covers=("comb",), shapes=())
-    step = SimpleNamespace(named=SimpleNamespace(signature=signature), late=False)
+    step = SimpleNamespace(named=SimpleNamespace(signature=signature, doubt=None), late=False)
     said = sentence(entry, step, Proof(None, None, math.nan, math.nan, 0), VOCABULARY["missing_codes"])
     assert "Every 2 codes one is rarer" in said and "holds 0.98" in said and "(90 %: 0.96 to 0.99)" in said
     assert "never" not in said
@@ -37,7 +37,7 @@ def finding(mechanism, value, spread, outcome="FOUND", **more):
 
 def said_of(entry, proof, axes=ROWS):
     signature = SimpleNamespace(axes=axes, says=None, frozen=axes.time == "frozen")
-    step = SimpleNamespace(named=SimpleNamespace(signature=signature), late=False)
+    step = SimpleNamespace(named=SimpleNamespace(signature=signature, doubt=None), late=False)
     return sentence(entry, step, proof, VOCABULARY[entry["mechanism"]])
 
 

@@ -105,7 +105,6 @@ def train(folder: str) -> None:
             self.at = stored["at"]
 
     silent = SimpleNamespace(update=lambda n=1: None, set_postfix=lambda *a, **k: None)
-    loop.batches = lambda *a, **k: Source()
     loop.init_state = lambda *a, **k: small_state()
     loop.abstract_state = lambda *a, **k: small_state()
     loop.make_train_step = lambda *a, **k: step
@@ -113,6 +112,10 @@ def train(folder: str) -> None:
     loop._validate = lambda writer, step, *a, **k: 1 / step
     data = SimpleNamespace(
         train=[],
+        batches=lambda config: Source(),
+        known=1,
+        noisy_examples=lambda: np.zeros((1, 32, 32, 4)),
+        validation_cameras=("A",),
         cameras=("A",),
         examples={"A": SimpleNamespace(reference=np.zeros((1, 32, 32, 4)))},
         validation=SimpleNamespace(some=lambda count: None),

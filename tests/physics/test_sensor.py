@@ -12,7 +12,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.physics.core.settings import context_of
-from cannoise_jax.physics.initial_noise import initial_noise
+from cannoise_jax.physics.initial_noise import initial_noise, sensors_of
 from cannoise_jax.recordings import BadInput
 from cannoise_jax.recordings.packing import pack
 
@@ -145,11 +145,11 @@ def test_initial_noise_by_name_of_a_preset_or_a_file(tmp_path):
     clean = pack(np.stack([FLAT]), "RGGB")
     shot, read = jnp.full((1, 4), 1e-3), jnp.full((1, 4), 3e-5)
     names = ("preset:imx686", f"sensor:{tmp_path / 'sensor.json'}")
-    one, two = (jax.jit(initial_noise(name))(KEY, clean, shot, read) for name in names)
+    one, two = (jax.jit(sensors_of(name)[0].n_init())(KEY, clean, shot, read) for name in names)
     for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
     with pytest.raises(BadInput, match="no such preset"):
-        initial_noise("preset:gremlin")
+        sensors_of("preset:gremlin")
 
 
 def test_mechanisms_in_dn_keep_their_strength_beside_an_altered_gain():

@@ -49,7 +49,9 @@ def standard_quantile(v: Float[Array, "..."], shape) -> Float[Array, "..."]:
 
 def excess_kurtosis(shape) -> Float[Array, "..."]:
     """Excess kurtosis; infinite for shape <= -0.25."""
-    return jnp.interp(jnp.asarray(shape), _SHAPES, _KURTOSES, left=jnp.inf)
+    shape = jnp.asarray(shape, jnp.result_type(float))
+    shapes, values = (jnp.asarray(table, shape.dtype) for table in (_SHAPES, _KURTOSES))
+    return jnp.interp(shape, shapes, values, left=jnp.inf)
 
 
 def shape_of_kurtosis(excess: float) -> float:
