@@ -23,7 +23,8 @@ from cannoise_jax.discovery.compare.measure import Family
 from cannoise_jax.discovery.compare.run import Chosen, Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
-from cannoise_jax.discovery.fit import Step
+from cannoise_jax.discovery.fit import Fitted, Step
+from cannoise_jax.discovery.gate import Gated
 from cannoise_jax.discovery.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.chain import closed_form
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -84,6 +85,16 @@ def doubts(
         quiet = of(steps, silent=steps[n])
         out[n] = doubt(full, drawn_from(quiet if _alike(quiet, less, capture.recordings[0].size) else less))
     return tuple(out)
+
+
+def withdrawn(fitted: Fitted, gated: Gated, against: Sequence[Doubt | None]) -> tuple[Fitted, Gated]:
+    """Both without the names that something speaks against; what was found stays in the simulator."""
+    steps = tuple(
+        s if doubt is None else s._replace(named=s.named.withdrawn(doubt))
+        for s, doubt in zip(fitted.steps, against, strict=True)
+    )
+    same = {id(old): new for old, new in zip(fitted.steps, steps, strict=True)}
+    return fitted._replace(steps=steps), gated._replace(steps=tuple(same[id(s)] for s in gated.steps))
 
 
 def _found(compared: Compared) -> float:

@@ -26,7 +26,7 @@ from cannoise_jax.discovery.stacks import (
     smooth_mean,
     without_flicker,
 )
-from cannoise_jax.physics.core.rounding import CLEAR, COARSE, before_rounding
+from cannoise_jax.physics.core.rounding import CLEAR, COARSE, before_rounding, level_and_spread
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, mosaic_map
 from cannoise_jax.signatures.fields import Fields, channel_index, site_slices
 from cannoise_jax.signatures.recorded import Baseline, Level
@@ -106,12 +106,10 @@ def _before_rounding(
         sigma = np.sqrt(p.variance)
         if sigma > COARSE * dark.step and black[p.channel] > CLEAR * sigma:
             continue
-        means = dark.mean[site_slices(p.channel)]
-        near = means[np.abs(means - np.median(means)) < 6 * max(sigma, dark.step)]
-        spread = np.sqrt(max(float(near.var()) - p.variance / dark.frames, 0.0))
-        pedestal[p.channel], read[p.channel] = before_rounding(
-            float(near.mean()), p.variance, dark.step, float(spread)
+        level, spread = level_and_spread(
+            dark.mean[site_slices(p.channel)], p.variance, dark.frames, dark.step
         )
+        pedestal[p.channel], read[p.channel] = before_rounding(level, p.variance, dark.step, spread)
     return pedestal, read
 
 

@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.adequacy import doubts
+from cannoise_jax.discovery.adequacy import doubts, withdrawn
 from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
 from cannoise_jax.discovery.check import Checked, check, source_of
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.fit import Fitted, Step, part_of, stepwise
 from cannoise_jax.discovery.gate import Gated, gate
 from cannoise_jax.discovery.locate import locate
-from cannoise_jax.discovery.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.name import UNKNOWN
 from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
 from cannoise_jax.discovery.quality import Quality, composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.sides import Sides, handed_simulators, simulators
@@ -186,6 +186,7 @@ def diagnose(
         proven = prove(fitted, splits)
     sides = judged.sides(first, fitted.steps, own)
     gated = remains = quality = panel = None
+    model = sides.exported
     if compare and splits.can_prove:
         panel = open_panel(*judged_by(raw, fitted, sides, key))
         if panel is not None:
@@ -194,11 +195,7 @@ def diagnose(
             gated = gate(panel, sides, fitted.steps, proven, rest)
     if compare:
         tell("check: what still differs")
-        gated, remains = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
-    model = sides.exported if gated is None else gated.model
-    if gated is None and remains is not None and sides.model is not None and (remains.left or 0.0) > 1:
-        # Too few frames for the gate, and the layer finds more that differs than before.
-        model, remains = sides.model, remains.unchanged
+        gated, remains, model = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
         if not sides.likelihood:
@@ -233,21 +230,6 @@ def diagnose(
         remains,
         model is not sides.model,
     )
-
-
-def withdrawn(
-    fitted: Fitted, gated: Gated | None, against: Sequence[Doubt | None]
-) -> tuple[Fitted, Gated | None]:
-    """Both with the names withdrawn that do not account for their own part of the mismatch; what was found
-    stays in the simulator."""
-    steps = tuple(
-        s if doubt is None else s._replace(named=s.named.withdrawn(doubt))
-        for s, doubt in zip(fitted.steps, against, strict=True)
-    )
-    same = {id(old): new for old, new in zip(fitted.steps, steps, strict=True)}
-    if gated is not None:
-        gated = gated._replace(steps=tuple(same[id(s)] for s in gated.steps))
-    return fitted._replace(steps=steps), gated
 
 
 def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
@@ -317,24 +299,30 @@ def judged_by(
 
 def checked(
     judged: Judged, sides: Sides, gated: Gated | None, splits: Splits, alpha: float, key: Key[Array, ""]
-) -> tuple[Gated | None, Checked | None]:
-    """What differs between the frames held back and draws before and after; None: none can be drawn. Where
-    the remainder makes that more than it was, it goes."""
+) -> tuple[Gated | None, Checked | None, SensorModel]:
+    """What differs between the frames held back and draws before and after (None: none can be drawn), and the
+    simulator that is handed back. Where more differs than before, the remainder goes; where too few frames
+    were held back for the gate, all that was found does."""
     before = source_of(sides.model, sides.plain, judged.label, key)
+    model = sides.exported if gated is None else gated.model
 
     def against(model: SensorModel) -> Checked:
         after = None if model is sides.model else lambda: source_of(model, sides.plain, AFTER, key)
         return check(judged.capture, splits.frames, before, after, alpha * SHARED.layer)
 
     try:
-        found = against(sides.exported if gated is None else gated.model)
-        if gated is not None and gated.remainder and (found.left or 0.0) > 1:
+        found = against(model)
+        if not (found.left or 0.0) > 1:
+            return gated, found, model
+        if gated is None and sides.model is not None:
+            return None, found.unchanged, sides.model
+        if gated is not None and gated.remainder:
             without = against(gated.without_remainder.model)
             if without.nats < found.nats:
-                return gated.without_remainder, without
+                return gated.without_remainder, without, gated.without_remainder.model
     except BadInput:
-        return gated, None
-    return gated, found
+        return gated, None, model
+    return gated, found, model
 
 
 def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:

@@ -8,6 +8,7 @@ the mean over them.
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 from scipy import optimize, special
 
 _REACH = 12
@@ -34,6 +35,15 @@ def stored_moments(black: float, read: float, step: float, spread: float = 0.0) 
     mean = chance @ codes
     square = chance @ codes**2 - mean**2
     return float(mean.mean()) * step, float(square.mean()) * step**2
+
+
+def level_and_spread(
+    means: Float[np.ndarray, "*n"], variance: float, frames: int, step: float
+) -> tuple[float, float]:
+    """Mean of the ordinary pixels' means over `frames` frames, DN, and standard deviation of their offsets
+    once noise of this temporal variance, DN^2, is taken out."""
+    near = means[np.abs(means - np.median(means)) < 6 * max(np.sqrt(variance), step)]
+    return float(near.mean()), float(np.sqrt(max(float(near.var()) - variance / frames, 0.0)))
 
 
 def before_rounding(mean: float, variance: float, step: float, spread: float = 0.0) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cannoise_jax.physics.core.rounding import COARSE, before_rounding
+from cannoise_jax.physics.core.rounding import COARSE, before_rounding, level_and_spread
 from cannoise_jax.physics.transfer.black import Black
 from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import (
@@ -118,10 +118,7 @@ def _read_noise(
 def _unrounded(dark: FrameStatistics, square: float, stderr: float, step: float, c: int) -> Estimate:
     """Noise of less than a code: what rounds to this variance, DN^2, at the levels of these pixels; its
     variance less step^2 / 12 is something else."""
-    means = site(dark.mean, c)
-    near = means[np.abs(means - np.median(means)) < 6 * max(np.sqrt(square), step)]
-    spread = float(np.sqrt(max(float(near.var()) - square / dark.recording.count, 0.0)))
-    level = float(near.mean())
+    level, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
     read, low, high = (
         before_rounding(level, max(v, 1e-6 * step**2), step, spread)[1]
         for v in (square, square - stderr, square + stderr)
