@@ -41,6 +41,18 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.skip(reason="slow: run with --slow"))
 
 
+@pytest.fixture(autouse=True)
+def own_draws(request):
+    """Each test draws from its module's generator as it was after import, whatever ran before it."""
+    rng = getattr(request.module, "RNG", None)
+    if rng is not None:
+        start = _GENERATORS.setdefault(request.module.__name__, rng.bit_generator.state)
+        rng.bit_generator.state = start
+
+
+_GENERATORS: dict[str, dict] = {}
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """Folder of real recordings; tests that need it skip visibly where it is absent."""

@@ -83,22 +83,29 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
     path: object = recording.path or recording.camera
     good: list[int] = []
     faults: dict[str, list[int]] = {}
+    copied: dict[object, list[tuple[int, int]]] = {}
     number = 0
     for part in chunks(recording.frames, 1 << 20):
         for frame in part:
-            fault = fault_of(frame, recording.white_level)
-            if fault is None:
-                key = (frame.shape, hashlib.blake2b(frame.tobytes(), digest_size=16).digest())
-                first, at = seen.setdefault(key, (path, number))
-                if (first, at) != (path, number):
-                    of = "" if first == path else f" of {first}"
-                    fault = f"a copy of frame {at + 1}{of} (noise shows between exposures of their own)"
-            if fault is None:
-                good.append(number)
-            else:
-                faults.setdefault(fault, []).append(number + 1)
             number += 1
-    return good, [f"{path}: {_numbered(which)}: {fault}" for fault, which in faults.items()]
+            fault = fault_of(frame, recording.white_level)
+            if fault is not None:
+                faults.setdefault(fault, []).append(number)
+                continue
+            key = (frame.shape, hashlib.blake2b(frame.tobytes(), digest_size=16).digest())
+            first, at = seen.setdefault(key, (path, number))
+            if (first, at) == (path, number):
+                good.append(number - 1)
+            else:
+                copied.setdefault(first, []).append((number, at))
+    for first, pairs in copied.items():
+        of = "" if first == path else f" of {first}"
+        which, sources = zip(*pairs, strict=True)
+        one = len(set(sources)) == 1
+        what = f"a copy of frame {sources[0]}{of}" if one else f"copies of earlier frames{of}"
+        faults[f"{what} (noise shows between exposures of their own)"] = list(which)
+    in_order = sorted(faults.items(), key=lambda item: item[1][0])
+    return good, [f"{path}: {_numbered(which)}: {fault}" for fault, which in in_order]
 
 
 def _numbered(which: list[int]) -> str:

@@ -42,7 +42,7 @@ def test_a_copy_in_another_recording_is_one_too():
     both = recording(frames, path="a.h5"), recording(frames[[3, 1]], path="b.h5")
     kept, lines = usable(CaptureSet("c", both))
     assert [r.path for r in kept.recordings] == ["a.h5"]
-    assert "b.h5: frame 1: a copy of frame 4 of a.h5" in lines[0]
+    assert "b.h5: frames 1 to 2: copies of earlier frames of a.h5" in lines[0]
 
 
 def test_too_few_that_are_left_are_refused_but_single_frames_are_not():
