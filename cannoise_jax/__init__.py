@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.lazy import on_first_use
+from cannoise_jax.exports import on_first_use
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import diagnose

@@ -134,7 +134,7 @@ def test_nothing_points_up(floor):
 
 
 def test_the_ground_floor_imports_nothing():
-    assert not imports("cannoise_jax.vocabulary") and not imports("cannoise_jax.lazy")
+    assert not imports("cannoise_jax.vocabulary") and not imports("cannoise_jax.exports")
 
 
 def test_late_arrows_are_late():

@@ -10,7 +10,7 @@ import numpy as np
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import own_variance
-from cannoise_jax.discovery.stacks import FLICKER
+from cannoise_jax.discovery.contrasts import FLICKER
 from cannoise_jax.physics.core.chain import closed_form
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.sensor import SensorModel, Settings

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.calibrate import fit_baseline, gain_groups, standardise, stated_black
-from cannoise_jax.discovery.stacks import MOST_FRAMES, Stack, code_step, detected_step, iso_numbers, stack
+from cannoise_jax.discovery.contrasts import MOST_FRAMES, Stack, code_step, detected_step, iso_numbers, stack
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet

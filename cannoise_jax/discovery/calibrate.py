@@ -13,8 +13,7 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.discovery.full import mark_full, unshared
-from cannoise_jax.discovery.stacks import (
+from cannoise_jax.discovery.contrasts import (
     Stack,
     affine,
     at_level,
@@ -26,9 +25,11 @@ from cannoise_jax.discovery.stacks import (
     smooth_mean,
     without_flicker,
 )
+from cannoise_jax.discovery.full import mark_full, unshared
 from cannoise_jax.physics.core.rounding import CLEAR, COARSE, before_rounding, level_and_spread
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, mosaic_map
-from cannoise_jax.signatures.fields import Fields, channel_index, site_slices
+from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.recorded import Baseline, Level
 
 _SHORT_S = 0.1
@@ -106,9 +107,7 @@ def _before_rounding(
         sigma = np.sqrt(p.variance)
         if sigma > COARSE * dark.step and black[p.channel] > CLEAR * sigma:
             continue
-        level, spread = level_and_spread(
-            dark.mean[site_slices(p.channel)], p.variance, dark.frames, dark.step
-        )
+        level, spread = level_and_spread(dark.mean[SITES[p.channel]], p.variance, dark.frames, dark.step)
         pedestal[p.channel], read[p.channel] = before_rounding(level, p.variance, dark.step, spread)
     return pedestal, read
 

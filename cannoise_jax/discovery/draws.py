@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import Prepared
 from cannoise_jax.discovery.calibrate import standardise
-from cannoise_jax.discovery.stacks import stack
+from cannoise_jax.discovery.contrasts import stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.signatures.fields import Fields, frame_fields
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.locate import Located, locate
-from cannoise_jax.discovery.name import Named, name
+from cannoise_jax.discovery.name import UNKNOWN, Named, name
 from cannoise_jax.signatures.fields import Fields, refit
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
@@ -218,11 +218,14 @@ def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
 
 def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
-    that the others leave nothing to look at keeps the p-value of its step."""
+    that the others leave nothing to look at keeps the p-value of its step. What is left of an effect that is
+    known but approximately, and has no name, does not make it superfluous."""
     out = []
     for k, step in enumerate(steps):
         fields = step.before
         for later in steps[k + 1 :]:
+            if step.named.signature.approximate and later.named.mechanism == UNKNOWN:
+                continue
             fields = refit(later.named.signature.absorb(fields, later.named.score), fields)
         score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
         share = step.named.signature.weight

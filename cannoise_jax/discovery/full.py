@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
-from cannoise_jax.discovery.stacks import Stack, steady
-from cannoise_jax.signatures.fields import site_slices
+from cannoise_jax.discovery.contrasts import Stack, steady
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.recorded import Level
 
 _STANDS_OUT = 12.0
@@ -72,7 +72,7 @@ def unshared(stacked: Stack, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarr
     pixel, without the noise of the frames: with it, noise would count as drift."""
     out = np.zeros(stacked.mean.shape, np.float32)
     for c in range(4):
-        at = site_slices(c)
+        at = SITES[c]
         for contrast in stacked.contrasts[:, *at]:
             modes = np.fft.rfft2(steady(contrast, signal[at]))
             power = np.abs(modes) ** 2

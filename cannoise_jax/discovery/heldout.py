@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.battery import Prepared
-from cannoise_jax.discovery.stacks import Stack, at_level
+from cannoise_jax.discovery.contrasts import Stack, at_level
 from cannoise_jax.physics.likelihood.codes import CodeGrid
 from cannoise_jax.physics.likelihood.crossed import SharedTerms, crossed_gaussian, stationary_factor
 from cannoise_jax.signatures.fields import Fields, channel_index, stratum

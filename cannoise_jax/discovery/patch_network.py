@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from cannoise_jax.discovery.draws import spread_codes
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields
 
 SIDE = 32
@@ -59,10 +60,9 @@ def cut(fields: tuple[Fields, ...], parity: int, seed: int) -> Patches:
 
 
 def _without_level(stack: Float[np.ndarray, "t h w"]) -> Float[np.ndarray, "t h w"]:
-    for y in (0, 1):
-        for x in (0, 1):
-            part = stack[:, y::2, x::2]
-            part -= part.mean((1, 2), keepdims=True)
+    for at in SITES:
+        part = stack[:, *at]
+        part -= part.mean((1, 2), keepdims=True)
     return stack
 
 

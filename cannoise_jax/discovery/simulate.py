@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.calibrate import gain_groups
-from cannoise_jax.discovery.stacks import MOST_FRAMES, code_step, iso_numbers, smooth_mean, stack
+from cannoise_jax.discovery.contrasts import MOST_FRAMES, code_step, iso_numbers, smooth_mean, stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack

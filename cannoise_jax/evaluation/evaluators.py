@@ -70,7 +70,7 @@ def kl_by_patch(samples: Samples) -> dict[str, float]:
     }
 
 
-def row_spectrum(noise: Float[np.ndarray, "n h w 4"]) -> float:
+def row_power_ratio(noise: Float[np.ndarray, "n h w 4"]) -> float:
     """Power of the row means at low frequencies, divided by what white noise would leave there: 1 if white.
 
     Rows are mosaic rows (R with Gr, Gb with B), their means taken after each channel's own; low means the
@@ -105,7 +105,7 @@ def structure(samples: Samples) -> dict[str, float]:
     numbers = {}
     for suffix, noise in (("", samples.fake), ("_real", samples.real)):
         z = noise / np.maximum(samples.sigma, 1e-6)
-        numbers["row_spectrum" + suffix] = row_spectrum(z)
+        numbers["row_spectrum" + suffix] = row_power_ratio(z)
         numbers["lag1_horizontal" + suffix] = lag_correlation(z, 2)
         numbers["lag1_vertical" + suffix] = lag_correlation(z, 1)
         numbers["excess_kurtosis" + suffix] = excess_kurtosis(z)

@@ -14,9 +14,10 @@ import numpy as np
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
 from cannoise_jax.physics.transfer.table import format_outcome
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
 _RANGE = (0.05, 0.95)

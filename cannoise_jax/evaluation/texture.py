@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.evaluation.evaluators import Evaluator, Samples, row_spectrum
+from cannoise_jax.evaluation.evaluators import Evaluator, Samples, row_power_ratio
 
 LAGS = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0))
 """Rows and columns, packed pixels of one colour."""
@@ -22,9 +22,9 @@ def spectra(samples: Samples) -> dict[str, float]:
     numbers = {}
     for suffix, noise in (("", samples.fake), ("_real", samples.real)):
         z = standardised(noise, samples.sigma)
-        numbers["row_spectrum" + suffix] = row_spectrum(z)
+        numbers["row_spectrum" + suffix] = row_power_ratio(z)
         # Columns are rows of the turned image; its second colour is then the third.
-        numbers["column_spectrum" + suffix] = row_spectrum(z.swapaxes(1, 2)[..., [0, 2, 1, 3]])
+        numbers["column_spectrum" + suffix] = row_power_ratio(z.swapaxes(1, 2)[..., [0, 2, 1, 3]])
     return numbers
 
 

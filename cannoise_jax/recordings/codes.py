@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Int
 
 from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import PerChannel, per_channel
 
 _CODES = 1 << 16
@@ -62,7 +63,7 @@ def code_histograms(frames: Any) -> Int[np.ndarray, "4 65536"]:
     counts = np.zeros((4, _CODES), np.int64)
     for part in _parts(frames):
         for site in range(4):
-            counts[site] += _histogram(part[..., site // 2 :: 2, site % 2 :: 2])
+            counts[site] += _histogram(part[..., *SITES[site]])
     return counts
 
 

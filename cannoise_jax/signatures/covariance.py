@@ -6,6 +6,7 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import fft
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
@@ -27,8 +28,12 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
-LAGS = tuple((dy, dx) for dy in range(5) for dx in range(-4, 5) if dy > 0 or dx > 0)
+_REACH = 5
+"""Rows and columns from which on neighbours are not looked at."""
+LAGS = tuple((dy, dx) for dy in range(_REACH) for dx in range(1 - _REACH, _REACH) if dy > 0 or dx > 0)
 Lag = tuple[int, int]
+_LEAST_POWER = 0.05
+"""Power, of that of white noise, that a spectrum with measured correlations is taken to have at least."""
 
 
 class Template(NamedTuple):
@@ -155,7 +160,7 @@ def any_score(fields: tuple[Fields, ...]) -> Score | None:
     rho = score / np.maximum(information, 1e-30)
     log_p = sidak(normal_log_p(float(z[k])), len(LAGS))
     strong = np.abs(z) > 3.5
-    gain = 0.5 * float(np.sum(z[strong] ** 2))
+    gain = _likelihood_gain(np.where(strong, rho, 0.0), float(information.max()))
     penalty = float(strong.sum() * (0.5 * np.log(information.max()) + np.log(len(LAGS)) / 2))
     where = {
         "axis": "pixel",
@@ -177,6 +182,30 @@ def any_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
+def _likelihood_gain(correlations: np.ndarray, pairs: float) -> float:
+    """Log-likelihood that noise with these correlations at `LAGS` gains over white noise (Whittle's
+    likelihood at its expectation): n/2 <S - 1 - log S> over the frequencies.
+
+    To first order half the sum of the squared z-values. Far from it those count what one wave does to many
+    lags as so many effects. Correlations that end at the last lag and leave less than no power somewhere are
+    tapered (Bartlett's window), which leaves none below zero.
+    """
+    spectrum = _spectrum(correlations)
+    if spectrum.min() < _LEAST_POWER:
+        taper = [(1 - abs(dy) / _REACH) * (1 - abs(dx) / _REACH) for dy, dx in LAGS]
+        spectrum = np.maximum(_spectrum(correlations * np.array(taper)), _LEAST_POWER)
+    return 0.5 * pairs * float(np.mean(spectrum - 1 - np.log(spectrum)))
+
+
+def _spectrum(correlations: np.ndarray, side: int = 32) -> Float[np.ndarray, "side side"]:
+    """Power over the frequencies of unit noise with these correlations at `LAGS`."""
+    kernel = np.zeros((side, side))
+    kernel[0, 0] = 1.0
+    for (dy, dx), value in zip(LAGS, correlations, strict=True):
+        kernel[dy % side, dx % side] = kernel[-dy % side, -dx % side] = value
+    return np.real(np.fft.fft2(kernel))
+
+
 def absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Whitens the fields by the inverse square root of the measured spectrum of neighbour correlations."""
     law = score.payload.law
@@ -196,7 +225,7 @@ def _whiten(field: Fields, rho: np.ndarray, law: str) -> Fields:
         kernel[dy % h, dx % w] += value
         kernel[-dy % h, -dx % w] += value
     spectrum = np.real(fft.rfft2(kernel))
-    filt = 1 / np.sqrt(np.maximum(1 + spectrum, 0.05)) - 1
+    filt = 1 / np.sqrt(np.maximum(1 + spectrum, _LEAST_POWER)) - 1
 
     def function(x: np.ndarray) -> np.ndarray:
         change = np.stack([fft.irfft2(fft.rfft2(v * g) * filt, (h, w)) for v in x]) if len(x) else x

@@ -74,11 +74,6 @@ def channel_index(size: tuple[int, int]) -> np.ndarray:
     return out
 
 
-def site_slices(c: int) -> tuple[slice, slice]:
-    """The pixels of mosaic site c."""
-    return np.s_[c // 2 :: 2, c % 2 :: 2]
-
-
 def least_squares(basis: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
     """Coefficients by the normal equations, without a threaded library: long sums, tiny systems."""
     normal = np.einsum("nk,nl->kl", basis, basis)

@@ -15,8 +15,9 @@ from jaxtyping import Float
 from scipy import fft, ndimage
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import placed, strength
-from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts, site_slices
+from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts
 from cannoise_jax.signatures.least import (
     signal,
     sinusoid,
@@ -210,7 +211,7 @@ def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
 
     def function(values: np.ndarray) -> np.ndarray:
         out = values.copy()
-        for at in map(site_slices, range(4)):
+        for at in SITES:
             q = orthonormal(np.array([(b[at[0], None] * r[at]).ravel() for b in basis]))
             out[:, *at] = projected_out(values[:, *at], q)
         return out

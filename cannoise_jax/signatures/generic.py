@@ -26,7 +26,7 @@ from scipy import fft
 from cannoise_jax.physics.core.chain import run_chain, to_codes
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.physics.core.settings import Settings, context_of, resolve
+from cannoise_jax.physics.core.settings import DEFAULT, Settings, context_of, resolve
 from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, variance_component
@@ -52,6 +52,8 @@ _TYPICAL = 0.3
 """Root mean square of the effect, in units of the noise, at which its template is taken."""
 _STAYS = 0.05
 """Share of the power of what stays below which differences between frames show nothing of an effect."""
+_LEAST_POWER = 0.05
+"""Power, of that of the noise, that is expected of a coefficient at least."""
 _SEEN = 0.3
 """Share of its pixels that must be usable for a coefficient to count."""
 
@@ -80,6 +82,16 @@ def _cosines(axes: tuple[int, ...]) -> Basis:
         lambda x: fft.idctn(x, axes=[a + 1 for a in axes], norm="ortho"),
         axes,
     )
+
+
+def _waves() -> Basis:
+    """Hartley's transform, its own inverse: the basis of what looks alike everywhere."""
+
+    def change(x: Images) -> Images:
+        z = fft.fft2(x, norm="ortho")
+        return z.real - z.imag
+
+    return Basis(change, change, (0, 1))
 
 
 def _sheared(sign: int) -> Basis:
@@ -114,6 +126,7 @@ BASES: tuple[Basis, ...] = (
     _cosines((1,)),
     _cosines((0,)),
     _cosines((0, 1)),
+    _waves(),
     _sheared(1),
     _sheared(-1),
     _blocks(8),
@@ -146,21 +159,23 @@ def effect(record: Mechanism, strength: float, field: Fields, recorded: Recorded
     gain = max(float(np.mean(field.gain)), 1e-6)
     read = float(np.sqrt(np.median(sigma2 * (1 - field.shot)))) / gain
     black = float(np.mean(field.black))
-    seconds = field.exposure_s if field.exposure_s is not None else 0.01
+    seconds = field.exposure_s if field.exposure_s is not None else DEFAULT.exposure_s
+    iso = next((b.iso for b in recorded.baselines[field.group : field.group + 1]), None) or DEFAULT.iso
+    settings = Settings(iso, seconds, None, _FRAMES)
     base = SensorModel.poisson_gaussian(
-        gain, max(read, 1e-6), black, black + recorded.span, code_step=recorded.step
+        gain, max(read, 1e-6), black, black + recorded.span, iso=iso, code_step=recorded.step
     )
     base = dataclasses.replace(base, unit_key=jax.random.key(seed))
     clean = jnp.asarray(np.clip(field.signal / recorded.span, 0, 1), jnp.float32)[None]
     values: dict[str, Any] = {strength_of(record): strength}
     both = (base, base.with_mechanism(record, **values))
-    without, with_it = (_values(m, clean, seconds, seed) for m in both)
+    without, with_it = (_values(m, clean, settings, seed) for m in both)
     return np.asarray(with_it - without, np.float64) * field.weight
 
 
-def _values(model: SensorModel, clean, seconds: float, seed: int) -> np.ndarray:
+def _values(model: SensorModel, clean, settings: Settings, seed: int) -> np.ndarray:
     """Values in DN before they are rounded, or after where a mechanism changes the codes."""
-    context = context_of(model, clean, Settings(100.0, seconds, None, _FRAMES))
+    context = context_of(model, clean, settings)
     values, key = resolve(model, context), jax.random.key(seed + 1)
     y, step = run_chain(model, key, context, values, _FRAMES)
     if any(f.record.acts_on == "code" for f in model.mechanisms):
@@ -227,7 +242,10 @@ def by_sampling(
         def score(fields: Many) -> Score | None:
             seen = template(fields)
             sums = None if seen is None else _powers(fields, seen)
-            return None if seen is None or sums is None else _scored(seen, *sums, unit)
+            if seen is None or sums is None:
+                return None
+            found = _scored(seen, *sums, unit)
+            return found.replace(gain=max(found.gain, _whole_gain(fields, seen, found.payload)))
 
         def absorb(fields: Many, found: Score) -> Many:
             seen = template(fields)
@@ -250,6 +268,7 @@ def by_sampling(
                 place=NO_PLACE,
                 detectable=BY_SHIFT,
                 least=NO_CLOSED_FORM,
+                approximate=True,
             ),
         )
 
@@ -301,6 +320,22 @@ def _powers(fields: Many, seen: Template) -> tuple[np.ndarray, np.ndarray, np.nd
     if not power or not np.sum([p.size for p in power]):
         return None
     return np.concatenate(power), np.concatenate(information), np.concatenate(dof)
+
+
+def _whole_gain(fields: Many, seen: Template, variance: float) -> float:
+    """Log-likelihood gained where the noise of all pixels, the effect's included, was fitted before: what the
+    effect lifts some coefficients by is missing in the others."""
+    gain = 0.0
+    for f in fields:
+        x, level = _images(f, seen), seen.basis.level(f.usable)
+        lift = variance * seen.power.get(f.number, 0.0) * (f.frames if seen.stays else 1.0) / seen.at**2
+        if not len(x) or not lift:
+            continue
+        used = level > _SEEN
+        expected = np.maximum(1 + lift * (seen.shape[used] - 1), _LEAST_POWER)
+        power = np.mean(seen.basis.forward(x) ** 2, 0)[used] / level[used]
+        gain += 0.5 * len(x) * float(np.sum(power * (1 - 1 / expected) - np.log(expected)))
+    return gain
 
 
 def _whitened(fields: Many, seen: Template, variance: float) -> Many:

@@ -154,7 +154,8 @@ class Signature:
     quoted(score, mechanism) -> the score in that mechanism's unit. at(score, amplitude) -> the score of the
       same finding at another strength. moves_frames(score, size) -> how far, DN, it moves the means of
       frames. says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is
-      about pixels that others set aside. restates: what it corrects of what was stated.
+      about pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
+      what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
     """
 
     name: str
@@ -188,6 +189,7 @@ class Signature:
     says: Callable[[dict[str, Any]], tuple[str, tuple[float, float]]] | None = None
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None
+    approximate: bool = False
 
     @property
     def weight(self) -> float:

@@ -38,7 +38,7 @@ _EXPONENT_SPREAD = 0.15
 Weak noise leaves the exponent open, and with it how much of the variance lies where nothing is seen."""
 
 
-def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
+def row_modes(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
     """Summed power of the row offsets per mode of the rows [H/2], mean 1, and the information per mode."""
     sums = line_sums(field, field.contrasts, "row", scaling)
     scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
@@ -48,7 +48,7 @@ def row_spectrum(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
     return left * power.sum(0), float(np.mean(sums.information)) / left
 
 
-def raster_spectrum(field: Fields) -> tuple[np.ndarray, float]:
+def raster_modes(field: Fields) -> tuple[np.ndarray, float]:
     """Summed power of the raster scans of all contrasts [N/2], mean 1, and the information per mode."""
     w = _even_rows(field.weight)
     power = np.zeros(w.size // 2)
@@ -104,7 +104,7 @@ def white_levels(power: np.ndarray, dof: np.ndarray, tau: np.ndarray) -> np.ndar
 def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score | None:
     """1/f^a noise along the raster scan, or from row to row."""
     spectra = [
-        (raster_spectrum(f) if scan == "raster" else row_spectrum(f, "additive"))
+        (raster_modes(f) if scan == "raster" else row_modes(f, "additive"))
         for f in fields
         if len(f.contrasts)
     ]
@@ -240,7 +240,7 @@ def _held_by_rows(field: Fields) -> np.ndarray:
 
 def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
     """Variance, DN^2, that the modelled noise holds beyond the white level of the scan."""
-    power, information = raster_spectrum(field)
+    power, information = raster_modes(field)
     weights, number = mode_weights(field.weight.size), len(field.contrasts)
     modes = banded(weights)
     tau = v * information * banded(_shape(field.weight.size, exponent) * weights) / modes

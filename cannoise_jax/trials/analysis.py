@@ -14,6 +14,7 @@ import numpy as np
 import cannoise_jax
 from cannoise_jax.discovery import declare
 from cannoise_jax.discovery.battery import prepare_split, split_recordings, splits_of
+from cannoise_jax.discovery.contrasts import Stack
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.fit import charge, second_look
 from cannoise_jax.discovery.heldout import score_frames
@@ -21,7 +22,6 @@ from cannoise_jax.discovery.locate import Located, locate
 from cannoise_jax.discovery.name import UNKNOWN, mechanism_of
 from cannoise_jax.discovery.prove import held_out_gain
 from cannoise_jax.discovery.report import document
-from cannoise_jax.discovery.stacks import Stack
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import Fields, channel_index

@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.discovery.battery import splits_of
+from cannoise_jax.discovery.contrasts import robust_mean
 from cannoise_jax.discovery.locate import locate
 from cannoise_jax.discovery.name import name
 from cannoise_jax.discovery.smooth import beyond, polynomials
-from cannoise_jax.discovery.stacks import robust_mean
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.codes import _above_the_law

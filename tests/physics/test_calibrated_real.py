@@ -10,10 +10,10 @@ import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.transfer.frames import site
 from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from tests.conftest import SIMULATION
 

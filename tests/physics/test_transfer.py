@@ -9,11 +9,12 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, variance_difference
-from cannoise_jax.physics.transfer.frames import frame_statistics, rails, site
+from cannoise_jax.physics.transfer.frames import frame_statistics, rails
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.packing import site
 from tests.conftest import SIMULATION
 
 BLACK, WHITE, GAIN, READ = 200.0, 16383.0, 2.5, 3.0

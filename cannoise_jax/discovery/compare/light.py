@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 
 _CELL = 8
 _FEWEST = 16
 _DEGREES = (2, 4, 6, 8, 10, 12)
-SITES = tuple((y, x) for y in (0, 1) for x in (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,7 @@ class Light:
     def fit(self, mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> np.ndarray:
         """The fitted mean of every pixel, DN."""
         out = np.empty(mean.shape, np.float32)
-        for y, x in SITES:
-            at = np.s_[y::2, x::2]
+        for at in SITES:
             if self.reference is not None:
                 out[at] = _affine(mean[at], self.reference[at], usable[at])
             else:
@@ -46,7 +45,7 @@ class Light:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The mean minus the fitted one, and the level of every site, DN."""
         fitted = self.fit(mean, usable)
-        return mean - fitted, np.array([float(fitted[y::2, x::2].mean()) for y, x in SITES])
+        return mean - fitted, np.array([float(fitted[at].mean()) for at in SITES])
 
 
 def light_for(r: Recording, mean: np.ndarray, usable: np.ndarray, dark: bool) -> Light | None:
@@ -76,7 +75,7 @@ def light_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) ->
     """The light of a flat: the degree that Akaike's criterion of its cells asks for, and one step more, for
     what a criterion of one flat lets pass shows in several together."""
     best, chosen, fitting = np.inf, 0, 0
-    sites = [cells_of(mean[y::2, x::2], usable[y::2, x::2]) for y, x in SITES]
+    sites = [cells_of(mean[at], usable[at]) for at in SITES]
     for step, degree in enumerate(_DEGREES):
         score = 0.0
         for cells in sites:

@@ -20,14 +20,15 @@ from scipy import fft, stats
 
 from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.calibrate import gain_groups
-from cannoise_jax.discovery.compare.light import SITES, Light, light_for
+from cannoise_jax.discovery.compare.light import Light, light_for
 from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth, wiener
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
-from cannoise_jax.discovery.stacks import code_step, iso_numbers, steady
+from cannoise_jax.discovery.contrasts import code_step, iso_numbers, steady
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
@@ -216,9 +217,9 @@ def _part(
 def _steady(raw: Raw) -> Float[np.ndarray, "n h w"]:
     """The contrasts without an offset and a factor of each colour of the frame: those are the lamp's."""
     out = np.empty_like(raw.contrasts)
-    for y, x in SITES:
+    for at in SITES:
         for n, contrast in enumerate(raw.contrasts):
-            out[n, y::2, x::2] = steady(contrast[y::2, x::2], raw.mean[y::2, x::2])
+            out[n, *at] = steady(contrast[at], raw.mean[at])
     return out
 
 

@@ -15,10 +15,11 @@ from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
 from cannoise_jax.discovery.compare.light import Light, light_for
 from cannoise_jax.discovery.compare.measure import Family, Measured, is_coarse, measure, shared
 from cannoise_jax.discovery.compare.sources import Source, open_source
-from cannoise_jax.discovery.compare.view import SITES, Raw, chosen_frames, noise_of, reduce, view
+from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
+from cannoise_jax.discovery.contrasts import code_step, iso_numbers
 from cannoise_jax.discovery.simulate import Draw
-from cannoise_jax.discovery.stacks import code_step, iso_numbers
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 
 DRAWN = 40e6
@@ -179,8 +180,8 @@ def asked_signal(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -
         return clean.mean(0) if clean.ndim == 3 else clean
     cell = np.asarray(r.black_level if source.black is None else source.black, np.float32)
     black = np.empty(r.size, np.float32)
-    for value, (y, x) in zip(cell, SITES, strict=True):
-        black[y::2, x::2] = value
+    for value, at in zip(cell, SITES, strict=True):
+        black[at] = value
     white = float(r.white_level) if source.white is None else source.white
     return np.maximum((fitted - black) / (white - black), 0).astype(np.float32)
 

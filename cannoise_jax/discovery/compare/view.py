@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
-from cannoise_jax.discovery.stacks import MOST_FRAMES
+from cannoise_jax.discovery.contrasts import MOST_FRAMES
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import contrast_matrix, helmert
 
@@ -25,7 +26,6 @@ STATIC = 6.0
 """Robust standard deviations from which a pixel of the static map stands out."""
 RESIDUES = (2, 4, 8, 16)
 """The stored codes are counted modulo each of these."""
-SITES = tuple((y, x) for y in (0, 1) for x in (0, 1))
 
 
 class Noise(NamedTuple):
@@ -37,8 +37,8 @@ class Noise(NamedTuple):
     def sigma(self, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
         """Standard deviation of every pixel, DN."""
         out = np.empty(signal.shape, np.float32)
-        for (y, x), knots, variance in zip(SITES, self.knots, self.variance, strict=True):
-            out[y::2, x::2] = np.sqrt(np.interp(signal[y::2, x::2], knots, variance))
+        for at, knots, variance in zip(SITES, self.knots, self.variance, strict=True):
+            out[at] = np.sqrt(np.interp(signal[at], knots, variance))
         return out
 
 
@@ -107,14 +107,14 @@ def reduce(frames: UInt16[np.ndarray, "t h w"], high: float, dark: bool, step: f
 def noise_of(drawn: list[Raw], signal: Float[np.ndarray, "h w"], step: float) -> Noise:
     """The noise of a simulator from its draws, over the signal where that varies by more than the noise."""
     knots, variances = [], []
-    for y, x in SITES:
-        s = signal[y::2, x::2].ravel()
-        parts = [np.mean(r.contrasts[:, y::2, x::2] ** 2, 0).ravel() for r in drawn if len(r.contrasts)]
+    for cell in SITES:
+        s = signal[cell].ravel()
+        parts = [np.mean(r.contrasts[:, *cell] ** 2, 0).ravel() for r in drawn if len(r.contrasts)]
         if not parts:
-            parts = [_scatter(r.mean[y::2, x::2] - signal[y::2, x::2]) for r in drawn]
+            parts = [_scatter(r.mean[cell] - signal[cell]) for r in drawn]
         v = np.mean(parts, 0)
         dof = max(sum(len(r.contrasts) for r in drawn), 1)
-        used = np.mean([r.usable[y::2, x::2] for r in drawn], 0).ravel() > 0
+        used = np.mean([r.usable[cell] for r in drawn], 0).ravel() > 0
         typical = float(np.median(v))
         bins = int(np.clip(np.ptp(s) ** 2 / max(400 * typical, 1e-9), 1, 16)) if s.size else 1
         edges = np.unique(np.quantile(s, np.linspace(0, 1, bins + 1)[1:-1])) if bins > 1 else np.zeros(0)
@@ -182,7 +182,7 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse
     kept = raw.usable & ~odd
     z *= kept
     inner = raw.contrasts[: raw.frames - 1]
-    moved = [[np.mean(c[y::2, x::2][kept[y::2, x::2]]) for y, x in SITES] for c in inner]
+    moved = [[np.mean(c[at][kept[at]]) for at in SITES] for c in inner]
     levels = np.broadcast_to(level, (raw.frames, 4))
     if len(inner) and kept.any():
         levels = level + helmert(raw.frames).T @ np.nan_to_num(np.array(moved))
@@ -197,10 +197,10 @@ def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
     """How much noisier the bulk of every site is than the simulator: a mean, as a median of noise
     below a code jumps from one of few values to the next."""
     out = np.ones(steadiness.shape, np.float32)
-    for y, x in SITES:
-        mine = steadiness[y::2, x::2][usable[y::2, x::2]]
+    for at in SITES:
+        mine = steadiness[at][usable[at]]
         if mine.size:
-            out[y::2, x::2] = max(bulk_variance(mine, n), 1e-3)
+            out[at] = max(bulk_variance(mine, n), 1e-3)
     return out
 
 

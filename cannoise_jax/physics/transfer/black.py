@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.physics.transfer.frames import FrameStatistics, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel, Recording, per_channel
 
 _SHORT_S = 0.1  # below it dark charge hardly matters

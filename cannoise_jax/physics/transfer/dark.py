@@ -17,7 +17,8 @@ from jaxtyping import Float
 from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.recordings.packing import site
 
 RECORD = (
     "record darks at three or more exposure times, the longest some tens of seconds, 2 frames each or more"

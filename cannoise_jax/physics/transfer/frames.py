@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 
 from cannoise_jax.recordings.codes import code_histograms, code_lattice
 from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
 
 _CHUNK_BYTES = 1 << 23
@@ -55,11 +56,6 @@ class FrameStatistics:
     low: PerChannel
     high: PerChannel
     clipped: Bool[np.ndarray, "H W"]
-
-
-def site(values: np.ndarray, channel: int) -> np.ndarray:
-    """One mosaic site of a mosaic `[..., H, W]`: a view `[..., H/2, W/2]`."""
-    return values[..., channel // 2 :: 2, channel % 2 :: 2]
 
 
 def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:

@@ -34,8 +34,9 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     steady_pixels,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.recordings.packing import site
 
 Statistics = Sequence[FrameStatistics]
 

@@ -18,7 +18,7 @@ from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
-from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
 from cannoise_jax.physics.transfer.quantities import (
     RECORD_DARKS,
     RECORD_FLATS,
@@ -30,7 +30,7 @@ from cannoise_jax.physics.transfer.quantities import (
     saturation_quantities,
 )
 from cannoise_jax.physics.transfer.shape import shape_quantities
-from cannoise_jax.recordings.packing import PACKED_CHANNELS, to_mosaic_order
+from cannoise_jax.recordings.packing import PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording, per_channel
 
 _LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)

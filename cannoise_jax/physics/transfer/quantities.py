@@ -23,7 +23,7 @@ from cannoise_jax.physics.transfer.estimate import (
     variance_difference,
 )
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.spatial import (
     Split,
     TemporalParts,
@@ -32,6 +32,7 @@ from cannoise_jax.physics.transfer.spatial import (
     temporal_mean_square,
     total_of,
 )
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
 
 _UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden

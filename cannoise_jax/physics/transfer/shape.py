@@ -21,10 +21,11 @@ from cannoise_jax.physics.transfer.estimate import (
     variance_estimate,
 )
 from cannoise_jax.physics.transfer.fit import median_quotient
-from cannoise_jax.physics.transfer.frames import FrameStatistics, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
 _LAGS = ((0, 1), (0, 2), (1, 0), (1, 1))

@@ -16,6 +16,7 @@ from cannoise_jax.recordings.folders.names import named_average, named_kind, nam
 from cannoise_jax.recordings.load import is_supported, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.opened import stated
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
 from cannoise_jax.recordings.usable import fault_of
 
@@ -168,9 +169,7 @@ def _shot(path: Path, name: str) -> Shot:
         check, top = zlib.crc32(np.ascontiguousarray(frame).tobytes(), check), max(top, int(frame.max()))
     if first is None:
         raise _Dud(fault)
-    sites = [
-        np.median(first[s // 2 :: 2, s % 2 :: 2]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)
-    ]
+    sites = [np.median(first[SITES[s]]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)]
     return Shot(
         *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
         *(per_channel(np.array(sites)), top, _step(first), check),

@@ -13,7 +13,8 @@ from scipy import optimize, special, stats
 from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
-from cannoise_jax.physics.transfer.frames import FrameStatistics, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.packing import site
 
 _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")

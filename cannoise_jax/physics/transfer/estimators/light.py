@@ -23,8 +23,9 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
 )
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import Recording
 
 _LEVELS = NotMeasurable("record flats of one steady light at three or more exposure times up to saturation")

@@ -32,6 +32,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.spatial import correlation_loss, temporal_mean_square
+from cannoise_jax.recordings.packing import SITES
 
 _MOST_ROWS = 8  # read together
 
@@ -150,7 +151,7 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     lines = dark.mean.mean(1 - axis, keepdims=True)
     rest = np.where(keep, dark.mean - lines, 0.0)
     for c in range(4):
-        part = rest[c // 2 :: 2, c % 2 :: 2]
+        part = rest[SITES[c]]
         part -= part.mean()
     pixel, _ = pooled_variance(dark)
     frozen = max(float(np.mean(rest**2)) - pixel / frames, 0.0) / dark.recording.size[1 - axis]

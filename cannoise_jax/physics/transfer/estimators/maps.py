@@ -24,9 +24,9 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     pooled_variance,
     steady_pixels,
 )
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site, steady_frames
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, steady_frames
 from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
-from cannoise_jax.recordings.packing import green_sites
+from cannoise_jax.recordings.packing import green_sites, site
 
 _HOT = 6.0
 

@@ -16,6 +16,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     darkest,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import mosaic_map, per_channel
 
 
@@ -186,7 +187,7 @@ def _residuals(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
 def _channel_map(s: FrameStatistics) -> Float[np.ndarray, "H W"]:
     """The median-free mean temporal variance of every channel, spread over the mosaic."""
     assert s.variance is not None
-    means = [float(np.mean(s.variance[c // 2 :: 2, c % 2 :: 2])) for c in range(4)]
+    means = [float(np.mean(s.variance[SITES[c]])) for c in range(4)]
     return mosaic_map(per_channel(np.array(means)), s.recording.size).astype(np.float64)
 
 

@@ -13,10 +13,11 @@ from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasu
 from cannoise_jax.physics.transfer.estimators.charge import hessian
 from cannoise_jax.physics.transfer.estimators.pick import REPEATED_DARKS, darkest, steady_pixels
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.recordings.codes import code_histograms
 from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.packing import site
 
 _ASSUMED = NotMeasurable("give the baseline that is assumed: shot and read coefficients of the recording")
 _FEWEST = 100.0  # counts of a class of codes in the tails

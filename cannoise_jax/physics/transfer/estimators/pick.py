@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, site
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
 REPEATED_DARKS = NotMeasurable("record at least 2 frames with the cap on, better 16")

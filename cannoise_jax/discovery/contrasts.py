@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.smooth import beyond
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 from cannoise_jax.signatures.fields import (
     channel_index,
     contrast_matrix,
     least_squares,
-    site_slices,
     surfaces,
 )
 
@@ -93,7 +93,7 @@ def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Mean square of the contrasts once what a whole frame shares is taken out."""
     total = np.zeros(mean.shape, np.float32)
     for c in range(4):
-        at = site_slices(c)
+        at = SITES[c]
         for contrast in contrasts:
             total[at] += steady(contrast[at], mean[at]) ** 2
     return total / max(len(contrasts), 1)
@@ -122,7 +122,7 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
         return stacked
     variance, found = stacked.variance.copy(), False
     for c in range(4):
-        at = site_slices(c)
+        at = SITES[c]
         rest, shared = row_variance(stacked.contrasts[:, *at], stacked.mean[at] - black[c])
         if shared - additive[c] > FLICKER * float(np.mean(rest)):
             variance[at], found = rest + additive[c], True
@@ -132,9 +132,7 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
 def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
     """Variance of the contrasts that whole rows share, per channel, DN^2."""
     flat = np.ones(stacked.mean.shape)
-    return np.array(
-        [row_variance(stacked.contrasts[:, *site_slices(c)], flat[site_slices(c)])[1] for c in range(4)]
-    )
+    return np.array([row_variance(stacked.contrasts[:, *SITES[c]], flat[SITES[c]])[1] for c in range(4)])
 
 
 def row_variance(
@@ -232,7 +230,7 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
             rest = values - np.einsum("nk,k->n", basis, beta)
             kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
         fitted = np.einsum("nk,k->n", basis, beta)
-        at = site_slices(c)
+        at = SITES[c]
         out[chosen] = fitted
         out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
     return out
