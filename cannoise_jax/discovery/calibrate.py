@@ -34,6 +34,9 @@ from cannoise_jax.signatures.recorded import Baseline, Level
 
 _SHORT_S = 0.1
 """Exposure, s, below which dark charge hardly matters."""
+_LINEAR = 0.45
+"""Share of full scale up to which a scene is matched to its reference: a response that bends shows in the
+upper half."""
 _BINS = 8
 """Half the bins of like signal of a scene, per channel."""
 
@@ -178,7 +181,7 @@ def _expected(stacked: Stack, black: np.ndarray) -> np.ndarray:
         return smooth_mean(stacked) - mosaic_map(black, recording.size)
     if recording.clean is not None:
         clean = reference(recording)
-        low = clean < 0.45
+        low = clean < _LINEAR
         if low.mean() < 0.5:
             low = np.ones(clean.shape, bool)
         spread = np.sqrt(np.maximum(clean, 1e-3))

@@ -119,8 +119,8 @@ def group_score(
         np.concatenate(powers),
         np.concatenate(informations),
         np.concatenate(freedoms),
-        scaling,
-        where,
+        scaling=scaling,
+        where=where,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -127,7 +127,15 @@ def line_power(field: Fields, values: np.ndarray, axis: str) -> np.ndarray:
     return (np.abs(np.fft.rfft(x, axis=1)) ** 2).sum(0) / x.shape[1]
 
 
-def component_score(power, information, dof, scaling, where, scale_variance=0.0) -> Score:
+def component_score(
+    power: np.ndarray,
+    information: np.ndarray,
+    dof: np.ndarray,
+    *,
+    scaling: str,
+    where: dict[str, Any],
+    scale_variance: float = 0.0,
+) -> Score:
     """The score of one variance component of offsets (DN) or factors, see `variance_component`."""
     fit = variance_component(power, information, dof, scale_variance)
     sigma = np.sqrt(fit.variance)

@@ -48,8 +48,8 @@ def temporal_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Sc
         np.concatenate(
             [np.full(p.shape, n * len(s.score)) for n, p, s in zip(left, power, sums, strict=True)]
         ),
-        scaling,
-        {"axis": axis},
+        scaling=scaling,
+        where={"axis": axis},
     )
 
 
@@ -70,7 +70,7 @@ def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Scor
     power = sums.score**2 / np.maximum(sums.information, 1e-30)
     largest = np.argsort(-power)[:8]
     where = {"axis": axis, "index": sorted(int(i) for i in largest)}
-    return component_score(power, sums.information, np.ones(power.shape), scaling, where)
+    return component_score(power, sums.information, np.ones(power.shape), scaling=scaling, where=where)
 
 
 def static_absorb(fields: tuple[Fields, ...], score: Score, *, axis: str, scaling: str) -> tuple[Fields, ...]:

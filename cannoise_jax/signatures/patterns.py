@@ -63,7 +63,9 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
     # One recording alone cannot say how what its frames share scales: another has to lack it, or show less.
     if not power or sum(len(f.contrasts) > 0 for f in fields) < 2:
         return None
-    return component_score(np.array(power), np.array(information), np.array(dof), scaling, {"axis": "frame"})
+    return component_score(
+        np.array(power), np.array(information), np.array(dof), scaling=scaling, where={"axis": "frame"}
+    )
 
 
 def frame_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:
@@ -112,9 +114,9 @@ def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
         power,
         information,
         np.ones(power.shape),
-        scaling,
-        {"axis": "pixel"},
-        scale_variance(fields, scaling, KINDS),
+        scaling=scaling,
+        where={"axis": "pixel"},
+        scale_variance=scale_variance(fields, scaling, KINDS),
     )
     if scaling != "exposure":
         return score
@@ -186,9 +188,9 @@ def own_score(fields: tuple[Fields, ...]) -> Score | None:
         power,
         information,
         np.ones(power.shape),
-        "additive",
-        {"axis": "pixel"},
-        scale_variance(tuple(chosen), "additive", KINDS),
+        scaling="additive",
+        where={"axis": "pixel"},
+        scale_variance=scale_variance(tuple(chosen), "additive", KINDS),
     )
 
 

@@ -36,6 +36,7 @@ from cannoise_jax.signatures.signature import (
 from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
+"""Relative spreads of the pixels' noise that are tried; a parabola goes between."""
 
 
 def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:

@@ -18,6 +18,9 @@ from cannoise_jax.vocabulary import Term
 Statistics = Sequence[FrameStatistics]
 Measured = Mapping[str, Estimate]
 Law = Literal["tails", "spread", "telegraph"]
+BY_CHANCE = 3e-4
+"""Chance of a strength at least as large without the effect, below which a mechanism enters a model: of the
+50 that are asked for, one camera in 70 gets one that it does not have."""
 
 
 class Placed(NamedTuple):

@@ -25,7 +25,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
-from cannoise_jax.physics.transfer.estimator import Estimator, Measurable
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE, Estimator, Measurable
 from cannoise_jax.physics.transfer.estimators.loudness import explanation
 from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.transfer.estimators.noise import telegraph_sites
@@ -44,7 +44,6 @@ Verdict = Literal[
     "reported only",
 ]
 
-_CHANCE = 3e-4
 _LEAST_SHARE = 0.02
 """Of a pixel's noise in the dark: what an additive mechanism must have, rms or peak."""
 
@@ -274,4 +273,4 @@ def _strong(estimator: Estimator, strength: Estimate) -> bool:
         return True
     if estimator.neutral:
         strength = strength.shifted(-estimator.neutral)
-    return strength.significant and strength.by_chance < _CHANCE
+    return strength.significant and strength.by_chance < BY_CHANCE

@@ -12,6 +12,7 @@ from scipy import optimize, special, stats
 
 from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import site
@@ -21,7 +22,6 @@ _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside 
 _GRID = 24
 _FAR = 6.0
 """Spreads of the healthy pixels beyond which a pixel is not one of them."""
-_CHANCE = 3e-4
 
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -136,7 +136,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     if len(tail) < 10:
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
     above = len(tail) + full.size
-    if stats.binom.sf(above - 1, above + len(below), 0.5) > _CHANCE:
+    if stats.binom.sf(above - 1, above + len(below), 0.5) > BY_CHANCE:
         return NotMeasurable(
             "as many pixels lie far below the median as above, and hot ones lie above: record a longer dark"
         )

@@ -17,6 +17,7 @@ from scipy.interpolate import PchipInterpolator
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, normal_estimate
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
 from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_DARKS,
@@ -29,7 +30,6 @@ from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.metadata import chunks
 
-_CHANCE = 3e-4
 _MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
 _EXPONENTS = np.linspace(0.0, 2.0, 41)
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
@@ -132,7 +132,7 @@ def beside_rows(wave: Mapping[str, Estimate], place: Point, dark: FrameStatistic
     """Whether rows whose even and odd columns differ make the line themselves."""
     if place.over != "row" or place.interleave != 2:
         return False
-    return chance_beside_half(dark, wave["frequency"].value, place.group) > _CHANCE
+    return chance_beside_half(dark, wave["frequency"].value, place.group) > BY_CHANCE
 
 
 def reaches_no_further(rows: Mapping[str, Estimate], statistics: Sequence[FrameStatistics]) -> str:
@@ -141,7 +141,7 @@ def reaches_no_further(rows: Mapping[str, Estimate], statistics: Sequence[FrameS
     some readouts have, also draws the exponent away from zero.)"""
     dark, exponent = darkest(statistics), rows["exponent"]
     against = "(rows are not alike over distance, as 1/f would be)"
-    if dark is None or exponent.ci90[0] <= 0 or exponent.by_chance > _CHANCE:
+    if dark is None or exponent.ci90[0] <= 0 or exponent.by_chance > BY_CHANCE:
         return against
     rest = row_offsets(dark)
     rest = rest - rest.mean(0)
