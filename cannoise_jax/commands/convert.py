@@ -27,6 +27,7 @@ _MODES = {
     "mode": "readout mode",
     "gain_setting": "gain setting",
     "filter": "filter",
+    "bits": "number of bits",
 }
 """What FITS headers state beside the fields of a recording, and what has to be one to be joined."""
 

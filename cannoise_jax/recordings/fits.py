@@ -88,6 +88,8 @@ def open_fits(path: str | Path) -> Opened:
     shape = (shape[0], kept[0].stop - kept[0].start, kept[1].stop - kept[1].start)
     if black is not None:
         known["black_level"], about["black_from"] = black, "overscan"
+    if header["BITPIX"] == 8:
+        about["bits"] = 8
     read = partial(_read, str(path), number, len(hdu.shape), upside_down, kept)
     return Opened(LazyArray(read, shape, np.dtype(np.uint16)), known, about)
 

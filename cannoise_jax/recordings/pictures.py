@@ -31,12 +31,13 @@ def open_picture(path: str | Path) -> Opened:
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
     if Path(path).suffix.lower() == ".png":
-        return Opened(_png(path)[None], side_car(path))
+        values, deep = _png(path)
+        return Opened(values[None], side_car(path), {} if deep else {"bits": 8})
     with reading(path, "not a readable PGM file"):
         frames, white = _pgm(path, Path(path).read_bytes())
     # 255 and 65535 are what the container holds, not what the sensor reaches.
     known = {} if white in (255, 65535) else {"white_level": float(white)}
-    return Opened(frames, known | side_car(path))
+    return Opened(frames, known | side_car(path), {"bits": 8} if white < 256 else {})
 
 
 def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
@@ -68,7 +69,8 @@ def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
     return np.stack(images), white
 
 
-def _png(path: str | Path) -> np.ndarray:
+def _png(path: str | Path) -> tuple[np.ndarray, bool]:
+    """The mosaic, and whether the file has more than 8 bits."""
     with reading(path, "not a readable PNG file"), warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         with Image.open(path, formats=("PNG",)) as image:
@@ -77,4 +79,4 @@ def _png(path: str | Path) -> np.ndarray:
                 raise BadInput(
                     f"{path}: colours or a palette ({image.mode}): expected a grey mosaic of 8 or 16 bits"
                 )
-            return whole_numbers(path, np.array(image))
+            return whole_numbers(path, np.array(image)), image.mode != "L"

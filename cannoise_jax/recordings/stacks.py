@@ -87,9 +87,10 @@ def open_tiff(path: str | Path) -> Opened:
 def _opened(path: str | Path, frames: Any, known: dict[str, Any]) -> Opened:
     if len(frames.shape) == 2:
         frames = frames[None]
+    about = {"bits": 8} if frames.dtype.itemsize == 1 else {}
     if frames.dtype != np.uint16:  # 8 bits, the other byte order, or whole numbers of another type
         frames = whole_numbers(path, np.asarray(frames))
-    return Opened(frames, side_car(path) | known)
+    return Opened(frames, side_car(path) | known, about)
 
 
 def side_car(path: str | Path) -> dict[str, Any]:

@@ -41,8 +41,9 @@ class Group:
         return self.shots[0].shape[1], self.shots[0].shape[2]
 
 
-MODE = ("camera", "size", "binning", "origin", "gain", "offset", "readout", "cfa", "temperature")
-"""What `Group.mode` holds, in this order; the temperature only where the camera regulates it."""
+MODE = ("camera", "size", "binning", "origin", "gain", "offset", "readout", "cfa", "temperature", "bits")
+"""What `Group.mode` holds, in this order; the temperature only where the camera regulates it;
+8 bits where files hold no more."""
 
 
 def grouped(
@@ -89,6 +90,7 @@ def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | N
         about.get("mode"),
         overrides.get("cfa", known.get("cfa")),
         regulated,
+        about.get("bits"),
     )
 
 

@@ -269,7 +269,7 @@ def _lacks(one: CaptureGroups) -> list[str]:
 
 def _word(value: Any, name: str) -> str:
     if value is None:
-        return {"binning": "1x1", "origin": "0x0"}.get(name, "not stated")
+        return {"binning": "1x1", "origin": "0x0", "bits": "16"}.get(name, "not stated")
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, tuple):

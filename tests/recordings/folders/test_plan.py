@@ -320,3 +320,15 @@ def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_pa
     with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
         capture_of(folder, Options({"camera": "X"}), cache)
     assert len(list(cache.iterdir())) == 1
+
+
+def test_files_of_8_bits_are_kept_apart_from_those_of_16(tmp_path):
+    """Their values are in other units."""
+    night(tmp_path)
+    for n in (1, 2):
+        values = np.random.default_rng(n).integers(10, 200, (24, 32), np.uint8)
+        header = fits.Header({"IMAGETYP": "Dark", "INSTRUME": "Acme 100", "EXPTIME": 60.0})
+        fits.PrimaryHDU(values, header).writeto(tmp_path / f"dark_small{n}.fits")
+    plan = plan_folder(tmp_path)
+    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2}
+    assert "bits is 8, not 16" in plan.sets[1].reason
