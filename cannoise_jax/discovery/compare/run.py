@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -84,22 +85,25 @@ def compare_bank(
     key = jax.random.key(0) if key is None else key
     source = simulator if isinstance(simulator, Source) else open_source(simulator, capture, key)
     chosen = held_back or [([], chosen_frames(r).tolist()) for r in capture.recordings]
-    total = sum(
-        (len(a) + len(b)) * r.size[0] * r.size[1]
+    work = [
+        (len(a) + len(b)) * r.size[0] * r.size[1] if b else 0
         for r, (a, b) in zip(capture.recordings, chosen, strict=True)
-        if b
-    )
+    ]
+    total = sum(work)
     count = int(np.clip(DRAWN // total, 2, MOST_SETS)) if sets is None else sets
     count = count if source.sets is None else min(count, source.sets)
     step = code_step(capture)
     isos = iso_numbers(gain_groups(capture))
+    began = time.monotonic()
     recorded: dict[str, Measured] = {}
     simulated: dict[str, list[Measured]] = {}
     seen: dict[str, Seen] = {}
     for number, (r, (before, frames)) in enumerate(zip(capture.recordings, chosen, strict=True)):
         if not frames:
             continue
-        tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}")
+        spent, ready = time.monotonic() - began, sum(work[:number])
+        left = f", some {spent * (total - ready) / ready:.0f} s more" if ready else ""
+        tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}{left}")
         done = _one(source, number, r, (before, frames), count, step, isos[r.iso])
         if done is None:
             continue
