@@ -15,12 +15,14 @@ import pytest
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-# What one test compiles later ones load, and the commands that they start. A folder for each worker: entries
-# are not written in one piece, so another process might read half of one.
-_compiled = tempfile.mkdtemp(prefix="cannoise-tests-")
-os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled
+# What one test compiles later ones load, on both processes and in the commands that they start: one folder,
+# which with a limit on its size JAX locks while it reads or writes.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _compiled = tempfile.mkdtemp(prefix="cannoise-tests-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled
+    os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(8 << 30)
+    atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
-atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL_DATA = Path(os.environ.get("CANNOISE_DATA", ROOT.parent / "shared" / "data"))
@@ -33,7 +35,24 @@ def pytest_addoption(parser):
     parser.addoption("--results", metavar="DIR", help="where tests write what they measured, NAME.json each")
 
 
+FIRST = (
+    "training/test_loop",
+    "test_sampling",
+    "commands/test_train",
+    "training/test_level",
+    "evaluation/test_model_suites",
+    "discovery/test_diagnose",
+    "commands/test_diagnose",
+    "discovery/test_model",
+    "commands/test_sample",
+    "blind/test_development",
+)
+"""Files that take minutes: begun first, so that no process is left alone with one of them at the end."""
+
+
 def pytest_collection_modifyitems(config, items):
+    order = {f"{ROOT / 'tests' / name}.py": n for n, name in enumerate(FIRST)}
+    items.sort(key=lambda item: order.get(str(item.path), len(order)))
     if config.getoption("--slow"):
         return
     for item in items:

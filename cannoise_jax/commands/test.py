@@ -28,7 +28,8 @@ def main(argv: list[str] | None = None) -> int:
     # Paths that were named: only those tests, no linting.
     selected = any(not a.startswith("-") and Path(a.partition("::")[0]).exists() for a in rest)
     steps = [] if selected else [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]]
-    steps.append(["pytest", "-n", "2", *arguments])
+    # A file's tests on one process: they share what is costly to make.
+    steps.append(["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", *arguments])
     for step in steps:
         print("$", " ".join(step), flush=True)
         try:
