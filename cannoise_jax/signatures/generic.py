@@ -52,8 +52,10 @@ _TYPICAL = 0.3
 """Root mean square of the effect, in units of the noise, at which its template is taken."""
 _STAYS = 0.05
 """Share of the power of what stays below which differences between frames show nothing of an effect."""
-_LEAST_POWER = 0.05
-"""Power, of that of the noise, that is expected of a coefficient at least."""
+_ENOUGH = 0.5
+"""Coefficients that tell the noise, for each that tells the effect: with fewer the noise is that of all."""
+_LEAST_NOISE = 0.05
+"""Share of the fitted variance that is noise at least."""
 _SEEN = 0.3
 """Share of its pixels that must be usable for a coefficient to count."""
 
@@ -244,8 +246,7 @@ def by_sampling(
             sums = None if seen is None else _powers(fields, seen)
             if seen is None or sums is None:
                 return None
-            found = _scored(seen, *sums, unit)
-            return found.replace(gain=max(found.gain, _whole_gain(fields, seen, found.payload)))
+            return _scored(seen, *sums, unit)
 
         def absorb(fields: Many, found: Score) -> Many:
             seen = template(fields)
@@ -304,7 +305,7 @@ def _images(field: Fields, seen: Template) -> np.ndarray:
 
 def _powers(fields: Many, seen: Template) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Summed power, information per squared strength and degrees of freedom of the coefficients that the
-    effect raises above the mean: the rest tells what the noise is, which was fitted to all of them."""
+    effect raises above the mean. The others tell the power of the noise beside it: it was fitted to all."""
     above = seen.shape > 1
     power, information, dof = [], [], []
     for f in fields:
@@ -312,30 +313,20 @@ def _powers(fields: Many, seen: Template) -> tuple[np.ndarray, np.ndarray, np.nd
         if not len(x) or not strength:
             continue
         level = seen.basis.level(f.usable)
-        used = above & (level > _SEEN)
+        usable = level > _SEEN
+        used, others = above & usable, ~above & usable
+        summed = np.sum(seen.basis.forward(x) ** 2, 0) / np.maximum(level, _SEEN)
+        noise, there = 1.0, 1.0
+        if others.sum() > _ENOUGH * used.sum():
+            noise = max(float(summed[others].mean()) / len(x), _LEAST_NOISE)
+            there = float(seen.shape[others].mean())  # of the effect, beside the noise
         scale = strength * (f.frames if seen.stays else 1.0) / seen.at**2
-        power.append((np.sum(seen.basis.forward(x) ** 2, 0) / np.maximum(level, _SEEN))[used])
-        information.append((seen.shape[used] - 1) * scale)
+        power.append(summed[used] / noise)
+        information.append((seen.shape[used] - there) * scale / noise)
         dof.append(np.full(int(used.sum()), float(len(x))))
     if not power or not np.sum([p.size for p in power]):
         return None
     return np.concatenate(power), np.concatenate(information), np.concatenate(dof)
-
-
-def _whole_gain(fields: Many, seen: Template, variance: float) -> float:
-    """Log-likelihood gained where the noise of all pixels, the effect's included, was fitted before: what the
-    effect lifts some coefficients by is missing in the others."""
-    gain = 0.0
-    for f in fields:
-        x, level = _images(f, seen), seen.basis.level(f.usable)
-        lift = variance * seen.power.get(f.number, 0.0) * (f.frames if seen.stays else 1.0) / seen.at**2
-        if not len(x) or not lift:
-            continue
-        used = level > _SEEN
-        expected = np.maximum(1 + lift * (seen.shape[used] - 1), _LEAST_POWER)
-        power = np.mean(seen.basis.forward(x) ** 2, 0)[used] / level[used]
-        gain += 0.5 * len(x) * float(np.sum(power * (1 - 1 / expected) - np.log(expected)))
-    return gain
 
 
 def _whitened(fields: Many, seen: Template, variance: float) -> Many:

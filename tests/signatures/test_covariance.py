@@ -7,7 +7,7 @@ import pytest
 
 from cannoise_jax.signatures import generic
 from cannoise_jax.signatures.covariance import any_score
-from tests.discovery.looks import RECORDED, white
+from tests.discovery.looks import RECORDED, SIGNATURES, white
 from tests.discovery.test_own_mechanism import entry
 
 SIZE = (64, 96)
@@ -68,3 +68,24 @@ def test_a_mechanism_of_ones_own_explains_its_effect_better_than_no_name_does(am
     assert mine.parameters["sigma_dn"][0] == pytest.approx(
         3.0 * amplitude / np.sqrt(1 + amplitude**2), rel=0.15
     )
+
+
+def ramp(key, x, values, maps, context):
+    """The level falls along the rows, by another amount in every frame."""
+    import jax
+    import jax.numpy as jnp
+
+    along = jnp.linspace(-(3**0.5), 3**0.5, context.size[0])[:, None]
+    return x + values["sigma_dn"] * jax.random.normal(key, (x.shape[0], 1, 1)) * along
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.5, 1.0])
+def test_a_ramp_of_ones_own_is_no_noise_of_rows(amplitude):
+    own = entry("ramp", "The level falls along the rows.", ramp)
+    (signature,) = generic.by_sampling(own.record, name="own", unit="DN", known={})(RECORDED)
+    rng, along = _RNG(6), np.linspace(-(3**0.5), 3**0.5, SIZE[0])[:, None]
+    fields = with_contrasts(lambda x: x + amplitude * rng.standard_normal((len(x), 1, 1)) * along)
+    mine = signature.score(fields)
+    for other in ("row_slope", "row_additive_temporal", "tile_32_redrawn"):
+        score = SIGNATURES[other].score(fields)
+        assert mine.gain - mine.penalty > score.gain - score.penalty, other
