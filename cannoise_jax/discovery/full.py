@@ -14,27 +14,34 @@ from cannoise_jax.signatures.recorded import Level
 
 _STANDS_OUT = 12.0
 """Power of a mode, in units of the white level, that noise of single pixels has in one of 1e5."""
+_LIT = 20.0
+"""Signal, in code steps, from which on light shows."""
+_KNOWN = 0.1
+"""Relative error of a gain by which others may be judged."""
 
 
 Line = Callable[[list[Level], int], tuple[float, ...]]
 """Gain and read noise, DN, and more, of the levels of one channel."""
 
 
-def _low_line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and read noise from the lower half of the signals, where no pixel is full."""
-    gain, read = np.ones(4), np.zeros(4)
+def _low_line(levels: list[Level], step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and read noise from the lower half of the signals, where no pixel is full, or from as many more
+    as tell the gain at all: darks alone do not. Gain 0: none do."""
+    gain, read = np.zeros(4), np.zeros(4)
     for c in range(4):
-        mine = [p for p in levels if p.channel == c]
+        mine = sorted((p for p in levels if p.channel == c), key=lambda p: p.signal)
         if len(mine) < 4:
-            gain[c] = 0.0
             continue
-        x, v = np.array([p.signal for p in mine]), np.array([p.variance for p in mine])
-        low = x <= np.median(x)
-        weight = 1 / np.array([p.error for p in mine])[low]
-        basis = np.stack([np.maximum(x[low], 0.0), np.ones(low.sum())], 1) * weight[:, None]
-        # Neither can be negative: levels that lie close together would extrapolate to anything.
-        (gain[c], square), _ = optimize.nnls(basis, v[low] * weight)
-        read[c] = np.sqrt(square)
+        x = np.maximum([p.signal for p in mine], 0.0)
+        v, weight = np.array([p.variance for p in mine]), 1 / np.array([p.error for p in mine])
+        for low in range((len(mine) + 1) // 2, len(mine)):
+            basis = np.stack([x[:low], np.ones(low)], 1) * weight[:low, None]
+            # Neither can be negative: levels that lie close together would extrapolate to anything.
+            (slope, square), _ = optimize.nnls(basis, v[:low] * weight[:low])
+            error = np.sqrt(np.linalg.pinv(basis.T @ basis)[0, 0])
+            if x[low - 1] > _LIT * step and slope > error / _KNOWN:
+                gain[c], read[c] = slope, np.sqrt(square)
+                break
     return gain, read
 
 
@@ -43,7 +50,7 @@ def mark_full(levels: list[Level], step: float, line: Line) -> list[Level]:
     for the few offsets that rows, columns or a wave draw scatter a level's variance by more than that. line:
     fits gain and read noise, DN, of one channel."""
     judged = [p._replace(variance=p.alone) for p in levels]
-    judged = _mark_short(judged, *_low_line(judged), step)
+    judged = _mark_short(judged, *_low_line(judged, step), step)
     lines = [line([p for p in judged if p.channel == c and not p.full], c) for c in range(4)]
     gain, read, *_ = (np.array(column) for column in zip(*lines, strict=True))
     judged = _mark_short(judged, gain, read, step)
@@ -60,7 +67,7 @@ def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: f
             expected = read[c] ** 2 + step**2 / 12 + gain[c] * max(p.signal, 0)
             # Of noise of about a code rounding leaves too little to say how much of it is lost.
             coarse = expected < 2 * step**2
-            if gain[c] <= 0 or p.variance > 0.7 * expected or coarse or p.signal < 20 * step:
+            if gain[c] <= 0 or p.variance > 0.7 * expected or coarse or p.signal < _LIT * step:
                 break
             out[n] = p._replace(full=True)
     return out

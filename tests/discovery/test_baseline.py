@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.full import mark_full
 from cannoise_jax.discovery.model import baseline_model
 from cannoise_jax.physics.core.rounding import before_rounding, stored_moments
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.crop import central
 from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.signatures.recorded import Level
 from tests.discovery.capture import capture_set
 
 
@@ -61,3 +63,36 @@ def test_levels_close_together_are_not_taken_for_full_pixels(real_data):
     (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
     assert not any(level.full for level in found.levels)
     assert np.ptp(found.read_dn) < 0.2 * found.read_dn.mean() and found.gain.max() < 1e-3
+
+
+def curve(rng, darks, flats, full=()):
+    """Levels of one channel of a linear camera of its own gain and read noise; full: flats at which it is."""
+    gain, read, pixels = rng.uniform(0.3, 5), rng.uniform(1.0, 8.0), 3000
+    signal = np.r_[rng.uniform(-0.05, 0.05, darks), np.sort(rng.uniform(60, 3000, flats))]
+    truth = read**2 + gain * np.maximum(signal, 0)
+    truth[[darks + n for n in full]] *= 0.2
+    error = truth * np.sqrt(2 / (3 * pixels))
+    seen = truth + error * rng.standard_normal(signal.size)
+    return [
+        Level(n, 0, x, v, e, pixels, alone=v)
+        for n, (x, v, e) in enumerate(zip(signal, seen, error, strict=True))
+    ]
+
+
+def fitted_line(levels, channel):
+    x, v, e = (np.array([getattr(p, name) for p in levels]) for name in ("signal", "variance", "error"))
+    if x.size < 2 or np.ptp(x) < 1:
+        return 1.0, 0.0
+    slope, square = np.polyfit(x, v, 1, w=1 / e)
+    return slope, np.sqrt(max(square, 0))
+
+
+@pytest.mark.parametrize("darks, flats", [(2, 2), (1, 3), (6, 2), (0, 5), (9, 1), (3, 8)])
+def test_no_level_of_a_linear_camera_is_full_and_a_full_one_is(darks, flats):
+    rng = np.random.default_rng([darks, flats])
+    for _ in range(100):
+        levels = mark_full(curve(rng, darks, flats), 1.0, fitted_line)
+        assert not any(p.full for p in levels)
+        if flats > 3:
+            levels = mark_full(curve(rng, darks, flats, full=(flats - 1,)), 1.0, fitted_line)
+            assert [p.full for p in levels] == [False] * (darks + flats - 1) + [True]
