@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -17,10 +18,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
 # What one test compiles later ones load, on both processes and in the commands that they start: one folder,
 # which with a limit on its size JAX locks while it reads or writes.
-if "PYTEST_XDIST_WORKER" not in os.environ:
+_locks = find_spec("filelock") is not None  # without: a folder for each process
+if "PYTEST_XDIST_WORKER" not in os.environ or not _locks:
     _compiled = tempfile.mkdtemp(prefix="cannoise-tests-")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled
-    os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(8 << 30)
+    if _locks:
+        os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(8 << 30)
     atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 

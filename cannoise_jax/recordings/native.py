@@ -107,14 +107,15 @@ class _Sink(io.FileIO):
 
 
 def _write(sink: _Sink, recording: Recording) -> None:
-    with h5py.File(sink, "w") as file:
+    # The newest format has checksums: on damaged headers of the older ones the library may never return.
+    with h5py.File(sink, "w", libver="latest") as file:
         _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16))
         if recording.clean is not None:
             _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32))
         for name in FIELDS:
             value = getattr(recording, name)
             if value is not None:
-                file.attrs[name] = value
+                file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) and value else value
 
 
 def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: np.dtype) -> None:
@@ -142,4 +143,5 @@ def _read_dataset(path: str, name: str, dtype: np.dtype, index: Any) -> np.ndarr
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
+    value = value.item() if isinstance(value, np.generic) else value
+    return value.decode() if isinstance(value, bytes) else value
