@@ -16,7 +16,7 @@ def main(argv: list[str] | None = None) -> int:
         usage="bin/test [--slow] [PATH ...] [pytest's own flags]",
         description="Runs ruff check, ruff format --check, mypy and all tests on two processes (half an hour "
         "on two cores). With paths it runs only the tests there, and no linter.",
-        epilog="Everything else goes to pytest, as -k NAME, -x or --durations=10.",
+        epilog="Everything else goes to pytest, as -k NAME, -x or --durations=50.",
     )
     parser.add_argument("--slow", action="store_true", help="also the tests that take minutes (hours in all)")
     known, rest = parser.parse_known_args(sys.argv[1:] if argv is None else argv)
@@ -29,7 +29,8 @@ def main(argv: list[str] | None = None) -> int:
     selected = any(not a.startswith("-") and Path(a.partition("::")[0]).exists() for a in rest)
     steps = [] if selected else [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]]
     # A file's tests on one process: they share what is costly to make.
-    steps.append(["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", *arguments])
+    shared = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "--durations=20"]
+    steps.append(["pytest", *shared, *arguments])
     for step in steps:
         print("$", " ".join(step), flush=True)
         try:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from cannoise_jax.discovery.locate import Located
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.core.registry import check_record
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import UNKNOWN
@@ -23,6 +24,7 @@ def registered(
     for entry in own:
         if entry.id in known or entry.id == UNKNOWN.id:
             raise ValueError(f"{entry.id}: there is a mechanism of this name: choose another")
+        check_record(entry.record)
         known[entry.id] = entry
     wanted = None if mechanisms is None else {m if isinstance(m, str) else m.id for m in mechanisms}
     for id in (*without, *(wanted or ())):

@@ -19,6 +19,9 @@ CERTAIN = 10.0
 """Nats a pixel from which on more of them say nothing more: e^-10 a pixel is never met."""
 _OVER = {
     "raster time": "along the readout",
+    "frame": "over whole frames",
+    "whole": "over whole frames",
+    "pixel": "from pixel to pixel",
     "signal": "over the range of signals",
     "edge": "at edges",
     "code": "over the stored codes",

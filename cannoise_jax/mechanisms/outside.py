@@ -1,27 +1,51 @@
-"""Mechanisms from outside the package: entries that a module of the user's holds."""
+"""What a user's own module holds: mechanisms, and simulators."""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
 
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import BadInput
 
 
+def imported(place: str) -> Any:
+    """The value at "module:NAME" or "file.py:NAME". Importing the module runs its code.
+
+    Raises BadInput with one line where there is none, or the module fails.
+    """
+    where, _, name = place.rpartition(":")
+    if not where or not name:
+        raise BadInput(f"{place!r}: write MODULE:NAME or FILE.py:NAME, as my_camera:ENTRIES")
+    try:
+        if where.endswith(".py"):
+            spec = importlib.util.spec_from_file_location(Path(where).stem, where)
+            if spec is None or spec.loader is None:
+                raise ImportError(f"no module in {where}")
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            if "" not in sys.path:  # an installed command does not look where it is started
+                sys.path.insert(0, "")
+            module = importlib.import_module(where)
+    except Exception as error:  # whatever the user's code raises
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        start = f": start where {where}.py is" if isinstance(error, ModuleNotFoundError) else ""
+        raise BadInput(f"{place}: cannot be imported ({words}){start}") from error
+    if not hasattr(module, name):
+        raise BadInput(f"{place}: {where} has no {name}: give the name that it has there")
+    return getattr(module, name)
+
+
 def entries_at(place: str) -> tuple[Entry, ...]:
-    """The entries of "module:NAME": one entry, or several in a row. Importing the module runs its code.
+    """The entries of "module:NAME": one entry, or several in a row.
 
     Raises BadInput with one line for a place without entries.
     """
-    module, _, name = place.partition(":")
-    if not module or not name:
-        raise BadInput(f"{place!r}: names no entries: write MODULE:NAME, as my_camera:ENTRIES")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except ImportError as error:
-        raise BadInput(f"{place}: cannot be imported ({error}): start where {module}.py is") from error
-    except AttributeError as error:
-        raise BadInput(f"{place}: {module} has no {name}: name what it calls its entries") from error
+    found = imported(place)
     entries = (found,) if isinstance(found, Entry) else found
     if not isinstance(entries, list | tuple) or not all(isinstance(e, Entry) for e in entries):
         raise BadInput(f"{place}: is no entry, nor a tuple of entries: see docs/adding_a_mechanism.md")

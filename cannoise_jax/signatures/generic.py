@@ -27,6 +27,7 @@ from cannoise_jax.physics.core.chain import run_chain, to_codes
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.settings import DEFAULT, Settings, context_of, resolve
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, variance_component
@@ -50,8 +51,6 @@ _FRAMES, _UNITS = 8, 4
 """Frames of each unit of the camera that are drawn, and units."""
 _TYPICAL = 0.3
 """Root mean square of the effect, in units of the noise, at which its template is taken."""
-_STAYS = 0.05
-"""Share of the power of what stays below which differences between frames show nothing of an effect."""
 _ENOUGH = 0.5
 """Coefficients that tell the noise, for each that tells the effect: with fewer the noise is that of all."""
 _LEAST_NOISE = 0.05
@@ -155,8 +154,8 @@ def strength_of(record: Mechanism) -> str:
     return record.scales or record.parameters[0].name
 
 
-def effect(record: Mechanism, strength: float, field: Fields, recorded: Recorded, seed: int) -> Images:
-    """Change that a mechanism makes to frames of one unit, in units of the noise of a recording's pixels."""
+def _camera(field: Fields, recorded: Recorded, seed: int = 0) -> tuple[SensorModel, Any, Settings]:
+    """A camera with the noise of one recording, what it sees there, and how it is set."""
     sigma2 = field.sigma.astype(np.float64) ** 2
     gain = max(float(np.mean(field.gain)), 1e-6)
     read = float(np.sqrt(np.median(sigma2 * (1 - field.shot)))) / gain
@@ -169,6 +168,12 @@ def effect(record: Mechanism, strength: float, field: Fields, recorded: Recorded
     )
     base = dataclasses.replace(base, unit_key=jax.random.key(seed))
     clean = jnp.asarray(np.clip(field.signal / recorded.span, 0, 1), jnp.float32)[None]
+    return base, clean, settings
+
+
+def effect(record: Mechanism, strength: float, field: Fields, recorded: Recorded, seed: int) -> Images:
+    """Change that a mechanism makes to frames of one unit, in units of the noise of a recording's pixels."""
+    base, clean, settings = _camera(field, recorded, seed)
     values: dict[str, Any] = {strength_of(record): strength}
     both = (base, base.with_mechanism(record, **values))
     without, with_it = (_values(m, clean, settings, seed) for m in both)
@@ -194,33 +199,45 @@ def learned(record: Mechanism, fields: Many, recorded: Recorded) -> Template | N
     if not least > 0:
         return None
     strength = float(min(strength * _TYPICAL / least, top))
-    matrix = helmert(_FRAMES)
-    moving, still, power = [], [], {}
-    for f in fields:
-        drawn = [effect(record, strength, f, recorded, seed) for seed in range(_UNITS)]
-        moving.append(np.concatenate([np.einsum("nt,tij->nij", matrix, d) for d in drawn]))
-        still.append(np.array([d.mean(0) * np.sqrt(_FRAMES) for d in drawn]))
-    stays = sum(np.mean(m**2) for m in moving) < _STAYS * sum(np.mean(s**2) for s in still)
-    # Of what stays a frame shows 1 / frames of the power of the mean.
-    images = [s / np.sqrt(_FRAMES) for s in still] if stays else moving
-    for f, x in zip(fields, images, strict=True):
-        power[f.number] = float(np.mean(x**2))
+    stays = record.point.time == "frozen"
+    images = [_drawn(record, strength, f, recorded, stays) for f in fields]
+    power = {f.number: max(float(np.mean(a * b)), 0.0) for f, (a, b) in zip(fields, images, strict=True)}
+    if not any(power.values()):
+        return None
     best, chosen = -1.0, (BASES[0], np.ones(fields[0].mean.shape))
     for basis in BASES:
+        whole = sum(len(a) * power[f.number] for f, (a, _) in zip(fields, images, strict=True))
         halves = [
-            sum(np.sum(basis.forward(x[part]) ** 2, 0) for x in images)
-            / sum(len(x[part]) * power[f.number] for f, x in zip(fields, images, strict=True))
+            2 * sum(np.sum(basis.forward(a[part]) * basis.forward(b[part]), 0) for a, b in images) / whole
             for part in (slice(0, None, 2), slice(1, None, 2))
         ]
-        a, b = (0.1 * h for h in halves)
-        gain = float(np.sum((1 + b) * a / (1 + a) - np.log1p(a)))
+        first, second = (np.maximum(0.1 * h, 0.0) for h in halves)
+        gain = float(np.sum((1 + second) * first / (1 + first) - np.log1p(first)))
         if gain > best:
-            best, chosen = gain, (basis, (halves[0] + halves[1]) / 2)
-    context = context_of(
-        SensorModel.poisson_gaussian(1.0, 1.0), jnp.zeros((1, *fields[0].mean.shape)), Settings()
-    )
+            best, chosen = gain, (basis, np.maximum((halves[0] + halves[1]) / 2, 0.0))
+    # Its amplitude is quoted where it shows most.
+    shown = max(fields, key=lambda f: power[f.number])
+    context = context_of(*_camera(shown, recorded))
     quoted = record.amplitude({**record.defaults(), strength_of(record): strength}, context)
-    return Template(*chosen, power, bool(stays), strength, float(np.mean(np.asarray(quoted))) / strength)
+    return Template(*chosen, power, stays, strength, float(np.mean(np.asarray(quoted))) / strength)
+
+
+def _drawn(
+    record: Mechanism, strength: float, field: Fields, recorded: Recorded, stays: bool
+) -> tuple[Images, Images]:
+    """Draws of an effect whose products have the mean of its power: contrasts between frames with themselves;
+    of what stays the means of two halves of the frames, which the noise that comes with it does not share,
+    less the level of each colour, which is fitted."""
+    drawn = [effect(record, strength, field, recorded, seed) for seed in range(_UNITS)]
+    if not stays:
+        matrix = helmert(_FRAMES)
+        moving = np.concatenate([np.einsum("nt,tij->nij", matrix, d) for d in drawn])
+        return moving, moving
+    halves = [np.array([d[part].mean(0) for d in drawn]) for part in (slice(0, None, 2), slice(1, None, 2))]
+    for half in halves:
+        for at in SITES:
+            half[:, *at] -= half[:, *at].mean((1, 2), keepdims=True)
+    return halves[0], halves[1]
 
 
 def by_sampling(
@@ -229,7 +246,8 @@ def by_sampling(
     """The signature of a mechanism by its sampler. unit: of its amplitude. known: templates by what they were
     learned at, for all splits of one run."""
     point = record.point
-    scales: Scales = "signal" if point.combine == "multiply" else "additive"
+    thermal = record.scaling.exposure or record.parameters[0].unit.endswith("/s")
+    scales: Scales = "signal" if point.combine == "multiply" else "exposure" if thermal else "additive"
 
     def signatures(recorded: Recorded) -> tuple[Signature, ...]:
         def template(fields: Many) -> Template | None:
@@ -316,8 +334,9 @@ def _powers(fields: Many, seen: Template) -> tuple[np.ndarray, np.ndarray, np.nd
         usable = level > _SEEN
         used, others = above & usable, ~above & usable
         summed = np.sum(seen.basis.forward(x) ** 2, 0) / np.maximum(level, _SEEN)
-        noise, there = 1.0, 1.0
-        if others.sum() > _ENOUGH * used.sum():
+        # The noise of a mean is known from the frames that it was taken of.
+        noise, there = 1.0, 0.0 if seen.stays else 1.0
+        if not seen.stays and others.sum() > _ENOUGH * used.sum():
             noise = max(float(summed[others].mean()) / len(x), _LEAST_NOISE)
             there = float(seen.shape[others].mean())  # of the effect, beside the noise
         scale = strength * (f.frames if seen.stays else 1.0) / seen.at**2

@@ -101,7 +101,7 @@ def tap_score(fields: tuple[Fields, ...]) -> Score | None:
             power=1,
             parameters={},
             where={"axis": "block"},
-            payload=None,
+            payload=Taps(np.zeros((1, 1))),
         )
     _, chi2, dof, taps = best
     # Twice the rms: of two halves it is the step between them.

@@ -104,6 +104,17 @@ def test_it_reads_no_more_than_it_says(signature):
             assert getattr(one, part) == getattr(again, part), part
 
 
+@pytest.mark.parametrize("signature", ALL, ids=names(ALL))
+def test_a_score_of_nothing_can_be_used_as_any_other(signature):
+    """A search that is repeated absorbs what it finds then, which may be nothing."""
+    fields, rng = drawn(6), np.random.default_rng(0)
+    score = signature.score(fields)
+    if score is not None:
+        assert len(signature.absorb(fields, score)) == len(fields)
+        signature.pattern(fields, score, rng)
+        signature.predict(fields, score)
+
+
 LEVELS = ("black_level", "black_channels", "dark_level", "reference_scale", "description_scale", "greens")
 """Of means, which other fields state without noise."""
 SHAPES = ("kurtosis", "light_tails", "skewness")

@@ -36,13 +36,16 @@ def test_the_page_works_as_it_stands_in_forty_lines(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert sum(len(block.splitlines()) for block in CODE) <= 45
     assert len([line for block in CODE for line in block.splitlines() if line.strip()]) <= 40
+    (tmp_path / "droop.py").write_text(CODE[0])
+    monkeypatch.syspath_prepend(tmp_path)
     names: dict = {}
-    for block in CODE:
+    for block in CODE[1:]:
         exec(compile(block, str(PAGE), "exec"), names)
     frames, again = np.asarray(names["frames"], float), names["again"]
     assert frames.shape == (8, 64, 96)
     drawn = again.sample(jax.random.key(0), np.full((64, 96), 0.1), Settings(frames=8))
     np.testing.assert_array_equal(drawn, frames)
+    sys.modules.pop("droop", None)
 
 
 def test_it_adds_what_its_sampler_says_and_stands_in_the_chain(droop):
@@ -99,9 +102,14 @@ def test_simulate_draws_it(droop, tmp_path, capsys):
         ("no_such_module:ENTRIES", "cannot be imported"),
         ("math:ENTRIES", "math has no ENTRIES"),
         ("math:pi", "no entry"),
+        ("broken.py:ENTRIES", "NameError: name 'nothing' is not defined"),
+        ("unreadable:ENTRIES", "SyntaxError"),
     ],
 )
-def test_a_place_without_entries_is_refused_in_one_line(place, said):
+def test_a_place_without_entries_is_refused_in_one_line(place, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.py").write_text("ENTRIES = nothing")
+    (tmp_path / "unreadable.py").write_text("ENTRIES = (")
     with pytest.raises(BadInput, match=said) as error:
         entries_at(place)
     assert "\n" not in str(error.value)
@@ -117,3 +125,27 @@ def test_a_name_of_the_package_cannot_be_taken(droop):
     with pytest.raises(ValueError, match="place in the grammar"):
         base.with_mechanism(droop, point=Point("readout", "signal", "row", "redrawn"))
     assert base.with_mechanism(MECHANISMS["row_noise"]).mechanisms[0].mechanism == "row_noise"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"sample": None}, "draws nothing"),
+        ({"parameters": ()}, "has no strength"),
+        ({"scales": "width"}, "has no strength"),
+        ({"point": Point("readout", "signal", "pixle", "redrawn")}, "over is 'pixle'"),
+        ({"point": Point("readout", "signal", "row", "frozne")}, "time is 'frozne'"),
+        ({"point": Point("light", "mean", "row", "frozen")}, "stage is 'light'"),
+    ],
+)
+def test_a_record_that_cannot_work_is_refused_in_one_line(droop, change, said):
+    import dataclasses
+
+    from cannoise_jax.discovery.declare import registered
+
+    record = dataclasses.replace(droop.record, **change)
+    base = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095)
+    with pytest.raises(ValueError, match=said):
+        base.with_mechanism(record)
+    with pytest.raises(ValueError, match=said):
+        registered(mechanisms=[dataclasses.replace(droop, record=record)])

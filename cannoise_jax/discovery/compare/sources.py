@@ -6,9 +6,6 @@ set where none were measured, so that a set is another unit of the camera."""
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import importlib.util
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +19,7 @@ from cannoise_jax.discovery.contrasts import code_step
 from cannoise_jax.discovery.draws import drawing
 from cannoise_jax.discovery.model import baseline_model
 from cannoise_jax.discovery.simulate import Draw, codes_of, open_simulator
+from cannoise_jax.mechanisms.outside import imported
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -64,7 +62,8 @@ def open_source(
         prepared = prepare(capture, all_frames(split_recordings(capture)), False)
         return modelled(baseline_model(capture, prepared), key)._replace(label=simulator)
     if isinstance(simulator, str) and ":" in simulator and not Path(simulator).exists():
-        simulator = _imported(simulator)
+        draw: Draw = imported(simulator)
+        simulator = draw
     elif isinstance(simulator, (str, Path)) and Path(simulator).is_dir() and _holds_frames(Path(simulator)):
         return _recorded(load_capture_set(simulator), capture)._replace(label=str(simulator))
     opened = open_simulator(simulator, capture)
@@ -85,27 +84,6 @@ def _holds_frames(folder: Path) -> bool:
     except BadInput:
         return False
     return True
-
-
-def _imported(name: str) -> Draw:
-    """The function of `module:function` or `file.py:function`. Raises BadInput where there is none."""
-    where, _, what = name.rpartition(":")
-    try:
-        if where.endswith(".py"):
-            spec = importlib.util.spec_from_file_location(Path(where).stem, where)
-            if spec is None or spec.loader is None:
-                raise ImportError(f"no module in {where}")
-            module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
-        else:
-            if "" not in sys.path:
-                sys.path.insert(0, "")
-            module = importlib.import_module(where)
-        return getattr(module, what)
-    except (ImportError, AttributeError, OSError, SyntaxError) as error:
-        raise BadInput(
-            f"{name}: cannot be imported ({error}): give module:function or file.py:function"
-        ) from error
 
 
 def modelled(model: SensorModel, key: Key[Array, ""]) -> Source:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 
+from cannoise_jax.physics.core.grammar import SITES, TIMES
 from cannoise_jax.physics.core.mechanism import STAGES, Mechanism
 
 _ACTS_ON = ("mean", "charge", "signal", "code")
@@ -27,10 +28,23 @@ def mechanism(id: str) -> Mechanism:
     return found
 
 
-def check_name(record: Mechanism) -> None:
-    """Raises ValueError for a mechanism from outside that has the name of one of the package."""
+def check_record(record: Mechanism) -> None:
+    """Raises ValueError for a mechanism from outside that has the name of one of the package, draws nothing,
+    or has no strength or place."""
     if packaged().get(record.id, record) is not record:
         raise ValueError(f"{record.id}: the package has a mechanism of this name: choose another")
+    if record.id in packaged():
+        return
+    if record.sample is None and record.baseline is None:
+        raise ValueError(f"{record.id}: draws nothing: give its record a `sample`")
+    names = [p.name for p in record.parameters]
+    if not names or (record.scales or names[0]) not in names:
+        raise ValueError(f"{record.id}: has no strength: `scales` names one of its parameters ({names})")
+    choices = {"stage": STAGES, "acts_on": _ACTS_ON, "over": SITES, "time": TIMES}
+    for axis, known in choices.items():
+        value = getattr(record.point, axis, None)
+        if value not in known:
+            raise ValueError(f"{record.id}: {axis} is {value!r}: one of {', '.join(known)}")
 
 
 def chain_position(record: Mechanism) -> tuple[int, int, int]:

@@ -264,7 +264,7 @@ def _record(mechanism: str | Mechanism | HasRecord, point: Point | None) -> Mech
     record = mechanism if isinstance(mechanism, Mechanism) else mechanism.record
     if point is not None:
         raise ValueError(f"{record.id}: has its place in the grammar: give a name with point, or it alone")
-    registry.check_name(record)
+    registry.check_record(record)
     return record
 
 
