@@ -9,7 +9,10 @@ that starts at an odd row or column to the next even one; colours and black leve
 from __future__ import annotations
 
 import logging
+import os
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -174,7 +177,7 @@ def _read_frame(number: int, *, path: str) -> np.ndarray:
 
 def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
     _check_directories(path, directories)
-    with reading(path, "not a readable camera raw file"), rawpy.imread(str(path)) as raw:
+    with reading(path, "not a readable camera raw file"), _quiet(), rawpy.imread(str(path)) as raw:
         cfa, colours = _mosaic(path, raw)
         sizes = raw.sizes
         even = (lambda n: n) if cfa == "MONO" else (lambda n: n - n % 2)
@@ -189,6 +192,20 @@ def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
             iso=raw.other.iso_speed or None,
             exposure_s=raw.other.shutter_speed or None,
         )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """LibRaw also prints what is wrong with a file; the error that it gives says it."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _check_directories(path: str | Path, directories: list[_Directory]) -> None:
