@@ -243,6 +243,8 @@ def test_python_on_the_pages_imports_what_is_there():
                 continue
             compile(code, str(page), "exec")
             for home, names in re.findall(r"^from ([\w.]+) import (.+)$", code, re.MULTILINE):
+                if home == "droop":  # the reader's own, which that page writes first
+                    continue
                 module = importlib.import_module(home)
                 assert all(hasattr(module, name.strip()) for name in names.split(",")), (page.name, names)
 

@@ -19,7 +19,7 @@ def imported(place: str) -> Any:
     """
     where, _, name = place.rpartition(":")
     if not where or not name:
-        raise BadInput(f"{place!r}: write MODULE:NAME or FILE.py:NAME, as my_camera:ENTRIES")
+        raise BadInput(f"{place!r}: names nothing: write MODULE:NAME or FILE.py:NAME, as my_camera:ENTRIES")
     try:
         if where.endswith(".py"):
             spec = importlib.util.spec_from_file_location(Path(where).stem, where)

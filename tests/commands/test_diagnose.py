@@ -98,7 +98,7 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
     assert "droop" in [m.mechanism for m in read_sensor(tmp_path / "out" / "sensor.json", entries).mechanisms]
     sys.modules.pop("droop", None)
     assert main([*arguments[:-1], "droop", "--force"]) == 2
-    assert "names no entries" in capsys.readouterr().err
+    assert "names nothing" in capsys.readouterr().err
 
 
 def never(*given, **more):
