@@ -63,6 +63,9 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.skip(reason="slow: run with --slow"))
 
 
+_GENERATORS: dict[str, dict] = {}
+
+
 @pytest.fixture(autouse=True)
 def own_draws(request):
     """Each test draws from its module's generator as it was after import, whatever ran before it."""
@@ -70,9 +73,6 @@ def own_draws(request):
     if rng is not None:
         start = _GENERATORS.setdefault(request.module.__name__, rng.bit_generator.state)
         rng.bit_generator.state = start
-
-
-_GENERATORS: dict[str, dict] = {}
 
 
 @pytest.fixture(scope="session")

@@ -177,7 +177,7 @@ def _read_frame(number: int, *, path: str) -> np.ndarray:
 
 def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
     _check_directories(path, directories)
-    with reading(path, "not a readable camera raw file"), _quiet(), rawpy.imread(str(path)) as raw:
+    with reading(path, "not a readable camera raw file"), _off_the_screen(), rawpy.imread(str(path)) as raw:
         cfa, colours = _mosaic(path, raw)
         sizes = raw.sizes
         even = (lambda n: n) if cfa == "MONO" else (lambda n: n - n % 2)
@@ -195,7 +195,7 @@ def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _off_the_screen() -> Iterator[None]:
     """LibRaw also prints what is wrong with a file; the error that it gives says it."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

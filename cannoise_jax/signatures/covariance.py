@@ -190,20 +190,19 @@ def _likelihood_gain(correlations: np.ndarray, pairs: float) -> float:
     lags as so many effects. Correlations that end at the last lag and leave less than no power somewhere are
     tapered (Bartlett's window), which leaves none below zero.
     """
-    spectrum = _spectrum(correlations)
+    spectrum = 1 + _spectrum(LAGS, correlations)
     if spectrum.min() < _LEAST_POWER:
         taper = [(1 - abs(dy) / _REACH) * (1 - abs(dx) / _REACH) for dy, dx in LAGS]
-        spectrum = np.maximum(_spectrum(correlations * np.array(taper)), _LEAST_POWER)
+        spectrum = np.maximum(1 + _spectrum(LAGS, correlations * np.array(taper)), _LEAST_POWER)
     return 0.5 * pairs * float(np.mean(spectrum - 1 - np.log(spectrum)))
 
 
-def _spectrum(correlations: np.ndarray, side: int = 32) -> Float[np.ndarray, "side side"]:
-    """Power over the frequencies of unit noise with these correlations at `LAGS`."""
-    kernel = np.zeros((side, side))
-    kernel[0, 0] = 1.0
-    for (dy, dx), value in zip(LAGS, correlations, strict=True):
-        kernel[dy % side, dx % side] = kernel[-dy % side, -dx % side] = value
-    return np.real(np.fft.fft2(kernel))
+def _spectrum(lags, correlations, side: int = 32) -> Float[np.ndarray, "side side"]:
+    """What correlations at these lags (dy, dx) add to the power of white noise, over the frequencies."""
+    covariance = np.zeros((side, side))
+    for (dy, dx), value in zip(lags, correlations, strict=True):
+        covariance[dy % side, dx % side] = covariance[-dy % side, -dx % side] = value
+    return np.real(np.fft.fft2(covariance))
 
 
 def absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
@@ -293,11 +292,7 @@ def neighbour_kernel(lags, correlations, reach: int = 4) -> tuple[tuple[float, .
     """The filter, of norm 1, that gives white noise these correlations at these lags (dy, dx) when it is a
     part of the noise, and that share of the variance: the least that leaves no frequency with less than
     nothing."""
-    side = 32
-    covariance = np.zeros((side, side))
-    for (dy, dx), value in zip(lags, correlations, strict=True):
-        covariance[dy % side, dx % side] = covariance[-dy % side, -dx % side] = value
-    spectrum = np.real(np.fft.fft2(covariance))
+    spectrum = _spectrum(lags, correlations)
     share = float(np.clip(-spectrum.min(), 1e-6, 0.9))
     root = np.real(np.fft.ifft2(np.sqrt(np.maximum(spectrum + share, 0))))
     window = np.roll(root, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]

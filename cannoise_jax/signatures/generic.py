@@ -205,8 +205,8 @@ def learned(record: Mechanism, fields: Many, recorded: Recorded) -> Template | N
     if not any(power.values()):
         return None
     best, chosen = -1.0, (BASES[0], np.ones(fields[0].mean.shape))
+    whole = sum(len(a) * power[f.number] for f, (a, _) in zip(fields, images, strict=True))
     for basis in BASES:
-        whole = sum(len(a) * power[f.number] for f, (a, _) in zip(fields, images, strict=True))
         halves = [
             2 * sum(np.sum(basis.forward(a[part]) * basis.forward(b[part]), 0) for a, b in images) / whole
             for part in (slice(0, None, 2), slice(1, None, 2))
@@ -246,7 +246,7 @@ def by_sampling(
     """The signature of a mechanism by its sampler. unit: of its amplitude. known: templates by what they were
     learned at, for all splits of one run."""
     point = record.point
-    thermal = record.scaling.exposure or record.parameters[0].unit.endswith("/s")
+    thermal = record.scaling.exposure or unit.endswith("/s")
     scales: Scales = "signal" if point.combine == "multiply" else "exposure" if thermal else "additive"
 
     def signatures(recorded: Recorded) -> tuple[Signature, ...]:
@@ -262,9 +262,7 @@ def by_sampling(
         def score(fields: Many) -> Score | None:
             seen = template(fields)
             sums = None if seen is None else _powers(fields, seen)
-            if seen is None or sums is None:
-                return None
-            return _scored(seen, *sums, unit)
+            return None if seen is None or sums is None else _scored(seen, *sums, unit)
 
         def absorb(fields: Many, found: Score) -> Many:
             seen = template(fields)
