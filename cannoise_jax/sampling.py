@@ -11,7 +11,6 @@ import dataclasses
 import io
 import json
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +31,17 @@ from cannoise_jax.physics.core.sensor_json import sensor_document
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise, sensors_of
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.atomic import remove_leftovers
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.recording import BadInput
 
 SMALLEST = 16
 """Least height and width of clean images, packed pixels; smaller references are repeated up to it."""
 MODEL_FILE = "model.npz"
-_FORMAT = "cannoise/model/2"
+_FORMAT = "cannoise/model/3"
+_OLDER = ("cannoise/model/1", "cannoise/model/2")
 LEVELS = ("estimated", "given", "both")
 """Where the level of the initial noise comes from: the references, whoever asks for noise, or either."""
-_BRIGHTEST = 4.0
+_BRIGHTEST, _DARKEST = 4.0, -0.5
 """Median of a clean image beyond which it must be in DN: scenes may pass the white level, not by that."""
 _MULTIPLE, _MARGIN = 32, 32
 """G works on multiples of 32; a reflected margin keeps the zero padding of its layers out of the image."""
@@ -155,14 +156,15 @@ def sample_noise(
     )
     latent = jnp.repeat(_latent(params, noisy_ref), images.shape[0], 0)
     noise_key, row_key = jax.random.split(key)
-    padded = _pad(images)
+    margin = margin_of(params)
+    padded = _pad(images, margin)
     n_init, sigma = initial_noise_of(params)(noise_key, padded, shot, read)
     said = (float(nlf is not None), float(np.prod(noisy_ref.shape[:-3])))
     level = Level(shot, read, *(jnp.full(images.shape[0], v) for v in said))
     noise: Any = params.generator_module.apply(
         params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
     )
-    return noise[:, _MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width].reshape(clean.shape)
+    return noise[:, margin : margin + height, margin : margin + width].reshape(clean.shape)
 
 
 def initial_noise_of(model: Model) -> InitialNoise:
@@ -212,7 +214,7 @@ def _check_units(clean: Array) -> None:
     if isinstance(clean, jax.core.Tracer) or not clean.size:
         return
     middle = float(jnp.median(clean))
-    if not abs(middle) <= _BRIGHTEST:
+    if not _DARKEST <= middle <= _BRIGHTEST:
         raise ValueError(
             f"clean has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
         )
@@ -241,11 +243,16 @@ def _latent(params, noisy_ref):
     return mean_latent(params.encoder_module, latents)[None]
 
 
-def _pad(images):
+def margin_of(model: Model) -> int:
+    """Pixels that are drawn beyond an image on every side and cut off again. None for the paper's tables:
+    their norms reach over the whole image, so that they give what they were trained to give on a patch as it
+    is, and on four times its pixels something else."""
+    return 0 if model.generator_module.literal else _MARGIN
+
+
+def _pad(images, margin):
     """The image reflected all around, up to multiples of 32."""
-    _, height, width, _ = images.shape
-    rest = ((-(size + 2 * _MARGIN)) % _MULTIPLE for size in (height, width))
-    sides = [(_MARGIN, _MARGIN + r) for r in rest]
+    sides = [(margin, margin + -(size + 2 * margin) % _MULTIPLE) for size in images.shape[1:3]]
     return jnp.pad(images, ((0, 0), *sides, (0, 0)), mode="symmetric")
 
 
@@ -312,23 +319,15 @@ def load_model(workdir: str | Path) -> Model:
         return _model(arrays)
     except BadInput:
         raise
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        EOFError,
-        zipfile.BadZipFile,
-        NotImplementedError,
-    ) as error:
+    except (*BROKEN_ARRAYS, KeyError, TypeError) as error:
         raise BadInput(f"{path}: not a readable model: train it again or name another") from error
 
 
 def _refuse_older(path: Path, arrays) -> None:
     found = json.loads(str(arrays["description"]))["format"]
-    if found == "cannoise/model/1":
+    if found in _OLDER:
         raise BadInput(
-            f"{path}: a model of an older version, which corrects the level of its references twice: "
+            f"{path}: a model of an older version, which takes the level of its references for another: "
             "train it again"
         )
     if found != _FORMAT:

@@ -24,13 +24,13 @@ from cannoise_jax.physics.initial_noise import INITIAL_NOISE, initial_noise
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.sampling import (
-    _MARGIN,
     _MULTIPLE,
     SMALLEST,
     Model,
     _latent,
     check_level,
     initial_noise_of,
+    margin_of,
     repeated,
 )
 
@@ -77,7 +77,8 @@ def sample_image(
     level = Level(shot, read, *(jnp.full(1, v) for v in said))
     latent = _latent(model, shown)
     noise_key, row_key = jax.random.split(key)
-    rows, columns = (_mirrored(n) for n in (height, width))
+    margin = margin_of(model)
+    rows, columns = (_mirrored(n, margin) for n in (height, width))
     size = (rows.size, columns.size)
     drawn = _init_drawer(model, noise_key, clean, rows, columns, level)
     module = model.generator_module
@@ -93,13 +94,13 @@ def sample_image(
         noise, lines = _program(module)(
             model.generator, image[None], *drawn(wide), latent, level, summary, draws(wide)
         )
-        _put(made, np.asarray(noise[0])[inner], own)
+        _put(made, np.asarray(noise[0])[inner], own, margin)
         strips[place[0]] = strips.get(place[0], 0) + np.asarray(lines[0])[inner].sum(1, dtype=np.float64)
-        progress(_pixels(own, (height, width)))
+        progress(_pixels(own, (height, width), margin))
     if module.row_noise and not (module.literal or module.physics):
         offsets = np.asarray(row_draws(row_key, 1, size[0]))[0, :, 0]
         gains = np.concatenate([strips[y] for y in sorted(strips)]) / size[1]
-        made += (gains * offsets)[_MARGIN : _MARGIN + height, None].astype(np.float32)
+        made += (gains * offsets)[margin : margin + height, None].astype(np.float32)
     return made
 
 
@@ -145,10 +146,10 @@ def _even(mosaic: np.ndarray) -> np.ndarray:
     return np.pad(mosaic, [(0, n % 2) for n in mosaic.shape], mode="reflect")
 
 
-def _mirrored(size: int) -> np.ndarray:
+def _mirrored(size: int, margin: int) -> np.ndarray:
     """The pixel that stands at every place of the padded image, as `sampling` pads it."""
-    rest = -(size + 2 * _MARGIN) % _MULTIPLE
-    return np.pad(np.arange(size), (_MARGIN, _MARGIN + rest), mode="symmetric")
+    rest = -(size + 2 * margin) % _MULTIPLE
+    return np.pad(np.arange(size), (margin, margin + rest), mode="symmetric")
 
 
 def _grid(size: tuple[int, int], tile: int) -> Iterator[tuple[int, int]]:
@@ -166,23 +167,23 @@ def _windows(place, size, tile: int, reach: int) -> tuple[Window, Window, Window
     return (own[0], own[1]), (wide[0], wide[1]), (inner[0], inner[1])
 
 
-def _within(part: slice, size: int) -> slice:
+def _within(part: slice, size: int, margin: int) -> slice:
     """A part of the padded image in coordinates of the image."""
-    start, stop = (min(max(p - _MARGIN, 0), size) for p in (part.start, part.stop))
+    start, stop = (min(max(p - margin, 0), size) for p in (part.start, part.stop))
     return slice(start, stop)
 
 
-def _pixels(own: Window, size: tuple[int, int]) -> int:
+def _pixels(own: Window, size: tuple[int, int], margin: int) -> int:
     """Mosaic pixels of the image that a tile holds."""
-    height, width = (_within(part, n) for part, n in zip(own, size, strict=True))
+    height, width = (_within(part, n, margin) for part, n in zip(own, size, strict=True))
     return 4 * (height.stop - height.start) * (width.stop - width.start)
 
 
-def _put(made: np.ndarray, noise: np.ndarray, own: Window) -> None:
+def _put(made: np.ndarray, noise: np.ndarray, own: Window, margin: int) -> None:
     """The part of a tile that lies within the image, without the margin."""
-    to = [_within(part, n) for part, n in zip(own, made.shape[:2], strict=True)]
+    to = [_within(part, n, margin) for part, n in zip(own, made.shape[:2], strict=True)]
     if all(t.stop > t.start for t in to):
-        shifts = [_MARGIN - part.start for part in own]
+        shifts = [margin - part.start for part in own]
         take = [slice(t.start + shift, t.stop + shift) for t, shift in zip(to, shifts, strict=True)]
         made[tuple(to)] = noise[tuple(take)]
 

@@ -40,6 +40,7 @@ class Term:
     entry: number of the effect in the catalogue of noise mechanisms; None: not in it.
     unit: of the amplitude; "1" for a dimensionless number.
     within: ids that contain this one as a special case. listed: its place in lists.
+    Raises ValueError for a class that there is not.
     """
 
     id: str
@@ -50,6 +51,10 @@ class Term:
     amplitude: str
     within: tuple[str, ...] = ()
     listed: int = 1000
+
+    def __post_init__(self):
+        if self.kind not in CLASSES:
+            raise ValueError(f"{self.id}: class {self.kind!r}: one of {', '.join(CLASSES)}")
 
 
 FRACTION = "rms fraction of the signal"

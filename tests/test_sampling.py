@@ -12,7 +12,7 @@ import pytest
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
-from cannoise_jax.physics.initial_noise import gaussian, initial_noise_by_camera
+from cannoise_jax.physics.initial_noise import gaussian, initial_noise_by_camera, poisson_gaussian
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import (
     Camera,
@@ -184,6 +184,22 @@ def test_no_seam_in_row_and_column_means(model):
         assert np.all(np.abs(spread / spread[inside].mean(0) - 1) < 0.3)
 
 
+def test_the_papers_networks_see_an_image_as_in_training():
+    """Their norms reach over the whole image: what they give is what they give on a patch of that size."""
+    generator, encoder = Generator(WIDTH, literal=True), Encoder(WIDTH, literal=True)
+    images, latent, key = jnp.ones((2, 64, 64, 4)), jnp.ones((2, 8)), jax.random.key(0)
+    g = jax.eval_shape(lambda: generator.init(key, images, images, latent, images, train=False))
+    e = jax.eval_shape(lambda: encoder.init(key, images, train=False))
+    own = make_model(generator, drawn(g, 0.12), encoder, drawn(e, 0.15), level="given")
+    clean, reference = jnp.stack([scene(64, 64)] * 2), noisy(jax.random.key(2))
+    made = sample(own, jax.random.key(1), clean, reference, NLF)
+    level = [jnp.full((2, 4), v) for v in NLF]
+    n_init, sigma = poisson_gaussian(jax.random.split(jax.random.key(1))[0], clean, *level)
+    latent = jnp.repeat(encoder.apply(own.encoder, reference[None], train=False), 2, 0)
+    wanted = generator.apply(own.generator, clean, n_init, latent, sigma, train=False)
+    np.testing.assert_allclose(made, wanted, atol=1e-5)
+
+
 def test_the_noise_level_function_is_the_references_without_nlf(model):
     model = at_its_start(model)
     reference = jnp.stack([noisy(k) for k in jax.random.split(jax.random.key(7), 4)])
@@ -278,6 +294,16 @@ def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path, content):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("header", [b"{'descr': '<f4', 'shape': (3,", b"{'descr': '<f4' \x00)", b"(((("])
+def test_a_model_whose_arrays_have_no_readable_header_is_refused(tmp_path, header):
+    head = header.ljust(118) + b"\n"
+    member = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
+    with zipfile.ZipFile(tmp_path / "model.npz", "w") as archive:
+        archive.writestr("description.npy", member)
+    with pytest.raises(BadInput, match=r"model\.npz: not a readable model"):
+        load_model(tmp_path)
+
+
 def test_a_pickle_is_not_unpickled(tmp_path):
     np.savez(tmp_path / "model.npz", description=np.array([{"a": 1}], dtype=object))
     with pytest.raises(BadInput):
@@ -316,6 +342,8 @@ def test_a_clean_image_in_dn_is_refused(model):
         sample_noise(
             model, jax.random.key(0), 1000 * scene(32, 32) + 64, noisy(jax.random.key(1)), (1e-3, 1e-5)
         )
+    with pytest.raises(ValueError, match="clean has median -3, so it is not normalised"):
+        sample_noise(model, jax.random.key(0), 0 * scene(32, 32) - 3, noisy(jax.random.key(1)), (1e-3, 1e-5))
 
 
 def test_an_archive_of_another_making_is_refused_in_a_line(tmp_path):

@@ -97,3 +97,20 @@ def test_a_denoiser_in_tiles_gives_what_it_gives_on_the_whole(size):
     whole, tiled = (tiles.filter_mosaic(run, module.reach, image, "BGGR", tile=t) for t in (512, 16))
     assert whole.shape == size and np.abs(whole - image).max() > 0.1
     np.testing.assert_allclose(tiled, whole, atol=1e-5)
+
+
+def test_the_papers_networks_take_the_image_as_it_is():
+    """One piece without a margin: constant noise in, and what G makes of just that image out."""
+    generator = Generator(1 / 64, literal=True)
+    image, key = jnp.ones((1, 64, 64, 4)), jax.random.key(0)
+    shapes = jax.eval_shape(lambda: generator.init(key, image, image, jnp.zeros((1, 1)), image, train=False))
+    own = make_model(generator, drawn(shapes, 0.15), None, {}, initial_noise=constant, level="given")
+    clean = np.repeat(scene(64, 64)[..., None], 4, -1)
+    made = tiles.sample_image(own, KEY, clean, REFERENCE, NLF, tile=32)
+    n_init, sigma = constant(KEY, clean[None], None, None)
+    wanted = generator.apply(own.generator, clean[None], n_init, jnp.zeros((1, 1)), sigma, train=False)
+    np.testing.assert_allclose(made, wanted[0], atol=1e-5)
+
+
+def constant(key, clean, shot, read):
+    return jnp.full(clean.shape, 0.01), jnp.full(clean.shape, 0.02)

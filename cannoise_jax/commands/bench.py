@@ -1,8 +1,9 @@
-"""bin/bench simulate|coverage|train|docs: speeds, how exact the physics is, published results.
+"""bin/bench simulate|coverage|train|speed|docs: speeds, how exact the physics is, published results.
 
 simulate     megapixels per second of SensorModel.sample beside getframes on the effects that both have.
 coverage     how often the 90 % intervals of every mechanism's estimator hold the truth.
 train        patches per second of the training step on random patches.
+speed        seconds and memory of training steps and of sampling, alone or by turns with PyTorch.
 docs         renders README.md and docs/ from docs/results, and takes in what commands wrote.
 """
 
@@ -13,8 +14,9 @@ import sys
 from functools import partial
 
 from cannoise_jax.commands.bench_docs import add_docs
+from cannoise_jax.commands.bench_speed import add_speed
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, place
+from cannoise_jax.commands.parser import OneLineParser, add_table
 from cannoise_jax.recordings.recording import BadInput
 
 
@@ -43,7 +45,7 @@ def _run(name: str, arguments: argparse.Namespace) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
-    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|train|docs")
+    commands = parser.add_subparsers(required=True, metavar="simulate|coverage|train|speed|docs")
     simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
     simulate.add_argument(
         "--sizes", type=int, nargs="+", default=[256, 1024, 2048], help="frame sides, pixels"
@@ -53,13 +55,13 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--repeats", type=int, default=5, help="timed calls each, taken in turn; best counts"
     )
-    _add_table(simulate)
+    add_table(simulate)
     simulate.set_defaults(run=partial(_run, "simulate"))
     covered = commands.add_parser("coverage", help="coverage of the 90 %% intervals of every estimator")
     covered.add_argument("--simulations", type=int, default=300, help="of each case")
     covered.add_argument("--mechanisms", nargs="+", metavar="ID", help="only these (default: all)")
     covered.add_argument("--seed", type=int, default=0)
-    _add_table(covered)
+    add_table(covered)
     covered.set_defaults(run=partial(_run, "coverage"))
     train = commands.add_parser("train", help="speed of the training step")
     train.add_argument("--width", type=float, default=1 / 16, help="of every channel count")
@@ -67,13 +69,9 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--patch", type=int, default=32, help="side of the packed patches")
     train.add_argument("--steps", type=int, default=10, help="timed, after two that are not")
     train.set_defaults(run=partial(_run, "train"))
+    add_speed(commands)
     add_docs(commands)
     return parser
-
-
-def _add_table(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", type=place, metavar="FILE.json", help="also as a table for bin/bench docs")
-    parser.add_argument("--force", action="store_true", help="replace a table that exists")
 
 
 if __name__ == "__main__":

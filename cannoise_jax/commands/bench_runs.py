@@ -251,9 +251,10 @@ def write_table(
     columns: tuple[str, ...],
     rows: Sequence[tuple[str, ...]],
     values: dict[str, str],
+    code: Sequence[str] = CODE,
 ) -> None:
-    """The table as `bin/bench docs --take` reads it, where --out names a file."""
+    """The table as `bin/bench docs --take` reads it, where --out names a file. code: what it depends on."""
     if arguments.out is not None:
-        table = {"columns": columns, "rows": rows, "values": values, "code": CODE}
+        table = {"columns": columns, "rows": rows, "values": values, "code": code}
         with texts_in_place({arguments.out: json.dumps(table, indent=1, ensure_ascii=False) + "\n"}):
             pass

@@ -166,7 +166,7 @@ def _trial(root: Path, name: str, content: dict[str, Any]) -> _Parts:
 
 def _diagnosis(content: dict[str, Any]) -> _Parts:
     """The findings of a diagnosis, a row each."""
-    from cannoise_jax.discovery.wording import amount, nats
+    from cannoise_jax.discovery.report.wording import amount, nats
     from cannoise_jax.mechanisms import VOCABULARY
 
     rows = []

@@ -83,7 +83,7 @@ def _score(arguments: argparse.Namespace) -> None:
     from cannoise_jax.blind.score import score
     from cannoise_jax.blind.seal import write_atomically
     from cannoise_jax.blind.table import text
-    from cannoise_jax.discovery.report import plain
+    from cannoise_jax.discovery.report.document import plain
     from cannoise_jax.trials.know import know
 
     manifest = claims.read_manifest(arguments.sets)
@@ -144,7 +144,7 @@ def _real(arguments: argparse.Namespace) -> None:
 
 
 def _true_size(arguments: argparse.Namespace) -> None:
-    from cannoise_jax.discovery.report import plain
+    from cannoise_jax.discovery.report.document import plain
     from cannoise_jax.trials.size import true_size
 
     result = true_size(

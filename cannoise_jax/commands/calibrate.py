@@ -12,15 +12,24 @@ import json
 import logging
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import cache_folder, command, counted, progress
 from cannoise_jax.commands.outputs import check_file
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, place
+from cannoise_jax.commands.parser import (
+    OneLineParser,
+    add_mechanisms_flag,
+    add_recording_flags,
+    folder,
+    options,
+    place,
+)
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
+    from cannoise_jax.mechanisms.entry import Entry
     from cannoise_jax.physics.transfer.model import Finding
     from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
     from cannoise_jax.recordings.recording import CaptureSet
@@ -40,6 +49,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     check_file(arguments.out, ".json", arguments.force)
+    own = _own(arguments.mechanisms)
     beside = _beside(arguments.out)
     for path in beside.values():
         check_file(path, path.suffix, arguments.force)
@@ -60,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from cannoise_jax.recordings.atomic import texts_in_place
 
     check_place(arguments.out)
-    transfers, findings = calibrate(capture)
+    transfers, findings = calibrate(capture, own)
     for transfer in transfers:
         print(format_transfer(transfer), end="\n\n")
     if findings:
@@ -125,8 +135,30 @@ def _version() -> str:
     return importlib.metadata.version("cannoise-jax")
 
 
-def calibrate(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[Finding, ...]]:
-    """Photon transfer at every ISO, and the mechanisms at the first ISO that has a baseline.
+def _own(places: Sequence[str]) -> tuple[Entry, ...]:
+    """The user's own entries. Raises BadInput where one has no estimator: nothing would measure it."""
+    from cannoise_jax.mechanisms.outside import entries_of
+    from cannoise_jax.physics.core.registry import check_record
+
+    own = entries_of(places)
+    for entry in own:
+        try:
+            check_record(entry.record)
+        except ValueError as error:
+            raise BadInput(f"{error}") from error
+        if entry.estimator is None:
+            raise BadInput(
+                f"{entry.id}: has no estimator, so nothing is measured of it: give its entry one, or search "
+                "for it with bin/diagnose --mechanisms, which needs none"
+            )
+    return own
+
+
+def calibrate(
+    capture: CaptureSet, own: Sequence[Entry] = ()
+) -> tuple[tuple[PhotonTransfer, ...], tuple[Finding, ...]]:
+    """Photon transfer at every ISO, and the mechanisms at the first ISO that has a baseline. own: mechanisms
+    of the caller's that are measured too, each with an estimator.
 
     Raises BadInput when the recordings cannot be used together.
     """
@@ -144,7 +176,7 @@ def calibrate(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[Fi
     transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            entries = counted(LISTED, "mechanisms: estimators")
+            entries = counted((*LISTED, *own), "mechanisms: estimators")
             return transfers, find_mechanisms(transfer.statistics, transfer.baseline, entries)
     return transfers, ()
 
@@ -154,7 +186,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="bin/calibrate",
         description="Measures the noise of a camera from a folder of its recordings: flats and darks, or "
         "scenes with repeated frames. Prints photon transfer (EMVA 1288 definitions) and the mechanisms "
-        "beyond it, each with a 90 %% interval; writes a camera model, an EMVA 1288 sheet that prints, "
+        "beyond it, each with a 90 % interval; writes a camera model, an EMVA 1288 sheet that prints, "
         "and noise profiles (CSV, JSON, and darktable's).",
         epilog="A folder of single files (FITS, camera raw, TIFF ...) is sorted as bin/convert does; its "
         "--dry-run shows how.",
@@ -168,6 +200,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="the sensor.json to write; STEM_emva1288.html and others beside it",
     )
+    add_mechanisms_flag(parser, "entries of your own, with estimators, to measure too")
     add_recording_flags(parser)
     add("--force", action="store_true", help="replace results that exist")
     return parser

@@ -60,7 +60,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     from cannoise_jax.recordings.join import join_recordings
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
-    from cannoise_jax.recordings.usable import copies
+    from cannoise_jax.recordings.usable import copies, without_noise
 
     missing = next((path for path in inputs if not path.exists() and not path.is_symlink()), None)
     if missing is not None:
@@ -79,8 +79,12 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         print(
             f"bin/convert: {inputs[number]}: the same pixels as {inputs[first]}: used once", file=sys.stderr
         )
+    kept = [r for number, r in enumerate(loaded) if number not in twice]
     if twice:
-        recording = join_recordings([r for number, r in enumerate(loaded) if number not in twice])
+        recording = join_recordings(kept)
+    if silent := without_noise(kept):
+        more = f"; and {len(silent) - 1} more such" if len(silent) > 1 else ""
+        print(f"bin/convert: {silent[0]}{more}: no noise in them, written as they are", file=sys.stderr)
     write_recording(output, recording)
     return recording
 
@@ -126,6 +130,10 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
     check(plan)
     if arguments.dry_run:
         return 0
+    written = {f"{one.folder}/{group.label}.h5".lstrip("/") for one in plan.sets for group in one.groups}
+    for path in sorted(rest[0].rglob("*.h5")) if rest[0].is_dir() else []:
+        if path.relative_to(rest[0]).as_posix() not in written:
+            print(f"note: {path}: not of this conversion, and stays", flush=True)
     tell = progress("writing recordings")
     total = sum(len(one.groups) for one in plan.sets)
     for number, (path, recording) in enumerate(write_plan(plan, rest[0], force=arguments.force), start=1):

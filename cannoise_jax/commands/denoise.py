@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.outputs import check_file, check_folder
+from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
@@ -96,7 +96,7 @@ def _train(arguments, argv) -> None:
 
                     made = train_denoiser(recipe, source, clean, data.cfa, seed, about, tell)
                 made.about["seconds"] = round(time.monotonic() - started, 1)
-                _make(folder)
+                make_folder(folder)
                 save_denoiser(path, made)
                 print(path, flush=True)
 
@@ -258,7 +258,7 @@ def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
         folder = workdir / "sensors" / _slug(capture.camera)
         path = folder / f"{name}.json"
         if not path.exists():
-            _make(folder)
+            make_folder(folder)
             print(f"{path}: fitting to the training part of {capture.camera}", flush=True)
             if name == "calibrated":
                 from cannoise_jax.commands.calibrate import calibrate
@@ -280,13 +280,6 @@ def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
 def _slug(name: str) -> str:
     """A camera's name as that of a file."""
     return re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_")
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
 
 
 def _exposures(text: str) -> tuple[float, ...]:

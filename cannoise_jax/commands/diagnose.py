@@ -12,14 +12,21 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import cache_folder, command, duration, progress
 from cannoise_jax.commands.outputs import check_folder
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, count, folder, options
+from cannoise_jax.commands.parser import (
+    OneLineParser,
+    add_mechanisms_flag,
+    add_recording_flags,
+    count,
+    folder,
+    options,
+)
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import Diagnosis
 
-_PREPARED, _FIRST_LOOK = 400_000, 160_000
-"""Pixels of a frame that are used unless told otherwise, of recordings and of a folder of single files."""
+_MOST_PIXELS = 160_000
+"""Of a frame that are used unless told otherwise, of recordings as of a folder of single files."""
 _LOOKS = 25
 """How long a run takes beyond the first look, in units of that: 15 to 45 on recordings of three cameras."""
 _LONG_S = 5.0
@@ -97,17 +104,16 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    most = arguments.most_pixels or (_FIRST_LOOK if plan else _PREPARED)
-    capture, size = central(capture, most)
+    capture, size = central(capture, arguments.most_pixels)
     if size is not None:
         tell("frames cut to their middle, {} x {}: --most-pixels sets how much is used".format(*size))
 
     import jax
 
     from cannoise_jax.discovery.diagnose import diagnose
-    from cannoise_jax.discovery.save import save
+    from cannoise_jax.discovery.report.save import save
     from cannoise_jax.mechanisms import ENTRIES
-    from cannoise_jax.mechanisms.outside import entries_at
+    from cannoise_jax.mechanisms.outside import entries_of
 
     found = diagnose(
         capture,
@@ -115,7 +121,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         jax.random.key(arguments.key),
         alpha=arguments.alpha,
         without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
-        mechanisms=(*ENTRIES, *(entry for place in arguments.mechanisms for entry in entries_at(place))),
+        mechanisms=(*ENTRIES, *entries_of(arguments.mechanisms)),
         tell=tell,
     )
     for words in _stated_gains(found):
@@ -163,19 +169,13 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--most-pixels",
         type=count,
+        default=_MOST_PIXELS,
         metavar="N",
-        help="use no more of each frame, about its middle: a megapixel takes many minutes "
-        f"(default {_PREPARED}, and {_FIRST_LOOK} for a first look at a folder of single files)",
+        help="use no more of each frame, about its middle: a megapixel takes many minutes",
     )
     add("--key", type=int, default=0, help="seed of everything random")
     add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
-    add(
-        "--mechanisms",
-        metavar="MODULE:NAME",
-        action="append",
-        default=[],
-        help="entries of your own to look for too (docs/adding_a_mechanism.md); may be repeated",
-    )
+    add_mechanisms_flag(parser, "entries of your own to look for too")
     add_recording_flags(parser)
     add("--force", action="store_true", help="replace results that exist")
     return parser

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.outputs import check_folder
+from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, whole
 from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
@@ -44,7 +44,7 @@ def _run(arguments, argv: list[str]) -> None:
     chosen = SUITES if arguments.suite == "all" else (arguments.suite,)
     if math.isqrt(arguments.per_scene) ** 2 != arguments.per_scene:
         raise BadInput(f"--per-scene {arguments.per_scene}: give a square number, as 4 or 9")
-    from cannoise_jax.discovery.patch_area import two_sample_area
+    from cannoise_jax.discovery.proof.patch_area import two_sample_area
     from cannoise_jax.evaluation.noise_models import BASELINES, baselines, make_bench, sensors
     from cannoise_jax.evaluation.results_page import results_page
     from cannoise_jax.evaluation.suites import SUITES as RUNS
@@ -94,7 +94,7 @@ def _run(arguments, argv: list[str]) -> None:
             "tables": [_plain(t) for t in outcome.tables], "figures": [_plain(f) for f in outcome.figures],
             "notes": outcome.notes,
         }  # fmt: skip
-        _made(out)
+        make_folder(out)
         with texts_in_place(
             {out / f"{name}{ending}.json": json.dumps(record, indent=1, allow_nan=False) + "\n"}
         ):
@@ -175,13 +175,6 @@ def _text(table: dict[str, Any]) -> str:
             cells.append(number(value["value"]) + about)
         rows.append([name, *cells])
     return "\n".join([table["title"], *aligned(rows), table["note"], ""])
-
-
-def _made(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
 
 
 def _paths(text: str) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from pathlib import Path
 
 from cannoise_jax.recordings.recording import BadInput
@@ -21,8 +21,7 @@ def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "th
             raise BadInput(f"{out / name}: is a folder: name another one for {what}")
         if (out / name).exists() and not force:
             raise BadInput(f"{out / name}: exists: name another folder, or replace it with --force")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise BadInput(f"{out}: cannot be written (no permission): name another folder")
+    _check_takes_files(nearest, out)
 
 
 def check_file(path: Path, suffix: str, force: bool) -> None:
@@ -35,3 +34,23 @@ def check_file(path: Path, suffix: str, force: bool) -> None:
         raise BadInput(f"{path}: is a folder: name a file")
     if path.exists() and not force:
         raise BadInput(f"{path}: exists: name another file, or replace it with --force")
+    _check_takes_files(path.parent, path)
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder for results, and those above it. Raises BadInput where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
+
+
+def _check_takes_files(folder: Path, named: Path) -> None:
+    """Raises BadInput where a folder takes no files: of /proc permissions do not tell, nor of a full disk."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except PermissionError:
+        raise BadInput(f"{named}: cannot be written (no permission): name another folder") from None
+    except OSError as error:
+        raise BadInput(f"{named}: cannot be written ({error.strerror}): name another folder") from None

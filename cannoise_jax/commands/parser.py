@@ -158,3 +158,20 @@ def folder(text: str) -> Path:
     if not text.strip():
         raise argparse.ArgumentTypeError("an empty name: name a folder")
     return Path(text)
+
+
+def add_mechanisms_flag(parser: argparse.ArgumentParser, what: str) -> None:
+    """`--mechanisms`: modules with the user's own entries, and what they are for."""
+    parser.add_argument(
+        "--mechanisms",
+        metavar="MODULE:NAME",
+        action="append",
+        default=[],
+        help=f"{what} (docs/adding_a_mechanism.md); may be repeated",
+    )
+
+
+def add_table(parser: argparse.ArgumentParser) -> None:
+    """The flags of a command that also writes what it measured as a table."""
+    parser.add_argument("--out", type=place, metavar="FILE.json", help="also as a table for bin/bench docs")
+    parser.add_argument("--force", action="store_true", help="replace a table that exists")

@@ -16,6 +16,7 @@ from cannoise_jax.recordings.atomic import new_folder
 from cannoise_jax.recordings.codes import detect_code_step
 from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
 from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order
 from cannoise_jax.recordings.recording import (
     DARK,
@@ -155,7 +156,7 @@ def _clean_image(path: Path, arguments) -> Clean:
     if path.suffix.lower() == ".npy":
         try:
             image = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+        except BROKEN_ARRAYS as error:
             raise BadInput(f"{path}: not a readable NPY file") from error
         if np.issubdtype(image.dtype, np.floating):
             if image.ndim != 2:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.recordings.opened import check_claim
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS, check_claim
 from cannoise_jax.recordings.recording import BadInput, Kind
 
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -87,7 +87,7 @@ def _array(path: Path, suffix: str) -> np.ndarray:
                 raise BadInput(f"{path}: holds complex numbers: use real values from 0 to 1")
             return np.asarray(values, np.float32)
         picture = _picture(path, suffix)
-    except (OSError, ValueError, SyntaxError, EOFError, struct.error) as error:
+    except (*BROKEN_ARRAYS, struct.error) as error:
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: cannot be read as a picture: {str(error).splitlines()[0]}") from error

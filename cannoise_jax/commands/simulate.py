@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file
-from cannoise_jax.commands.parser import OneLineParser, place
+from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -57,13 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/simulate", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--sensor", metavar="FILE", help="a sensor.json, or preset:NAME")
-    add(
-        "--mechanisms",
-        metavar="MODULE:NAME",
-        action="append",
-        default=[],
-        help="entries of your own that the sensor names (docs/adding_a_mechanism.md); may be repeated",
-    )
+    add_mechanisms_flag(parser, "entries of your own that the sensor names")
     add("--clean", metavar="SCENE", help="a picture, .npy or .h5 file, a folder of them, flat:LEVEL, or dark")
     add(
         "--out",
@@ -203,13 +197,13 @@ def _stored_size(model: SensorModel) -> tuple[int, int]:
 
 
 def _sensor(name: str, places: Sequence[str]) -> SensorModel:
-    from cannoise_jax.mechanisms.outside import entries_at
+    from cannoise_jax.mechanisms.outside import entries_of
     from cannoise_jax.physics.core.sensor import SensorModel
     from cannoise_jax.physics.core.sensor_json import read_sensor
 
     if name.startswith("preset:"):
         return SensorModel.preset(name.removeprefix("preset:"))
-    return read_sensor(name, [entry for place in places for entry in entries_at(place)])
+    return read_sensor(name, entries_of(places))
 
 
 if __name__ == "__main__":

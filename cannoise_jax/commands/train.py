@@ -24,6 +24,7 @@ from absl import flags
 from ml_collections import ConfigDict, config_flags
 
 from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.entry import progress as progress_of
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
 
@@ -280,7 +281,7 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     model = write_model(config, outcome.state, data, workdir)
     check()
     sampler = samplers_of(model, config)
-    results = compare(sampler, config, data)
+    results = compare(sampler, config, data, progress_of("measuring on the test scenes"))
     check()
     print(f"\nHeld-out test scenes, checkpoint of step {outcome.step} (best on validation scenes)\n")
     print(results_table(results))

@@ -2,6 +2,6 @@
 frames."""
 
 from cannoise_jax.discovery.diagnose import Diagnosis, diagnose
-from cannoise_jax.discovery.limits import mde
+from cannoise_jax.discovery.search.limits import mde
 
 __all__ = ["Diagnosis", "diagnose", "mde"]

@@ -15,21 +15,22 @@ import jax
 import numpy as np
 from jaxtyping import Array, Key
 
-from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.adequacy import doubts, withdrawn
-from cannoise_jax.discovery.battery import Prepared, Splits, splits_of, stated_parameters
-from cannoise_jax.discovery.check import Checked, check, source_of
 from cannoise_jax.discovery.compare.remainder import with_remainder
-from cannoise_jax.discovery.fit import Fitted, Step, part_of, stepwise
-from cannoise_jax.discovery.gate import Gated, gate
-from cannoise_jax.discovery.locate import locate
-from cannoise_jax.discovery.name import UNKNOWN
-from cannoise_jax.discovery.prove import Proof, Proofs, prove, unconfirmed, unproven
-from cannoise_jax.discovery.quality import Quality, composite_proofs, open_panel, quality_of
-from cannoise_jax.discovery.sides import Sides, handed_simulators, simulators
-from cannoise_jax.discovery.simulate import Draw, Simulator, open_simulator, simulate_like
-from cannoise_jax.discovery.twosample import differs as told_apart
-from cannoise_jax.discovery.verdict import Verdict, verdict_of
+from cannoise_jax.discovery.frames.battery import Prepared, Splits, splits_of, stated_parameters
+from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
+from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
+from cannoise_jax.discovery.proof.adequacy import doubts, withdrawn
+from cannoise_jax.discovery.proof.check import Checked, check, source_of
+from cannoise_jax.discovery.proof.gate import Gated, gate
+from cannoise_jax.discovery.proof.prove import Proof, Proofs, prove, standing, unconfirmed, unproven
+from cannoise_jax.discovery.proof.quality import Quality, composite_proofs, open_panel, quality_of
+from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
+from cannoise_jax.discovery.proof.twosample import differs as told_apart
+from cannoise_jax.discovery.proof.verdict import Verdict, verdict_of
+from cannoise_jax.discovery.search import declare
+from cannoise_jax.discovery.search.fit import Fitted, Step, part_of, stepwise
+from cannoise_jax.discovery.search.locate import locate
+from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -130,7 +131,7 @@ class Diagnosis:
 
         Raises BadInput where one exists (without force) or cannot be written.
         """
-        from cannoise_jax.discovery.save import save
+        from cannoise_jax.discovery.report.save import save
 
         return save(self, folder, force=force)
 
@@ -155,11 +156,11 @@ def diagnose(
     `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
     test. tell: called with one line per stage. Frames without noise are left out with a `LeftOutWarning`.
     Raises BadInput for a simulator that cannot be judged and where too few frames are left, ValueError for
-    unknown names or an alpha out of (0, 1).
+    unknown names or an alpha out of (0, 1), TypeError for what is no capture set or no key.
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
-    key = jax.random.key(0) if key is None else key
+    capture, key = checked_capture(capture), checked_key(key)
     log_alpha = float(np.log(alpha * (SHARED.names if compare else 1.0)))
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)
@@ -183,7 +184,7 @@ def diagnose(
     proven = unproven(fitted.steps)
     if splits.can_prove:
         tell("prove: on the frames held back")
-        proven = prove(fitted, splits)
+        fitted, proven = standing(fitted, prove(fitted, splits), tell)
     sides = judged.sides(first, fitted.steps, own)
     gated = remains = quality = panel = None
     model = sides.exported
@@ -241,8 +242,7 @@ def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
 def _searchable(entry: Entry) -> Entry:
     if entry.looked_for:
         return entry
-    unit = next(p.unit for p in entry.record.parameters if p.name == generic.strength_of(entry.record))
-    by_sampling = generic.by_sampling(entry.record, name=f"sampled_{entry.id}", unit=unit, known={})
+    by_sampling = generic.by_sampling(entry.record, name=f"sampled_{entry.id}", known={})
     return dataclasses.replace(entry, signatures=by_sampling)
 
 

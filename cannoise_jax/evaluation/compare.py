@@ -10,7 +10,7 @@ A model may be given several references; `model_one_reference` then shows what o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -73,6 +73,7 @@ def evaluate_model(
     columns: Sequence[str] = MODELS,
     references: int = 1,
     given: Sampler | ByCamera | None = None,
+    tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> Results:
     """Every model of `columns` on every patch.
 
@@ -87,27 +88,31 @@ def evaluate_model(
     references: k, how many noisy images of the camera the model is shown.
     camera_names: by camera index. recalibrated: from `baselines.calibrate_by_setting` on training recordings;
       a setting that it lacks uses the published function; None leaves the column out.
+    tell: called with the number of parts that are done, draws of a model or numbers of a setting, and of all.
     Numbers per model are those of `evaluators`, the first of which must count the patches; see there. The
     same key gives the same result.
     """
     draw_key, pair_key = jax.random.split(key)
-    noise = {
-        name: draw_noise(column, patches, _column_key(draw_key, name), batch)
-        for name, column in model_columns(sampler, patches, pair_key, recalibrated, references, given).items()
-        if name in columns
-    }
+    made = model_columns(sampler, patches, pair_key, recalibrated, references, given)
+    wanted = {name: column for name, column in made.items() if name in columns}
     camera, iso = np.asarray(patches.camera), np.asarray(patches.iso)
-    settings = {
-        name: {
-            str(setting): {
-                model: _numbers(patches, fake, (camera == c) & (iso == setting), evaluators)
-                for model, fake in noise.items()
+    isos = {c: np.unique(iso[camera == c]).tolist() for c in range(len(camera_names)) if (camera == c).any()}
+    total = len(wanted) + sum(map(len, isos.values()))
+    noise: dict[str, Any] = {}
+    for name, column in wanted.items():
+        noise[name] = draw_noise(column, patches, _column_key(draw_key, name), batch)
+        tell(len(noise), total)
+    done = len(noise)
+    settings: dict[str, dict[str, Any]] = {}
+    for c, of_camera in isos.items():
+        rows = settings.setdefault(camera_names[c], {})
+        for setting in of_camera:
+            mask = (camera == c) & (iso == setting)
+            rows[str(setting)] = {
+                model: _numbers(patches, fake, mask, evaluators) for model, fake in noise.items()
             }
-            for setting in np.unique(iso[camera == c]).tolist()
-        }
-        for c, name in enumerate(camera_names)
-        if (camera == c).any()
-    }
+            done += 1
+            tell(done, total)
     cameras = {name: _pool(rows.values(), noise) for name, rows in settings.items()}
     return {"cameras": cameras, "pooled": _pool(cameras.values(), noise), "settings": settings}
 

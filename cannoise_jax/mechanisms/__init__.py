@@ -10,6 +10,7 @@ from cannoise_jax.mechanisms import (
     dark_charge,
     digital,
     noise_steps,
+    parity,
     photons,
     pixel,
     readout,
@@ -31,6 +32,7 @@ _FAMILIES = (
     transport.ENTRIES,
     pixel.ENTRIES,
     readout.ENTRIES,
+    parity.ENTRIES,
     converter.ENTRIES,
     digital.ENTRIES,
     capture.LAST,  # the description is laid over whatever came out

@@ -124,7 +124,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lossy_compression",
              "Raw codes are rounded to a step that grows with the signal.",
-             44, "sensor", "DN", "code spacing at the white level, DN", listed=40),
+             44, "sensor", "DN", "code spacing at the white level, DN", listed=41),
         LOSSY_COMPRESSION,
         needs="flats at ten levels up to the white level",
         signatures=lambda recorded: (
@@ -153,7 +153,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("quantization",
              "Codes are spaced more widely than assumed.",
-             41, "sensor", "DN", "spacing of the codes, DN", ("lossy_compression",), listed=26),
+             41, "sensor", "DN", "spacing of the codes, DN", ("lossy_compression",), listed=27),
         QUANTIZATION,
         needs="files that state code_step",
         signatures=lambda recorded: (
@@ -165,7 +165,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("missing_codes",
              "Some codes never occur: digital scaling or converter faults.",
-             42, "sensor", "code steps", "period: one code in every so many is missing", listed=27),
+             42, "sensor", "code steps", "period: one code in every so many is missing", listed=28),
         MISSING_CODES,
         needs="flats or scenes whose noise spans three codes or more",
         signatures=lambda recorded: (

@@ -234,7 +234,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("clock_induced_charge",
              "Spurious charge of the clocking, the same in every exposure time.",
-             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=31),
+             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=32),
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",
         signatures=looks.always(
@@ -245,7 +245,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("temperature_drift",
              "The temperature, and with it the dark current, moves from frame to frame.",
-             25, "sensor", "K", "rms temperature change, K", listed=37),
+             25, "sensor", "K", "rms temperature change, K", listed=38),
         TEMPERATURE_DRIFT,
         needs="darks with the temperature of every frame stated",
         signatures=looks.always(

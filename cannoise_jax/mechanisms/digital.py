@@ -160,7 +160,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("demosaicing",
              "The mosaic has been interpolated from a coarser or another mosaic.",
-             48, "sensor", "1", "blend weight of the interpolated value", listed=43),
+             48, "sensor", "1", "blend weight of the interpolated value", listed=44),
         DEMOSAICING,
         needs="two frames or more at one setting",
         signatures=lambda recorded: (
@@ -174,7 +174,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("in_camera_denoising",
              "The camera has averaged each pixel with its neighbours of the same colour.",
-             45, "sensor", "1", "blend weight of the neighbours' mean", listed=28),
+             45, "sensor", "1", "blend weight of the neighbours' mean", listed=29),
         IN_CAMERA_DENOISING,
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -191,7 +191,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("defect_correction",
              "Listed pixels are replaced by the mean of their neighbours.",
-             47, "sensor", "1", "fraction of the pixels", listed=41),
+             47, "sensor", "1", "fraction of the pixels", listed=42),
         DEFECT_CORRECTION,
         needs="twenty frames or more of one flat",
         signatures=lambda recorded: (
@@ -202,7 +202,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("hot_pixel_suppression",
              "Pixels above all their neighbours of the same colour are clamped to them.",
-             46, "sensor", "1", "blend weight of the clamped value", listed=42),
+             46, "sensor", "1", "blend weight of the clamped value", listed=43),
         HOT_PIXEL_SUPPRESSION,
         needs="twenty long darks",
         signatures=looks.always(

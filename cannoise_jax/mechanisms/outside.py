@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,3 +51,8 @@ def entries_at(place: str) -> tuple[Entry, ...]:
     if not isinstance(entries, list | tuple) or not all(isinstance(e, Entry) for e in entries):
         raise BadInput(f"{place}: is no entry, nor a tuple of entries: see docs/adding_a_mechanism.md")
     return tuple(entries)
+
+
+def entries_of(places: Sequence[str]) -> tuple[Entry, ...]:
+    """The entries of several places, see `entries_at`."""
+    return tuple(entry for place in places for entry in entries_at(place))

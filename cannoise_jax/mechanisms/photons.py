@@ -128,7 +128,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lens_shading",
              "Sensitivity falls smoothly towards the corners.",
-             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=34),
+             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=35),
         LENS_SHADING,
         needs="flats with a reference of the light falling on the sensor (clean)",
         signatures=lambda recorded: (
@@ -169,7 +169,7 @@ ENTRIES: tuple[Entry, ...] = (
              "The two green channels differ in sensitivity.",
              49, "sensor", "1",
              "rms fraction of the signal over the green pixels: half of the relative difference", ("prnu",),
-             listed=25),
+             listed=26),
         GREEN_IMBALANCE,
         needs="flats, or scenes with an independent reference, from a Bayer sensor",
         signatures=lambda recorded: (
@@ -181,7 +181,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dead_pixels",
              "A few pixels do not respond to light.",
-             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=35),
+             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=36),
         DEAD_PIXELS,
         needs="flats at two levels, with a hundred dead pixels or more in the frame",
         signatures=looks.always(

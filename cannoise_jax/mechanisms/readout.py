@@ -112,7 +112,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("column_noise",
              "One random offset per column, white, redrawn in every frame.",
-             30, "sensor", "DN", RMS, listed=16),
+             30, "sensor", "DN", RMS, listed=17),
         mechanism_from_grammar(
             Point("readout", "signal", "column", "redrawn"), id="column_noise", default=0.5,
             sentence="Every column has its own amplifier or converter, whose offset jitters from frame "
@@ -132,7 +132,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("row_fpn",
              "One fixed offset per row.",
-             37, "sensor", "DN", RMS, ("dsnu",), listed=17),
+             37, "sensor", "DN", RMS, ("dsnu",), listed=18),
         mechanism_from_grammar(
             Point("readout", "signal", "row", "frozen"), id="row_fpn", default=0.5,
             sentence="Some rows are always a little brighter or darker: a fixed pattern that a dark "
@@ -151,7 +151,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("column_fpn",
              "One fixed offset per column.",
-             37, "sensor", "DN", RMS, ("dsnu",), listed=18),
+             37, "sensor", "DN", RMS, ("dsnu",), listed=19),
         mechanism_from_grammar(
             Point("readout", "signal", "column", "frozen"), id="column_fpn", default=0.5,
             sentence="Column amplifiers differ in offset: fixed vertical stripes that a dark average "
@@ -172,7 +172,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("pink_noise",
              "1/f noise along the raster scan.",
-             32, "sensor", "DN", RMS, listed=19),
+             32, "sensor", "DN", RMS, listed=20),
         mechanism_from_grammar(
             Point("readout", "signal", "raster", "redrawn", spectrum="power_law"),
             id="pink_noise", default=0.5,
@@ -193,7 +193,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("row_pink_noise",
              "An offset constant along each row and 1/f from row to row, redrawn per frame.",
-             31, "sensor", "DN", RMS, listed=20),
+             31, "sensor", "DN", RMS, listed=21),
         mechanism_from_grammar(
             Point("readout", "signal", "row", "redrawn", spectrum="power_law"),
             id="row_pink_noise", default=0.5,
@@ -212,7 +212,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("banding",
              "A sinusoid of fixed frequency in the raster scan: interference pick-up.",
-             33, "sensor", "DN", "peak, DN", listed=21),
+             33, "sensor", "DN", "peak, DN", listed=22),
         mechanism_from_grammar(
             Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"), id="banding", default=0.5,
             sentence="A clock, supply or radio couples into the readout: a regular pattern of stripes, "
@@ -235,7 +235,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("offset_drift",
              "The black level moves from frame to frame.",
-             35, "sensor", "DN", RMS, listed=22),
+             35, "sensor", "DN", RMS, listed=23),
         mechanism_from_grammar(
             Point("readout", "signal", "whole", "redrawn"), id="offset_drift", default=0.2,
             sentence="The black level is set anew for every frame and never quite the same.",
@@ -255,7 +255,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("channel_offset",
              "Each colour channel has its own black-level error.",
-             36, "sensor", "DN", RMS, ("dsnu", "bookkeeping"), listed=23),
+             36, "sensor", "DN", RMS, ("dsnu", "bookkeeping"), listed=24),
         mechanism_from_grammar(
             Point("readout", "signal", "channel", "frozen"), id="channel_offset", default=0.5,
             sentence="The black level differs between the colour channels: shadows take on a tint.",
@@ -275,7 +275,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amplifier_mismatch",
              "Regions read by different amplifiers differ by a step in offset.",
-             38, "sensor", "DN", "step between adjoining regions, DN", ("dsnu",), listed=24),
+             38, "sensor", "DN", "step between adjoining regions, DN", ("dsnu",), listed=25),
         AMPLIFIER_MISMATCH,
         needs="darks of two frames or more",
         signatures=looks.always(
@@ -289,7 +289,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dual_gain",
              "The conversion gain switches at an ISO or at a signal level.",
-             7, "sensor", "1", "relative step of the gain at the switch", listed=32),
+             7, "sensor", "1", "relative step of the gain at the switch", listed=33),
         DUAL_GAIN,
         needs="flats and darks at five ISO values or more",
         signatures=lambda recorded: (

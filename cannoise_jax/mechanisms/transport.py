@@ -141,7 +141,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("brighter_fatter",
              "Collected charge repels further charge: shot noise correlates.",
              12, "sensor", "1/e-", "minus a00: relative loss of shot-noise variance per electron",
-             listed=33),
+             listed=34),
         BRIGHTER_FATTER,
         needs="two frames or more of bright flats",
         signatures=looks.always(
@@ -154,7 +154,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("image_lag",
              "A frame keeps part of the charge of the frame before it.",
-             14, "sensor", "1", "fraction of the charge left behind", listed=38),
+             14, "sensor", "1", "fraction of the charge left behind", listed=39),
         IMAGE_LAG,
         needs="a burst with a change from bright to dark",
         signatures=lambda recorded: (
@@ -166,7 +166,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("smear",
              "Bright pixels leak into their whole column.",
-             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=39),
+             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=40),
         SMEAR,
         needs="a scene with a saturated light source, two frames or more",
         signatures=looks.always(

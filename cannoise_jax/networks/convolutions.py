@@ -42,10 +42,10 @@ def _conv_plain(x, kernel, stride, padding):
 
 def _conv_patches(x, kernel, stride, padding):
     size, _, inputs, outputs = kernel.shape
-    if (size, stride, padding) == (4, 2, 1):
+    if (size, stride) == (4, 2):
         # The 4x4 window is 2x2 cells of 2x2 pixels: four long copies in the place of sixteen short ones.
         taps = kernel.reshape(2, 2, 2, 2, inputs, outputs).transpose(0, 2, 1, 3, 4, 5)
-        return patches(_pixels_to_cells(x, 1), 2, 1, 0) @ taps.reshape(-1, outputs)
+        return patches(_pixels_to_cells(x, padding), 2, 1, 0) @ taps.reshape(-1, outputs)
     return patches(x, size, stride, padding) @ kernel.reshape(-1, outputs)
 
 
@@ -59,6 +59,28 @@ def _conv_blocks(x, kernel, stride, padding):
     taps = shifted.reshape(half, 2, half, 2, inputs, 4 * outputs).transpose(0, 2, 1, 3, 4, 5)
     taps = taps.reshape(half, half, 4 * inputs, 4 * outputs)
     return _cells_to_pixels(_conv_plain(_pixels_to_cells(x, padding), taps, 1, 0), outputs)
+
+
+def _conv_runs(x, kernel, stride, padding):
+    """Runs of neighbouring outputs of a row as channels of one convolution with longer steps: 32 channels or
+    more fill a processor's vectors where 16 or fewer leave them mostly empty."""
+    size, _, inputs, outputs = kernel.shape
+    run = run_length((x.shape[2] + 2 * padding - size) // stride + 1, outputs)
+    moved = [(stride * i, stride * (run - 1 - i)) for i in range(run)]
+    taps = jnp.stack([jnp.pad(kernel, ((0, 0), m, (0, 0), (0, 0))) for m in moved], -2)
+    taps = taps.reshape(size, size + stride * (run - 1), inputs, run * outputs)
+    y = lax.conv_general_dilated(
+        x, taps, (stride, stride * run), [(padding, padding)] * 2, dimension_numbers=_NHWC
+    )
+    return y.reshape(*y.shape[:2], -1, outputs)
+
+
+def run_length(width: int, outputs: int) -> int:
+    """How many of a row's outputs `_conv_runs` makes at once: enough for 32 channels, a divisor of all."""
+    run = 1
+    while run * outputs < 32 and width % (2 * run) == 0:
+        run *= 2
+    return run
 
 
 def _transpose_plain(x, kernel):
@@ -86,9 +108,8 @@ def _transpose_windows(x, kernel):
     """Every 2x2 window of the padded input makes one 2x2 cell of the output, shifted by one pixel."""
     inputs, outputs = kernel.shape[2:]
     taps = kernel.reshape(2, 2, 2, 2, inputs, outputs)[::-1, :, ::-1].transpose(0, 2, 4, 1, 3, 5)
-    return _cells_to_pixels(patches(x, 2, 1, 1) @ taps.reshape(4 * inputs, 4 * outputs), outputs)[
-        :, 1:-1, 1:-1
-    ]
+    cells = patches(x, 2, 1, 1) @ taps.reshape(4 * inputs, 4 * outputs)
+    return _cells_to_pixels(cells, outputs)[:, 1:-1, 1:-1]
 
 
 def _pixels_to_cells(x, padding):
@@ -107,7 +128,12 @@ def _cells_to_pixels(cells, outputs):
     return pixels.reshape(batch, 2 * rows, 2 * columns, outputs)
 
 
-CONV = {"plain": _conv_plain, "patches": _conv_patches, "blocks": _conv_blocks}
+CONV = {
+    "plain": _conv_plain,
+    "patches": _conv_patches,
+    "blocks": _conv_blocks,
+    "runs": _conv_runs,
+}
 CONV_TRANSPOSE = {
     "plain": _transpose_plain,
     "overlap": _transpose_overlap,
@@ -118,17 +144,19 @@ CONV_TRANSPOSE = {
 def choose_conv(map_size: int, size: int, inputs: int, outputs: int, stride: int, twice: bool) -> str:
     """The fastest formulation on a CPU, `map_size` being height x width of the input.
 
-    As measured, forward and backward, on two cores with batches of 4 to 16 at the shapes of the three
-    networks at width 1/8 to 1: plain convolutions win on large maps, lose up to thirtyfold on maps of 4x4 and
-    below (8x8 from 128 channels on), and up to sixfold wherever the gradient is itself differentiated
-    (`twice`).
+    As measured, forward and backward, with batches of 4 to 80 at the shapes of the three networks at width
+    1/16 to 1: plain convolutions win on large maps, lose up to thirtyfold on maps of 4x4 and below (8x8 from
+    128 channels on), and up to sixfold wherever the gradient is itself differentiated (`twice`). With fewer
+    than 32 outputs runs of pixels win on maps from 64x64 on: threefold to sixfold for 7x7, a third for 4x4.
     """
     if size == 1:
         return "patches"
     if size == 7 and stride == 1 and inputs <= 8 and outputs <= 16:
-        return "blocks"
+        return "runs"
     small = map_size <= 16 or (map_size <= 64 and inputs >= 128)
-    return "patches" if small or (twice and stride == 2) else "plain"
+    if small or (twice and stride == 2):
+        return "patches"
+    return "runs" if stride == 2 and outputs < 32 and map_size >= 4096 else "plain"
 
 
 def conv2d(

@@ -14,14 +14,20 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from cannoise_jax.physics.single_image import estimate_nlf, high_pass, local_mean, smoothness
+from cannoise_jax.physics.hidden_level import hidden_level
+from cannoise_jax.physics.single_image import (
+    FLOOR,
+    high_pass,
+    local_mean,
+    residual_nlf,
+    residual_variance,
+    smoothness,
+)
 
 # Signal levels at which the noise level is read off, normalised units; log(m + TOE) is about uniform over
 # them.
 LEVELS = np.array([0.0, 0.02, 0.06, 0.15, 0.4], np.float32)
 TOE = 0.01
-FLOOR = 1e-5
-"""Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""
 TAILS = (2.5, 3.5, 5.0)
 LINES = 0.02
 """What lines seem to share by chance in a patch of 64 x 64."""
@@ -47,7 +53,8 @@ def noise_statistics(
     2.5, 3.5 and 5 sigma; the same of dark, smooth parts; correlation of horizontal and vertical neighbours;
     correlation of channel pairs; what rows and what columns share, at lags of 0 to 4, and how much of it the
     two channels of a line share; how many pixels lie below and exactly at the black level, which tells
-    whether the camera's codes end there.
+    whether the camera's codes end there; how much of the level neighbours that are alike hide, and the weight
+    of their blend.
     """
     residual, mean = high_pass(noisy), local_mean(noisy)
     weights = _level_weights(mean)
@@ -56,10 +63,11 @@ def noise_statistics(
     share = jnp.mean(weights, (1, 2))
     # 0.1 % of prior weight: a level that holds fewer pixels says the image's average instead.
     level = (jnp.mean(weights * size[..., None], (1, 2)) + 1e-3 * total) / (share + 1e-3) + FLOOR
-    shot, read = jax.vmap(estimate_nlf)(noisy)
-    variance = jnp.maximum(shot[:, None, None] * jnp.maximum(mean, 0) + read[:, None, None], FLOOR**2)
+    shot, read = jax.vmap(residual_nlf)(noisy)
+    variance = residual_variance(noisy, shot[:, None, None], read[:, None, None])
     smooth = smoothness(residual, variance)
     z = residual * lax.rsqrt(variance)
+    hidden, blend = jax.vmap(lambda z, smooth: hidden_level(z[None], smooth[None]))(z, smooth)
     part = smooth[..., None]
     dark = part * (shot[:, None, None] * jnp.maximum(mean, 0) < 2 * read[:, None, None])
     soft = jnp.tanh(z / 2)
@@ -77,7 +85,7 @@ def noise_statistics(
         4 * jnp.log((smooth_power + 1e-3) / (smooth_share + 1e-3)),
         smooth_share,
         jnp.mean(part, (1, 2, 3))[:, None],
-        (jnp.log(jnp.stack([jnp.mean(shot, -1), jnp.mean(read, -1)], -1) + 1e-8) + 8) / 2,
+        (jnp.log(jnp.stack([jnp.mean(shot, -1), jnp.mean(read, -1)], -1) + 1e-8) + 8) / 2 + hidden[:, None],
         *_tails(z, part),
         *(jnp.mean(t, -1, keepdims=True) for t in _tails(z, dark)),
         jnp.mean(dark, (1, 2, 3))[:, None],
@@ -87,6 +95,7 @@ def noise_statistics(
         *_line_offsets(noisy, variance, smooth),
         *_line_offsets(*(jnp.swapaxes(v, 1, 2) for v in (_transposed(noisy), _transposed(variance), smooth))),
         (jnp.log(jnp.stack([_share(noisy < 0), _share(noisy == 0)], -1) + 1e-4) + 5) / 3,
+        10 * jnp.stack([hidden, blend], -1),
     ]
     return jnp.concatenate(parts, -1), z * part
 

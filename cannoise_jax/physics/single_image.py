@@ -19,6 +19,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from cannoise_jax.physics.hidden_level import hidden_level
+
 BLOCK, STEP = 8, 4
 _SPREAD = 0.34
 """Relative standard deviation of a block's mean square for white Gaussian noise: 64 squared second
@@ -33,8 +35,12 @@ _LEAST_READ, _LEAST_SHOT = 0.002, 0.02
 parts fits a line through zero as well as any."""
 _BIAS = 1.01
 """Down-weighting the high side loses 1 % of the variance of plain noise (simulated, smooth scenes)."""
+_CLIPPED = 0.1
+"""Share of pixels at a rail from which on a block counts less: a tenth of the variance is lost there."""
 _ITERATIONS = 20
 _TINY = 1e-10
+FLOOR = 1e-5
+"""Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""
 
 
 def high_pass(x: Float[Array, "*b h w c"]) -> Float[Array, "*b h-2 w-2 c"]:
@@ -59,19 +65,44 @@ def estimate_nlf(
 
     noisy: one image or several of the same camera and setting, h and w at least 16. Both are at least zero.
     An image of one level cannot tell shot from read: there only the variance at that level means anything;
-    where all pixels are alike both are zero. Correlated noise (in-camera denoising) and clipped shadows read
-    low, dense texture reads high; noise common to a row or a column is not seen.
+    where all pixels are alike both are zero. What neighbours that are alike (in-camera denoising) hide is put
+    back, as far as the images show it, see `hidden_level`: four planes only. Clipped shadows read low, dense
+    texture reads high; noise common to a row or a column is not seen.
     """
+    shot, read = residual_nlf(noisy)
+    images = noisy.reshape(-1, *noisy.shape[-3:])
+    if images.shape[-1] != 4:
+        return shot, read
+    residual = high_pass(images)
+    variance = residual_variance(images, shot, read)
+    z = residual * lax.rsqrt(variance)
+    gain = jnp.exp(2 * hidden_level(z, smoothness(residual, variance))[0])
+    return gain * shot, gain * read
+
+
+def residual_variance(noisy: Float[Array, "b h w c"], shot, read) -> Float[Array, "b h-2 w-2 c"]:
+    """Variance of the high-pass residual at each pixel for `residual_nlf`, broadcast over the last axes."""
+    return jnp.maximum(shot * jnp.maximum(local_mean(noisy), 0) + read, FLOOR**2)
+
+
+def residual_nlf(
+    noisy: Float[Array, "*b h w c"],
+) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
+    """`estimate_nlf` as the high-pass residual has it: that of white noise which would leave the same."""
     images = noisy.reshape(-1, *noisy.shape[-3:])
     channels = images.shape[-1]
     residual = high_pass(images)
     pairs = np.array(list(combinations(range(channels), 2)), int).reshape(-1, 2)
     first, second = pairs[:, 0], pairs[:, 1]
     products = jnp.concatenate([jnp.square(residual), residual[..., first] * residual[..., second]], -1)
+    at_rail = _block_means(jnp.any(_at_rail(images), -1, keepdims=True)[:, 1:-1, 1:-1].astype(jnp.float32))
+    usable = _gentle(at_rail.reshape(-1, 1) / _CLIPPED)
     level = jnp.maximum(_block_means(local_mean(images)), 0).reshape(-1, channels)
     means = _block_means(products)
     means = means.reshape(-1, means.shape[-1])
     power, shared = means[:, :channels], means[:, channels:]
+    # Blocks of one code alone hide noise below a code: a line through them would be zero.
+    usable = jnp.where(jnp.mean(power, -1, keepdims=True) > _TINY, usable, 1e-6)
     shot, read = jnp.zeros(()), jnp.mean(power) + _TINY
     spread = _SPREAD / channels**0.5
     for i in range(_ITERATIONS):
@@ -79,12 +110,12 @@ def estimate_nlf(
         ratio = jnp.mean(power / predicted, -1, keepdims=True)
         if i < _ITERATIONS // 2:
             # A low expectile: finds the smooth blocks from wherever it starts.
-            weight = jnp.where(ratio > 1, 0.1, 0.9)
+            weight = jnp.where(ratio > 1, 0.1, 0.9) * usable
         else:
             # Blocks within the spread of plain noise count in full, textured ones hardly.
             correlation = shared / jnp.sqrt(predicted[:, first] * predicted[:, second])
             texture = jnp.sum(correlation, -1, keepdims=True) / max(len(pairs), 1)
-            weight = _gentle((ratio - 1) / (2 * spread)) * _gentle(texture / (2 * _SHARED))
+            weight = _gentle((ratio - 1) / (2 * spread)) * _gentle(texture / (2 * _SHARED)) * usable
         # Only ratios of weights count; against the least variance the squares stay inside float32.
         least = lax.stop_gradient(jnp.min(predicted))
         whole = weight * jnp.square(least / predicted)
@@ -111,6 +142,12 @@ def smoothness(residual: Float[Array, "b h w c"], variance: Float[Array, "b h w 
         lax.reduce_window(v, 0.0, lax.add, window, (1, 1, 1), "SAME") / BLOCK**2 for v in (power, shared)
     )
     return _gentle((power - 1) / (2 * _SPREAD / channels**0.5)) * _gentle(shared / (2 * _SHARED))
+
+
+def _at_rail(images):
+    """Where a value is as low or as high as codes go: at white, and at black where none lies below it."""
+    lowest = jnp.min(images)
+    return (images >= 1) | ((images <= 0) & (lowest >= 0))
 
 
 def _gentle(excess):

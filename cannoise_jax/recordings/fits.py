@@ -25,7 +25,7 @@ from cannoise_jax.recordings.fits_header import about_of, known_of, section
 from cannoise_jax.recordings.fits_mosaic import assembled
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
-from cannoise_jax.recordings.opened import Opened, check_claim, stated, whole_numbers
+from cannoise_jax.recordings.opened import Opened, check_claim, check_pixels, stated, whole_numbers
 from cannoise_jax.recordings.packing import to_shifted_cfa
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 
@@ -81,6 +81,7 @@ def open_fits(path: str | Path) -> Opened:
     with reading(path, "not a readable FITS header"):  # cards are parsed when they are looked at
         upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
         known, about = known_of(header), about_of(header)
+        about["doubt"] = "; ".join(filter(None, (about["doubt"], _outside(header, shape)))) or None
         kept, black = _sections(path, number, header, shape)
     if known["cfa"] is not None:
         rows = shape[1] - kept[0].stop if upside_down else kept[0].start
@@ -122,7 +123,8 @@ def _check_raw(path: str | Path, header: fits.Header) -> None:
 
 
 def _check_colours(path: str | Path, hdu: Any, header: fits.Header) -> None:
-    """Raises BadInput for three planes that are the colours of one picture."""
+    """Raises BadInput for three planes, or three values a pixel, that are the colours of one picture."""
+    check_pixels(path, tuple(hdu.shape))
     if len(hdu.shape) != 3 or hdu.shape[0] != 3:
         return
     words = [str(header.get(name, "")).upper() for name in ("CTYPE3", "COLORSPC", "COLORTYP", "CSPACE")]
@@ -143,7 +145,7 @@ def _sections(
     whole = slice(0, shape[1]), slice(0, shape[2])
     bias, data = section(header.get("BIASSEC")), section(header.get("TRIMSEC") or header.get("DATASEC"))
     if bias is None or not _within(bias, shape):
-        return whole, None
+        return (whole if data is None or not _within(data, shape) else (data[0], data[1])), None
     if data is None or not _within(data, shape):
         raise BadInput(
             f"{path}: has overscan (BIASSEC {header['BIASSEC']}) and no TRIMSEC or DATASEC that names the "
@@ -155,6 +157,14 @@ def _sections(
     if not pixels.size or (data[0].stop - data[0].start) < 1:
         return whole, None
     return (data[0], data[1]), per_channel(float(np.median(pixels)))
+
+
+def _outside(header: fits.Header, shape: tuple[int, ...]) -> str | None:
+    """What a header says of overscan and picture that this frame does not have, as after binning."""
+    stated = {name: header[name] for name in ("BIASSEC", "TRIMSEC", "DATASEC") if header.get(name)}
+    parts = {name: section(text) for name, text in stated.items()}
+    wrong = [f"{n} {stated[n]}" for n, part in parts.items() if part is None or not _within(part, shape)]
+    return f"{', '.join(wrong)}: no part of {shape[1]} x {shape[2]} pixels: not used" if wrong else None
 
 
 def _within(part: tuple[slice, slice, bool, bool], shape: tuple[int, ...]) -> bool:

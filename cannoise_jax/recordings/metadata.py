@@ -43,7 +43,8 @@ OVERRIDES = (
 )
 """What a caller may set in place of the file: the keyword arguments of every reader."""
 
-FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in ("frames", "clean", "path"))
+_NO_FIELDS = ("frames", "clean", "path", "sources")
+FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in _NO_FIELDS)
 """What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
@@ -121,6 +122,18 @@ def make_recording(
         plausible.check_units_of_clean(recording)
         plausible.warn_of_code_step(recording)
     return recording
+
+
+def checked(recording: Recording) -> Recording:
+    """A recording that was put together in Python, held to the rules for files; pixels are not read.
+
+    One black level, and one `shot` or `read`, become four. Raises BadInput.
+    """
+    known = {name: getattr(recording, name) for name in (*FIELDS, "clean")}
+    sound = make_recording(recording.path or recording.camera, recording.frames, known, {}, scan=False)
+    four = {name: getattr(sound, name) for name in ("black_level", "shot", "read")}
+    same = all(getattr(recording, name) == value for name, value in four.items())
+    return recording if same else dataclasses.replace(recording, **four)
 
 
 def check_overrides(overrides: Mapping[str, Any]) -> None:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +17,13 @@ from cannoise_jax.recordings.recording import BadInput, Frames
 _MOST_PIXELS = 1 << 30
 _DENSEST = 2000
 """No compression that the formats use packs more bytes than this into one (deflate: 1032)."""
+BROKEN_ARRAYS = (
+    *(OSError, ValueError, EOFError, SyntaxError, TokenError, NotImplementedError),
+    *(zlib.error, zipfile.BadZipFile),
+)
+"""What NumPy raises over NPY and NPZ files that are damaged or no such files."""
+_NARROW = 8
+"""Rows and columns of the least picture."""
 _SPARE_FRAME, _SPARE_STACK = 64 << 20, 4 << 30
 """Bytes that a file may claim beyond what it can hold: HDF5 leaves out what is all zero."""
 
@@ -51,6 +61,15 @@ def check_claim(path: str | Path, shape: tuple[int, ...], itemsize: int) -> None
     if pixels * itemsize > holds + _SPARE_FRAME or claimed > holds + _SPARE_STACK:
         raise BadInput(
             f"{path}: claims {_by(shape)} values ({claimed / 1e9:.3g} GB) in {size} bytes: damaged"
+        )
+
+
+def check_pixels(path: str | Path, shape: tuple[int, ...]) -> None:
+    """Raises BadInput for one picture with three or four values a pixel: no stack has frames that narrow."""
+    if len(shape) == 3 and shape[2] in (3, 4) and min(shape[:2]) > _NARROW:
+        raise BadInput(
+            f"{path}: has shape {shape}: {shape[2]} values a pixel are the colours of a developed picture: "
+            "give the raw mosaics"
         )
 
 

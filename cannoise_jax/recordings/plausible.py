@@ -46,7 +46,7 @@ def warn_of_code_step(recording: Recording) -> None:
         return
     frame = np.asarray(recording.frames[0])
     inside = frame[(frame > 0) & (frame < recording.white_level)]
-    residues = np.bincount(inside % int(step), minlength=1)
+    residues = np.bincount(inside.astype(np.int32) % int(step), minlength=1)  # a step may be 65536
     off = 1 - residues.max() / max(inside.size, 1)
     if inside.size and off > 0.05:
         _log.warning(

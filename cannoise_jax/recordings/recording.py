@@ -54,7 +54,8 @@ class Recording:
     gain_db: the camera's gain setting where it counts in dB; its iso is then 100 x 10^(gain_db / 20).
     egain: the gain that the file states, e-/DN; what is measured never uses it.
     reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
-    path: the file it was read from, for messages.
+    path: the file it was read from, for messages. sources: the files that its frames were taken from, where
+      those are others than `path`, in the order of the frames.
     """
 
     frames: Frames | UInt16[np.ndarray, "t h w"]
@@ -75,6 +76,7 @@ class Recording:
     path: str | None = None
     gain_db: float | None = None
     egain: float | None = None
+    sources: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:

@@ -20,7 +20,7 @@ import tifffile
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
-from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
+from cannoise_jax.recordings.opened import Opened, check_claim, check_pixels, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.tiff_chain import check_chain
 
@@ -85,6 +85,7 @@ def open_tiff(path: str | Path) -> Opened:
 
 
 def _opened(path: str | Path, frames: Any, known: dict[str, Any]) -> Opened:
+    check_pixels(path, tuple(frames.shape))
     if len(frames.shape) == 2:
         frames = frames[None]
     about = {"bits": 8} if frames.dtype.itemsize == 1 else {}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.metadata import checked, chunks
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Frames, Recording
 
 LEAST_SIDE = 8
@@ -31,13 +31,14 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     """The capture set without frames that show no noise, and a line for each reason to leave some out.
 
     Left out are frames of one value, copies of an earlier frame, and frames wholly at the white level;
-    with its last frame a recording goes too. Reads every frame once. Raises BadInput for frames that are too
-    small, and where so much is lost that no two frames of one recording are left.
+    with its last frame a recording goes too. Reads every frame once. Raises BadInput for recordings that no
+    file may hold (see `metadata.checked`), for frames that are too small, and where so much is lost that no
+    two frames of one recording are left.
     """
     kept: list[Recording] = []
     lines: list[str] = []
     seen: Seen = {}
-    for recording in capture.recordings:
+    for recording in map(checked, capture.recordings):
         _check_size(recording)
         good, why = _judged(recording, seen)
         lines += why
@@ -50,6 +51,12 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
         raise BadInput(f"{lines[0]}{more}; too few frames are left")
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(f"{line}: left out" for line in lines)
+
+
+def without_noise(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """A line for each reason why frames hold no noise, be they of one value, saturated or copies."""
+    seen: Seen = {}
+    return tuple(line for recording in recordings for line in _judged(recording, seen)[1])
 
 
 def copies(recordings: Sequence[Recording]) -> dict[int, int]:

@@ -100,7 +100,7 @@ def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score | None:
         if not scenes:
             return None
         pairs = [(f, project(f, -(f.clean**2) * span)) for f in scenes if f.clean is not None]
-        return linear_score(pairs, 1, "1", "curvature", where, payload=span)
+        return linear_score(pairs, name="curvature", unit="1", where=where, payload=span)
     z, curvature, error = value / error, -value / span, error / span
     return Score(
         log_p=normal_log_p(z),

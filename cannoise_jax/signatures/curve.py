@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from cannoise_jax.signatures.recorded import Baseline, Recorded
+from cannoise_jax.signatures.recorded import GroupBaseline, Recorded
 from cannoise_jax.signatures.score import (
     Score,
     chi2_log_sf,
@@ -30,7 +30,7 @@ from cannoise_jax.signatures.signature import (
 
 
 def stated_score(
-    fields, *, kind: str, baselines: tuple[Baseline, ...], stated: tuple, doubt: float
+    fields, *, kind: str, baselines: tuple[GroupBaseline, ...], stated: tuple, doubt: float
 ) -> Score | None:
     """Fitted gain or read noise per channel against the stated one, log ratio; doubt: variance of the
     difference over that of the fit, above 1 where the stated value is itself a fit."""
@@ -69,7 +69,7 @@ def stated_score(
     )
 
 
-def curve_score(fields, *, baselines: tuple[Baseline, ...], step: float) -> Score | None:
+def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) -> Score | None:
     """Temporal variance against signal: what a straight line per channel leaves."""
     chi2, dof, at, worst = 0.0, 0, 0.0, 0.0
     for baseline in baselines:
@@ -108,7 +108,9 @@ def curve_score(fields, *, baselines: tuple[Baseline, ...], step: float) -> Scor
     )
 
 
-def saturation_score(fields, *, baselines: tuple[Baseline, ...], step: float, span: float) -> Score | None:
+def saturation_score(
+    fields, *, baselines: tuple[GroupBaseline, ...], step: float, span: float
+) -> Score | None:
     """Collapse of the temporal variance at the highest signals, below the converter's own rail."""
     full = [p for b in baselines for p in b.levels if p.full]
     if not any(len(b.levels) >= 20 for b in baselines):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.signatures.plain import carried, plain
-from cannoise_jax.signatures.recorded import Baseline, Recorded
+from cannoise_jax.signatures.recorded import GroupBaseline, Recorded
 from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
 from cannoise_jax.signatures.signature import FILES, NOT_SIMULATED, Axes, Signature, unchanged
 
@@ -64,7 +64,7 @@ def two_lines(x: np.ndarray, y: np.ndarray, e: np.ndarray) -> Break | None:
     return best
 
 
-def signal_step_score(fields, *, baselines: tuple[Baseline, ...]) -> Score | None:
+def signal_step_score(fields, *, baselines: tuple[GroupBaseline, ...]) -> Score | None:
     """A photon-transfer curve of two lines. Amplitude: relative step of the gain, or where both lines are as
     steep, of the noise."""
     tested, found, log_p, gain = 0, None, 0.0, 0.0
@@ -106,7 +106,7 @@ def signal_step_score(fields, *, baselines: tuple[Baseline, ...]) -> Score | Non
     )
 
 
-def iso_step_score(fields, *, baselines: tuple[Baseline, ...]) -> Score | None:
+def iso_step_score(fields, *, baselines: tuple[GroupBaseline, ...]) -> Score | None:
     """Read noise in electrons that falls at one ISO beyond what amplifier and converter noise make of it."""
     known = [b for b in baselines if b.iso and np.mean(b.gain) > 0 and np.mean(b.read_error) > 0]
     if len(known) < 5:

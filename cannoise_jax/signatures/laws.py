@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special, stats
 
+from cannoise_jax.physics.transfer.fit import median_quotient
+
 _PRIOR = 20.0
 """Degrees of freedom that the other statistics of a family lend to the spread of one of them."""
 
@@ -95,7 +97,7 @@ def compare_means(
     m, u, _ = simulated.shape
     each, between, dof = _spread(simulated, variance)
     if dof:
-        family = max(float(np.median(each / variance)) / _median_ratio(dof), 0.5)
+        family = max(float(np.median(each / variance)) / median_quotient(dof), 0.5)
         each = (_PRIOR * family * variance + dof * each) / (_PRIOR + dof)
     else:
         each = variance
@@ -103,10 +105,6 @@ def compare_means(
     t = (a - b) / np.maximum(error, 1e-12)
     law = _PRIOR + dof
     return Judged(a, b, _normal(stats.t.sf(t, law), stats.t.cdf(t, law), np.sign(t) * np.minimum(abs(t), 38)))
-
-
-def _median_ratio(dof: float) -> float:
-    return float(stats.chi2.median(dof) / dof)
 
 
 def compare_counts(

@@ -127,6 +127,40 @@ def redrawn(
     )
 
 
+def by_turns(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+    """White offsets of rows, new in every frame, whose sign turns from column to column: what even and odd
+    columns of a row differ by. parameter: the mechanism's strength."""
+
+    def score(fields: Many) -> Score | None:
+        return temporal_score(tuple(_turned(f) for f in fields), axis="row", scaling="additive")
+
+    def absorb(fields: Many, found: Score) -> Many:
+        turned = tuple(_turned(f) for f in fields)
+        return tuple(_turned(f) for f in temporal_absorb(turned, found, axis="row", scaling="additive"))
+
+    return Signature(
+        name=name,
+        axes=Axes("readout", "row", "redrawn", "additive", "white"),
+        reads=CONTRASTS,
+        score=score,
+        absorb=absorb,
+        covers=covers,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter),
+        place=placed(Point("readout", "signal", "row", "redrawn", interleave=2)),
+        detectable=BY_SHIFT,
+        least=random_offsets("row", "additive", frozen=False),
+    )
+
+
+def _turned(field: Fields) -> Fields:
+    """The field with the sign of every other column turned; twice gives it back."""
+    sign = (1 - 2 * (np.arange(field.mean.shape[1]) % 2)).astype(np.float32)
+    static = None if field.static is None else field.static * sign
+    return field._replace(contrasts=field.contrasts * sign, static=static)
+
+
 def _shared_by_line(axis: str):
     return lambda fields, score: Predicted(**{axis: score.amplitude})
 

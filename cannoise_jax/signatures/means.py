@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from cannoise_jax.recordings.recording import DARK
@@ -34,25 +36,17 @@ def project(field: Fields, template: np.ndarray) -> np.ndarray:
 
 
 def linear_score(
-    pairs: list[tuple[Fields, np.ndarray]],
-    trials: float,
-    unit: str,
-    name: str,
-    where: dict,
-    sides: int = 2,
-    rms: float = 1.0,
-    payload=None,
+    pairs: list[tuple[Fields, np.ndarray]], *, name: str, unit: str, where: dict, payload: Any = None
 ) -> Score:
-    """One amplitude for known standardised templates in the static fields of several recordings."""
+    """One amplitude of either sign for known standardised templates in the static fields of several
+    recordings."""
     u = sum(float(np.sum(f.static * t)) * np.sqrt(f.frames) for f, t in pairs if f.static is not None)
-    i = sum(float(np.sum(t**2)) * f.frames for f, t in pairs)
-    z = u / np.sqrt(max(i, 1e-30))
-    amplitude, error = u / max(i, 1e-30) * rms, rms / np.sqrt(max(i, 1e-30))
-    gain = 0.5 * z**2 if sides == 2 or z > 0 else 0.0
+    i = max(sum(float(np.sum(t**2)) * f.frames for f, t in pairs), 1e-30)
+    z, amplitude, error = u / np.sqrt(i), u / i, 1 / np.sqrt(i)
     return Score(
-        log_p=sidak(normal_log_p(z, sides), trials),
-        gain=gain,
-        penalty=float(np.log(trials) + 0.5 * np.log(1e5)) / 2,
+        log_p=normal_log_p(z),
+        gain=0.5 * z**2,
+        penalty=float(0.5 * np.log(1e5)) / 2,
         amplitude=abs(amplitude),
         error=error,
         shift=error,

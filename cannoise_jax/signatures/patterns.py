@@ -22,6 +22,7 @@ from cannoise_jax.signatures.line_sums import (
     component_score,
     response,
 )
+from cannoise_jax.signatures.reference import drop_scenes, white_error
 from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
@@ -194,11 +195,6 @@ def own_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def own_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """A scene whose reference is wrong says nothing static: its static field is dropped."""
-    return tuple(f._replace(static=None) if f.kind == "scene" else f for f in fields)
-
-
 def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
     """One offset (or factor of the light) of every frame."""
     additive = scaling == "additive"
@@ -270,7 +266,7 @@ def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
         axes=Axes("reference", "pixel", "frozen", "scene", "white"),
         reads=STATIC | CONTRASTS,
         score=own_score,
-        absorb=own_absorb,
+        absorb=drop_scenes,
         covers=covers,
         predict=NO_LAW,
         pattern=NO_PATTERN,
@@ -278,4 +274,5 @@ def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
         place=NO_PLACE,
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
+        off=white_error,
     )

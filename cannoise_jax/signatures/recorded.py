@@ -24,7 +24,7 @@ class Level(NamedTuple):
     alone: float = 0.0
 
 
-class Baseline(NamedTuple):
+class GroupBaseline(NamedTuple):
     """Poisson-Gaussian parameters of one gain setting: per mosaic site, DN and DN/e-; error: of the gain.
     pedestal: black level before rounding and clipping at code 0, `black` as the darks store it."""
 
@@ -75,7 +75,7 @@ class Recorded(NamedTuple):
     tolerance: float
     jitter: float
     codes: Codes
-    baselines: tuple[Baseline, ...]
+    baselines: tuple[GroupBaseline, ...]
     stated: tuple | None
     fitted_too: bool
     step: float

@@ -156,6 +156,9 @@ class Signature:
       frames. says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is
       about pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
+    off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
+      DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
+      no mean.
     """
 
     name: str
@@ -189,6 +192,7 @@ class Signature:
     says: Callable[[dict[str, Any]], tuple[str, tuple[float, float]]] | None = None
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None
+    off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
     approximate: bool = False
 
     @property

@@ -1,5 +1,5 @@
 """Effects in a few pixels at unknown places: the amplitude that shifts their likelihood ratio, and the one
-that their probe finds.
+that their signature finds.
 
 The likelihood-ratio test knows which share of the pixels is affected and the law of their heights, not where
 they are: the sum over pixels of log(1 - f + f L), L the ratio of the densities of a pixel's data with and
@@ -117,7 +117,8 @@ def _where(reached: Callable[[float], float], shift: float) -> float:
 
 
 def hot_found(information: Float[np.ndarray, "h w"], log_p: float) -> float:
-    """Rms amplitude, DN, of hot pixels of which every other camera falls below this log p of their probe."""
+    """Rms amplitude, DN, of hot pixels of which every other camera falls below this log p of
+    their signature."""
     seen = information[information > 0]
     if not seen.size:
         return float("inf")
@@ -140,7 +141,7 @@ def hot_found(information: Float[np.ndarray, "h w"], log_p: float) -> float:
 
 def telegraph_found(frames: Sequence[int], sigma: float, pixels: int, log_p: float) -> float:
     """Rms amplitude, DN, of telegraph pixels of which every other camera falls below this log p of their
-    probe. frames: of every dark; sigma: of a quiet pixel in one, DN."""
+    signature. frames: of every dark; sigma: of a quiet pixel in one, DN."""
     n = sum(frames) - len(frames)
     if n < 2:
         return float("inf")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
@@ -24,6 +23,7 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks.denoiser import DnCNN
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.noise_sources import Source
@@ -172,7 +172,7 @@ def load_denoiser(path: Path) -> Denoiser:
             raise ValueError(description["format"])
         variables = unflatten_dict({k: jnp.asarray(v) for k, v in arrays.items()}, sep="/")
         return Denoiser(Recipe(**description["recipe"]), variables, description["about"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (*BROKEN_ARRAYS, KeyError, TypeError) as error:
         raise BadInput(f"{path}: not a readable denoiser: train it again") from error
 
 

@@ -29,9 +29,9 @@ _CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")
 class DrawnCameras:
     """Recordings of n cameras, r + 1 patches at one setting and then one at another.
 
-    scenes: clean patches; scene, exposure: which of them each patch shows, and how brightly. noise: as
-    recorded, in full precision, so that what is stored as zero is zero. level: (shot, read) of the whole
-    variance at the first setting. truth: by name, see `losses.Truth`.
+    scenes: clean patches; scene, exposure: which of them each patch shows, and how brightly. noise: what is
+    recorded beside that, in full precision, so that what is stored as zero is zero. level: (shot, read) of
+    the whole variance at the first setting. truth: by name, see `losses.Truth`.
     """
 
     scenes: Float[np.ndarray, "s 64 64 4"]
@@ -49,13 +49,20 @@ class DrawnCameras:
         """Patches of the first setting beside the target."""
         return self.noise.shape[1] - 2
 
-    def clean(self, camera, patch) -> np.ndarray:
-        """What a patch of a camera shows."""
+    def shown(self, camera, patch) -> np.ndarray:
+        """The scene before a camera."""
         return self.scenes[self.scene[camera, patch]] * self.exposure[camera, patch][..., None, None, None]
+
+    def clean(self, camera, patch) -> np.ndarray:
+        """What a camera's patch would be without noise. A camera that denoises does it to the scene as well:
+        detail that is lost is no noise."""
+        scene = self.shown(camera, patch)
+        weight = np.broadcast_to(self.truth["blend"][camera], scene.shape[:-3])[..., None, None, None]
+        return np.where(weight > 0, (1 - weight) * scene + weight * _neighbour_mean(scene), scene)
 
     def noisy(self, camera, patch) -> np.ndarray:
         """A patch as recorded."""
-        return self.clean(camera, patch) + self.noise[camera, patch]
+        return self.shown(camera, patch) + self.noise[camera, patch]
 
 
 def drawn_cameras(
@@ -94,6 +101,16 @@ def drawn_cameras(
         level,
         {"tail": np.asarray(first.tail), **lined, "blend": np.asarray(first.blend)},
     )
+
+
+def _neighbour_mean(planes):
+    """Mean of the four neighbours of one colour; edges repeat the last sample, as in the sensor model."""
+    height, width = planes.shape[-3:-1]
+    padded = np.pad(planes, [*[(0, 0)] * (planes.ndim - 3), (1, 1), (1, 1), (0, 0)], mode="edge")
+    middle = (slice(1, height + 1), slice(1, width + 1))
+    ways = [(slice(i, i + height), middle[1]) for i in (0, 2)]
+    ways += [(middle[0], slice(i, i + width)) for i in (0, 2)]
+    return sum(padded[..., y, x, :] for y, x in ways) / np.float32(4)
 
 
 @jax.jit
@@ -168,15 +185,15 @@ class DrawnBatches:
         shown = np.where(rng.random(len(chosen)) < 0.5, 1, count)
         anchors = np.where(np.arange(count) < shown[:, None], patches[:, 1:], patches[:, 1:2])
         target = patches[:, 0]
-        clean, noise = source.clean(chosen, target), source.noise[chosen, target]
-        windows = [self._window(rng, c, n) for c, n in zip(clean, noise, strict=True)]
-        clean, noise = (np.stack(part) for part in zip(*windows, strict=True))
+        whole = source.clean(chosen, target), source.noisy(chosen, target)
+        windows = [self._window(rng, c, n) for c, n in zip(*whole, strict=True)]
+        clean, noisy = (np.stack(part) for part in zip(*windows, strict=True))
         other = np.full(len(chosen), count + 1)
         shot, read = (np.repeat(source.level[chosen, i][:, None], 4, 1) for i in (0, 1))
         truth = {name: values[chosen] for name, values in source.truth.items()}
         return {
             "clean": clean,
-            "noisy": clean + noise,
+            "noisy": noisy,
             "anchor": source.noisy(chosen[:, None], anchors),
             "positive": source.noisy(chosen, other),
             "shown": shown.astype(np.float32),
@@ -189,8 +206,8 @@ class DrawnBatches:
     def _order(self, turn: int) -> np.ndarray:
         return np.random.default_rng([self.seed, 1, turn]).permutation(len(self.cameras))
 
-    def _window(self, rng, clean, noise):
+    def _window(self, rng, clean, noisy):
         y, x = rng.integers(PATCH - self.size + 1, size=2)
         # Mirrored, colours in a row or column change places, as in a camera of another order.
         flips = tuple(axis for axis in (0, 1) if rng.random() < 0.5)
-        return tuple(np.flip(image[y : y + self.size, x : x + self.size], flips) for image in (clean, noise))
+        return tuple(np.flip(image[y : y + self.size, x : x + self.size], flips) for image in (clean, noisy))

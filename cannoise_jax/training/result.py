@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -72,8 +73,14 @@ def samplers_of(model: Model, config: ConfigDict) -> Samplers:
     return samplers(model.level, partial(sample, model))
 
 
-def compare(sampler: Samplers, config: ConfigDict, data: TrainingData) -> dict[str, Any]:
-    """Every noise model on the test scenes, unseen until now. sampler: `samplers_of` gives it."""
+def compare(
+    sampler: Samplers,
+    config: ConfigDict,
+    data: TrainingData,
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Every noise model on the test scenes, unseen until now. sampler: `samplers_of` gives it. tell: how far
+    it is, see `evaluate_model`."""
     return evaluate_model(
         sampler.usual,
         data.test,
@@ -83,4 +90,5 @@ def compare(sampler: Samplers, config: ConfigDict, data: TrainingData) -> dict[s
         batch=16,
         references=config.references,
         given=sampler.given,
+        tell=tell,
     )

@@ -87,12 +87,21 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
     def shown(noise, clean):
         return visible(noise, clean) if config.clip else noise
 
-    def critic_update(state: State, batch: Batch, key) -> tuple[State, dict[str, Array]]:
+    def encoded(state: State, batch: Batch):
+        """The latents, what turns their gradient into that of E's parameters, and new spectral vectors: one
+        pass of E serves all updates of a step, for E changes with the last of them only."""
+        return jax.vjp(
+            lambda params: _latents(networks, params, state, batch, wanted),
+            state.encoder["params"],
+            has_aux=True,
+        )
+
+    def critic_update(state: State, batch: Batch, latents, key) -> tuple[State, dict[str, Array]]:
         draw_key, row_key, mix_key, level_key = jax.random.split(key, 4)
         clean = batch["clean"]
         level = choose_level(config.level, level_key, batch)
         n_init, sigma = draw(draw_key, clean, level.shot, level.read, batch["camera"])
-        latent = _choose_latent(_latents(networks, state.encoder["params"], state, batch, 2)[0], level)
+        latent = _choose_latent(latents, level)
         fake = networks.generator.apply(
             state.generator, clean, n_init, latent, sigma, train=False, level=level,
             rngs={"noise": row_key},
@@ -127,7 +136,8 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
         critic = {"params": optax.apply_updates(state.critic["params"], updates), "spectral": spectral}
         return state._replace(critic=critic, critic_optimiser=optimiser), aux
 
-    def generator_update(state: State, batch: Batch, key) -> tuple[State, dict[str, Array]]:
+    def generator_update(state: State, batch: Batch, encoding, key) -> tuple[State, dict[str, Array]]:
+        latents, pull, e_spectral = encoding
         draw_key, row_key, level_key = jax.random.split(key, 3)
         clean = batch["clean"]
         level = choose_level(config.level, level_key, batch)
@@ -142,11 +152,10 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
             clean, *(jnp.maximum(batch[name], least)[:, None, None] for name, least in _LEAST.items())
         )
 
-        def loss(params):
-            latents, encoder_changed = _latents(networks, params["encoder"], state, batch, wanted)
+        def loss(params, latents):
             latent = _choose_latent(latents, level)
             generated, changed = networks.generator.apply(
-                {"params": params["generator"], "spectral": state.generator["spectral"]},
+                {"params": params, "spectral": state.generator["spectral"]},
                 several[0], n_init, jnp.concatenate([latent] * draws), sigmas, train=True, level=several[1],
                 mutable=["spectral", "physics"], rngs={"noise": row_key},
             )  # fmt: skip
@@ -182,10 +191,12 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
                 terms |= {f"physics_{name}": value for name, value in more.items()}
             aux = {f"generator/{name}": value for name, value in terms.items()}
             aux["generator/spread"] = jnp.std(made[0] / sigma)
-            return total, (aux, changed.get("spectral", {}), encoder_changed)
+            return total, (aux, changed.get("spectral", {}))
 
         trained = {"generator": state.generator["params"], "encoder": state.encoder["params"]}
-        (_, (aux, g_spectral, e_spectral)), gradient = jax.value_and_grad(loss, has_aux=True)(trained)
+        slopes = jax.value_and_grad(loss, (0, 1), has_aux=True)
+        (_, (aux, g_spectral)), (slope, latent_slope) = slopes(trained["generator"], latents)
+        gradient = {"generator": slope, "encoder": pull(latent_slope)[0]}
         updates, optimiser = optimisers.generator.update(gradient, state.generator_optimiser)
         trained = optax.apply_updates(trained, updates)
         count = state.step.astype(jnp.float32)
@@ -205,9 +216,10 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
         batch = _stacked(batch)
         keys = jax.random.split(jax.random.fold_in(state.key, state.step), config.critic_updates + 1)
         metrics: dict[str, Array] = {}
+        encoding = encoded(state, batch)
         for key in keys[1:] if adversarial else ():
-            state, metrics = critic_update(state, batch, key)
-        state, more = generator_update(state, batch, keys[0])
+            state, metrics = critic_update(state, batch, encoding[0], key)
+        state, more = generator_update(state, batch, encoding, keys[0])
         return state, metrics | more
 
     return train_step

@@ -12,16 +12,16 @@ import jax
 import numpy as np
 
 import cannoise_jax
-from cannoise_jax.discovery import declare
-from cannoise_jax.discovery.battery import prepare_split, split_recordings, splits_of
-from cannoise_jax.discovery.contrasts import Stack
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.fit import charge, second_look
-from cannoise_jax.discovery.heldout import score_frames
-from cannoise_jax.discovery.locate import Located, locate
-from cannoise_jax.discovery.name import UNKNOWN, mechanism_of
-from cannoise_jax.discovery.prove import held_out_gain
-from cannoise_jax.discovery.report import document
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings, splits_of
+from cannoise_jax.discovery.frames.contrasts import Stack
+from cannoise_jax.discovery.proof.heldout import score_frames
+from cannoise_jax.discovery.proof.prove import held_out_gain
+from cannoise_jax.discovery.report.document import document
+from cannoise_jax.discovery.search import declare
+from cannoise_jax.discovery.search.fit import charge, second_look
+from cannoise_jax.discovery.search.locate import Located, locate
+from cannoise_jax.discovery.search.name import UNKNOWN, mechanism_of
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import Fields, channel_index
@@ -70,10 +70,10 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
             "class": "sensor" if name == UNKNOWN else VOCABULARY[name].kind,
             "outcome": "UNKNOWN_STRUCTURE" if name == UNKNOWN else "FOUND",
             "candidates": [{"mechanism": name, "probability": 1.0}],
-            "probe": probe,
+            "signature": signature,
             "p_value": math.exp(max(log_p, -700.0)),
         }
-        for name, probe, log_p in rejected
+        for name, signature, log_p in rejected
     ]
     return {"findings": findings, **smallest_p(first)}
 
@@ -134,9 +134,9 @@ def smallest_p(first: Located) -> dict[str, float | None]:
 def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | None:
     """Held-out gain, nats, of the mechanism at its true population amplitude. Where it has a likelihood, maps
     and offsets come from the frames that looked, as those of a finding; else phases and frequencies come from
-    the frames held out. None where no probe looks for it.
+    the frames held out. None where no signature looks for it.
 
-    A mechanism that blurs the scenes too gets the best gain of the probe of blur beside its own."""
+    A mechanism that blurs the scenes too gets the best gain of the signature of blur beside its own."""
     splits = splits_of(capture)
     if not splits.can_prove:
         return None

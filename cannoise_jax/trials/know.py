@@ -12,8 +12,8 @@ from typing import Any
 
 from cannoise_jax.blind.claims import check_set, read_manifest
 from cannoise_jax.blind.seal import write_atomically
-from cannoise_jax.discovery.limits import mde
-from cannoise_jax.discovery.report import plain
+from cannoise_jax.discovery.report.document import plain
+from cannoise_jax.discovery.search.limits import mde
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.trials.analysis import fingerprint, true_gain, unrefitted_p, unweighted_p
 

@@ -12,7 +12,7 @@ from scipy import stats
 
 from cannoise_jax.blind.judge import count
 from cannoise_jax.blind.sets import draw_design, record
-from cannoise_jax.discovery.report import plain
+from cannoise_jax.discovery.report.document import plain
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.trials.analysis import ALPHA, fingerprint, located
 
@@ -25,7 +25,7 @@ def replicate(seed: int, number: int, size: tuple[int, int]) -> dict[str, Any]:
     return {
         "number": number,
         "p_value": report["battery_p_value"],
-        "rejected": [f["probe"] for f in report["findings"]],
+        "rejected": [f["signature"] for f in report["findings"]],
     }
 
 
@@ -76,13 +76,13 @@ def read(path: Path, asked: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Alarms among the replicates with the Clopper-Pearson interval, which probes gave them, and the
+    """Alarms among the replicates with the Clopper-Pearson interval, which signatures gave them, and the
     Kolmogorov-Smirnov p of uniform p-values."""
     values = [line["p_value"] for line in lines if line["p_value"] is not None]
-    probes = [probe for line in lines for probe in line["rejected"]]
+    names = [name for line in lines for name in line["rejected"]]
     return {
         "alpha": ALPHA,
         "size": count(bool(line["rejected"]) for line in lines),
-        "probes": {probe: probes.count(probe) for probe in sorted(set(probes))},
+        "signatures": {name: names.count(name) for name in sorted(set(names))},
         "uniform_ks_p": float(stats.kstest(values, "uniform").pvalue) if values else None,
     }

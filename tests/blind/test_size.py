@@ -33,7 +33,7 @@ def test_alarms_are_counted_with_their_interval():
         {"number": n, "p_value": (n + 0.5) / 200, "rejected": ["greens"] if n < 3 else []} for n in range(200)
     ]
     said = summary(lines)
-    assert said["probes"] == {"greens": 3}
+    assert said["signatures"] == {"greens": 3}
     assert said["uniform_ks_p"] > 0.99
     assert said["size"]["value"] == pytest.approx(0.015)
     low, high = said["size"]["ci95"]

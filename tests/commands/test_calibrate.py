@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.calibrate import main
+from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings import Recording
 from cannoise_jax.recordings.native import read_recording, write_recording
+from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ, BLACK = 2.0, 3.0, 256.0
 
@@ -120,3 +122,71 @@ def test_darks_of_zeros_and_repeated_flats_are_left_out_with_a_line(folder, tmp_
     assert "dark_off.h5: frames 1 to 4: every pixel is 0 (" in said
     assert "flat.h5: frame 20: every pixel is 900" in said and ": copies of earlier frames (" in said
     assert (tmp_path / "more.json").read_text() == alone.read_text()
+
+
+OWN = """
+import dataclasses
+import jax, jax.numpy as jnp, numpy as np
+from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
+from cannoise_jax.physics.transfer.estimate import NotMeasurable, root, variance_difference
+from cannoise_jax.physics.transfer.estimator import Estimator
+from cannoise_jax.vocabulary import RMS, Term
+
+def pulse(key, x, values, maps, context):
+    row = jnp.arange(context.size[0])[:, None] == 7
+    return x + values["sigma_dn"] * row * jax.random.normal(key, (x.shape[0], 1, 1))
+
+def measure(statistics, baseline):
+    darks = [s.row_means.mean(2) for s in statistics if s.recording.kind == "dark"]
+    if not darks:
+        return NotMeasurable("record darks")
+    of_rows, n = darks[0].var(0, ddof=1), len(darks[0]) - 1
+    others = np.delete(of_rows, 7)
+    return {"sigma_dn": root(variance_difference(of_rows[7], n, others.mean(), n * others.size))}
+
+PULSE = Entry(
+    Term("pulse", "The eighth row jumps.", None, "sensor", "DN", RMS),
+    Mechanism(
+        id="pulse", point=Point("readout", "signal", "row", "redrawn"), sample=pulse, home="own:PULSE",
+        parameters=(Parameter("sigma_dn", "DN", 1.0, 0.0, 1e4, "log", "of that row"),),
+    ),
+    needs="darks",
+    estimator=Estimator(measure),
+)
+BARE = dataclasses.replace(PULSE, estimator=None)
+TAKEN = dataclasses.replace(
+    PULSE,
+    term=dataclasses.replace(PULSE.term, id="row_noise"),
+    record=dataclasses.replace(PULSE.record, id="row_noise"),
+)
+"""
+
+
+def test_a_mechanism_of_ones_own_is_measured_and_modelled(folder, tmp_path, capsys):
+    dark = read_recording(folder / "dark.h5")
+    frames = np.asarray(dark.frames, float)
+    frames[:, 7] += 40 * np.random.default_rng(9).normal(size=(16, 1))
+    frames = np.clip(np.rint(frames), 0, 16383).astype(np.uint16)
+    write_recording(folder / "dark.h5", dataclasses.replace(dark, frames=frames))
+    (tmp_path / "own.py").write_text(OWN)
+    place = f"{tmp_path / 'own.py'}"
+    out = tmp_path / "sensor.json"
+    assert main(["--recordings", str(folder), "--out", str(out), "--mechanisms", f"{place}:PULSE"]) == 0
+    assert "pulse" in capsys.readouterr().out
+    with pytest.raises(BadInput, match="needs the mechanism pulse"):
+        read_sensor(out)
+    (own,) = entries_at(f"{place}:PULSE")
+    fitted = {f.mechanism: f for f in read_sensor(out, [own]).mechanisms}
+    assert float(np.ravel(fitted["pulse"].parameters["sigma_dn"])[0]) == pytest.approx(40, rel=0.5)
+
+
+@pytest.mark.parametrize(("name", "said"), [("BARE", "has no estimator"), ("TAKEN", "choose another")])
+def test_entries_that_cannot_be_measured_are_one_line(name, said, folder, tmp_path, capsys):
+    (tmp_path / "own.py").write_text(OWN)
+    out = tmp_path / "sensor.json"
+    place = f"{tmp_path / 'own.py'}:{name}"
+    assert main(["--recordings", str(folder), "--out", str(out), "--mechanisms", place]) == 2
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1 and not out.exists()

@@ -9,6 +9,7 @@ import pytest
 from cannoise_jax.commands.convert import main
 from cannoise_jax.recordings.native import read_recording
 from tests.recordings.dng import write_dng
+from tests.recordings.folders.night import night
 from tests.recordings.test_fits import write as write_fits
 from tests.recordings.test_native import write as write_native
 from tests.recordings.test_sidd import write_instance
@@ -198,3 +199,31 @@ def test_files_that_contradict_are_not_joined_and_copies_are_used_once(tmp_path,
     assert capsys.readouterr().err.count("the same pixels as") == 2
     np.testing.assert_array_equal(read_recording(tmp_path / "out.h5").frames[:], FRAMES[[1, 2]])
     assert run(cold, warm, tmp_path / "stated.h5", *levels, "--temperature", -7) == 0
+
+
+def test_frames_without_noise_are_written_and_said_in_one_line(tmp_path, capsys):
+    frames = FRAMES.copy()
+    frames[1] = 7
+    first = write_stack(tmp_path / "a.npy", frames)
+    assert run(first, tmp_path / "one.h5") == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == (
+        f"bin/convert: {first}: frame 2: every pixel is 7 (no frame of a sensor): no noise in them, "
+        "written as they are"
+    )
+    second = write_stack(tmp_path / "b.npy", FRAMES[[2, 0]])
+    assert run(first, second, tmp_path / "two.h5") == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "frame 2: every pixel is 7" in line and "; and 1 more such: " in line
+    assert read_recording(tmp_path / "two.h5").count == 5
+    assert run(write_stack(tmp_path / "c.npy", FRAMES), tmp_path / "three.h5") == 0
+    assert not capsys.readouterr().err
+
+
+def test_recordings_of_an_earlier_conversion_are_said(tmp_path, capsys):
+    folder, out = night(tmp_path / "in"), tmp_path / "out"
+    flags = ["--cfa", "MONO", "--white-level", "65535"]
+    assert run(folder, out, *flags) == 0
+    assert "stays" not in capsys.readouterr().out
+    assert run(folder, out, *flags, "--leave-out", "dark*", "--force") == 0
+    assert f"note: {out}/dark_60s.h5: not of this conversion, and stays" in capsys.readouterr().out

@@ -15,14 +15,17 @@ import pytest
 
 from cannoise_jax.commands import outputs
 from cannoise_jax.commands.diagnose import main, teller
-from cannoise_jax.discovery import save as saving
+from cannoise_jax.discovery.report import save as saving
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import read_sensor
+from cannoise_jax.recordings.folders.plan import plan_folder
+from cannoise_jax.recordings.folders.store import write_plan
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import BadInput
 from tests.discovery.capture import capture_set, row_offsets
+from tests.recordings.folders.night import night
 
 
 def write(folder, capture):
@@ -54,6 +57,22 @@ def test_how_long_it_will_take_is_said_once_after_the_first_look(capsys):
         "[   8.0 s] step 1: prnu",
     ]
     assert len(lines) == 5 and lines[4] == "[  82.0 s] step 2: dsnu"
+
+
+def test_a_folder_of_single_files_is_cut_as_its_conversion_is(tmp_path, monkeypatch, capsys):
+    def say(capture, most):
+        raise BadInput(f"most {most} of {len(capture.recordings)}")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("cannoise_jax.recordings.crop.central", say)
+    folder, out = night(tmp_path / "night"), tmp_path / "out"
+    for _ in write_plan(plan_folder(folder), out):
+        pass
+    said = []
+    for recordings in (folder, out):
+        assert main(["--recordings", str(recordings), "--out", str(tmp_path / "report")]) == 2
+        said.append(capsys.readouterr().err.splitlines()[-1])
+    assert said[0] == said[1] == "bin/diagnose: most 160000 of 3"
 
 
 def test_bad_input_is_one_line_and_status_two(tmp_path, capsys):
@@ -123,7 +142,11 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path, cap
         f"bin/diagnose: {out / 'report.html'}: exists: name another folder, or replace it with --force\n"
     )
     (out / "report.html").unlink()
-    monkeypatch.setattr(outputs.os, "access", lambda path, mode: False)
+
+    def denied(*given, **more):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(outputs.tempfile, "TemporaryFile", denied)
     assert main(arguments) == 2
     assert capsys.readouterr().err == (
         f"bin/diagnose: {out}: cannot be written (no permission): name another folder\n"

@@ -1,11 +1,24 @@
 """Flags that cannot be read: one line and exit status 2, the same for every command."""
 
 import argparse
+from pathlib import Path
 
 import pytest
 
-from cannoise_jax.commands import bench, calibrate, convert, sample, simulate
+from cannoise_jax.commands import (
+    bench,
+    calibrate,
+    compare,
+    convert,
+    denoise,
+    diagnose,
+    evaluate,
+    outputs,
+    sample,
+    simulate,
+)
 from cannoise_jax.commands.parser import OneLineParser, count, numbers
+from cannoise_jax.recordings.recording import BadInput
 
 
 @pytest.mark.parametrize(
@@ -29,6 +42,26 @@ def test_one_line_and_status_2(command, arguments, message, capsys):
     assert caught.value.code == 2 and error.count("\n") == 1
     assert error.startswith(f"bin/{command.__name__.split('.')[-1]}") and message in error
     assert error.endswith("(see --help)\n")
+
+
+@pytest.mark.parametrize(
+    "command", [bench, calibrate, compare, convert, denoise, diagnose, evaluate, sample, simulate]
+)
+def test_help_shows_a_per_cent_sign_once(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        command.main(["--help"])
+    assert caught.value.code == 0 and "%%" not in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no /proc")
+def test_a_folder_that_takes_no_files_is_refused_before_the_work(tmp_path):
+    outputs.check_folder(tmp_path / "new", ("a",), force=False)
+    outputs.check_file(tmp_path / "a.json", ".json", force=False)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(BadInput, match="/proc/new: cannot be written"):
+        outputs.check_folder(Path("/proc/new"), ("a",), force=False)
+    with pytest.raises(BadInput, match="/proc/a.json: cannot be written"):
+        outputs.check_file(Path("/proc/a.json"), ".json", force=False)
 
 
 def test_a_message_of_several_lines_becomes_one(capsys):

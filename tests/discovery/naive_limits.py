@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy import ndimage
 
-from cannoise_jax.discovery.limits import mde
+from cannoise_jax.discovery.search.limits import mde
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set
 

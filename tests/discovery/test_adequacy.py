@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from cannoise_jax.discovery.adequacy import LEFT, doubt, own_part
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
-from cannoise_jax.discovery.name import UNKNOWN, Doubt, Named
+from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, own_part
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.signatures.reference import near_filter, reference_score
 from tests.discovery.capture import capture_set, row_offsets
 
 KEY = jax.random.key(5)
@@ -52,3 +58,43 @@ def test_a_withdrawn_name_hands_its_probability_to_the_unknown():
     assert gone.mechanism == gone.candidates[0][0] == UNKNOWN and not gone.ambiguous
     assert dict(gone.candidates) == pytest.approx({UNKNOWN: 0.96, "banding": 0.04, "row_noise": 0.0})
     assert gone.doubt is not None and gone.doubt.nearest == "row_noise"
+
+
+def per_colour(image, change):
+    """A change of every colour plane by itself."""
+    out = np.empty_like(image)
+    for at in SITES:
+        out[at] = change(image[at])
+    return out
+
+
+SHIFTED = partial(ndimage.shift, shift=(0.1, -0.12), order=3, mode="nearest")
+SOFT = partial(ndimage.gaussian_filter, sigma=0.35)
+
+
+@pytest.mark.parametrize(
+    ("light", "kind", "fits"),
+    [
+        (lambda s: per_colour(s, SHIFTED), "shift", True),
+        (lambda s: per_colour(s, SOFT), "blur", True),
+        (lambda s: 0.98 * s + 0.02 * np.roll(s, 14, 1), "shift", False),
+    ],
+    ids=["shift", "soft", "ghost"],
+)
+def test_a_reference_that_is_shifted_or_soft_is_told_from_light_from_further_away(light, kind, fits):
+    def alter(rng):
+        return lambda dn, signal, what, t: dn + light(signal) - signal if what == "scene" else dn
+
+    capture = capture_set(3, alter, kinds="sd", size=(64, 96))
+    fields = prepare(capture, all_frames(split_recordings(capture)), False).fields
+    score = reference_score(fields, kind=kind, span=WHITE - BLACK, edge=kind)
+    assert score is not None and score.log_p < -20
+    plain = modelled(
+        SensorModel.poisson_gaussian([[GAIN] * 4], [[READ] * 4], (BLACK,) * 4, WHITE, "RGGB"), KEY
+    )
+    off = near_filter(fields, score, np.random.default_rng(0))
+    full, less = (
+        compare_bank(capture, source, sets=2, alpha=0.002)
+        for source in (beside(plain, [off], capture), plain)
+    )
+    assert (doubt(full, less, scenes=True) is None) == fits

@@ -1,15 +1,20 @@
 """Recordings that are odd, or strong beyond what is met: a report, or one clear line."""
 
 import dataclasses
+from functools import partial
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 from cannoise_jax import diagnose
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.declare import registered
-from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.discovery.compare.run import compare_bank
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.report.outcome import baseline
+from cannoise_jax.discovery.search.declare import registered
+from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.recordings.usable import LeftOutWarning
 from tests.discovery.capture import capture_set, offset_map, response_map
@@ -31,6 +36,32 @@ def with_frames(capture, number, change):
     r = recordings[number]
     recordings[number] = dataclasses.replace(r, frames=change(np.asarray(r.frames)))
     return CaptureSet(capture.camera, tuple(recordings))
+
+
+@pytest.mark.parametrize("verb", [diagnose, partial(compare_bank, simulator="poisson-gaussian")])
+def test_calls_with_what_is_no_capture_set_or_key_are_refused_in_one_line(verb):
+    capture = capture_set(1, kinds="d")
+    for given, key, error, said in (
+        (list(capture.recordings), None, TypeError, "capture is a list: expected a CaptureSet"),
+        (capture.recordings[0], None, TypeError, "capture is a Recording: expected a CaptureSet"),
+        (CaptureSet("X", ("dark.h5",)), None, TypeError, "capture.recordings holds a str"),
+        (CaptureSet("X", ()), None, BadInput, "X: holds no recordings"),
+        (capture, 3, TypeError, "key is of type int: expected a key of JAX"),
+        (capture, jax.random.split(jax.random.key(0)), TypeError, "expected one key"),
+    ):
+        with pytest.raises(error) as caught:
+            verb(given, key=key)
+        assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_report_gives_no_iso_where_no_file_states_one():
+    capture = capture_set(1, kinds="d")
+    for iso, told in ((None, None), (0.0, 0.0), (400.0, 400.0)):
+        recordings = tuple(dataclasses.replace(r, iso=iso) for r in capture.recordings)
+        prepared = prepare_split(unstated := CaptureSet("X", recordings), split_recordings(unstated))
+        model = baseline_model(unstated, prepared)
+        (row,) = baseline(SimpleNamespace(model=model, first=prepared))
+        assert row["iso"] == told
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
-from cannoise_jax.discovery.full import mark_full
-from cannoise_jax.discovery.model import baseline_model
+from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.full import mark_full
+from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.rounding import before_rounding, stored_moments
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.crop import central

@@ -40,12 +40,12 @@ def _tracks(e, rng, kind, seconds):
 
 
 def test_tracks_are_hits_with_their_rate_and_are_taken_out():
-    found, fields, probes = scores(frames_of(4, charge=_tracks, scenes=0))
+    found, fields, signatures = scores(frames_of(4, charge=_tracks, scenes=0))
     hits = found["hits"]
     assert rejects(hits) and not rejects(found["clocking"])
     rate = 0.4 / (SIZE[0] * SIZE[1] / 1e6)
     assert abs(hits.amplitude - rate) < 4 * hits.error + 0.1 * rate
-    left = probes["hits"].score(probes["hits"].absorb(fields, hits))
+    left = signatures["hits"].score(signatures["hits"].absorb(fields, hits))
     assert not rejects(left)
     assert events.find(fields)[2].up.sum() > 0
 

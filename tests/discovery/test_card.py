@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.card import card, lines
-from cannoise_jax.discovery.declare import registered
-from cannoise_jax.discovery.fit import Step
-from cannoise_jax.discovery.name import Doubt, Named
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.report.card import card, lines
+from cannoise_jax.discovery.search.declare import registered
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import Doubt, Named
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
 
 HIDDEN = ("row_noise", "row_pink_noise", "column_fpn", "column_gain")
@@ -29,8 +29,8 @@ def row_gains(sigma):
 def told(alter, name, seed):
     capture = capture_set(seed, alter)
     prepared = prepare_split(capture, split_recordings(capture))
-    probe = next(p for p in prepared.signatures if p.name == name)
-    named = Named(probe.score(prepared.fields), probe, "unknown", (("unknown", 1.0),), False)
+    signature = next(p for p in prepared.signatures if p.name == name)
+    named = Named(signature.score(prepared.fields), signature, "unknown", (("unknown", 1.0),), False)
     ids = frozenset(e.id for e in registered(HIDDEN))
     return card(Step(named, prepared.fields, -20.0), prepared.signatures, ids), ids
 
@@ -68,8 +68,8 @@ def test_card_in_words_has_a_line_for_everything_known():
 def test_a_card_says_which_name_was_withdrawn_and_why():
     capture = capture_set(61, row_offsets(2.0), kinds="d")
     prepared = prepare_split(capture, split_recordings(capture))
-    probe = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
-    named = Named(probe.score(prepared.fields), probe, "row_noise", (("row_noise", 1.0),), False)
+    signature = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
+    named = Named(signature.score(prepared.fields), signature, "row_noise", (("row_noise", 1.0),), False)
     step = Step(named.withdrawn(Doubt(0.43, ("parts of rows (frame to frame)",))), prepared.fields, -20.0)
     entry = card(step, prepared.signatures, frozenset({"row_noise", "banding"}))
     assert entry["nearest"] == "row_noise"

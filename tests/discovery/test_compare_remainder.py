@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import all_frames, prepare, split_recordings
 from cannoise_jax.discovery.compare import better, compare
 from cannoise_jax.discovery.compare.remainder import with_remainder
-from cannoise_jax.discovery.model import baseline_model
+from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from tests.discovery.capture import capture_set

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery import simulate
-from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.limits import mde
-from cannoise_jax.discovery.page import page
-from cannoise_jax.discovery.report import document
+from cannoise_jax.discovery.frames import simulate
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.report.document import document
+from cannoise_jax.discovery.report.page import page
+from cannoise_jax.discovery.search.limits import mde
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -156,18 +156,18 @@ def test_scene_without_reference_and_settings_gives_a_report():
     assert found.findings == []
 
 
-def test_the_minimum_detectable_row_noise_is_that_of_its_probe():
+def test_the_minimum_detectable_row_noise_is_that_of_its_signature():
     limit = mde("row_noise", capture_set(0))
     assert limit is not None
     shifts = []
     for seed in range(6):
         capture = capture_set(seed, row_offsets(limit * 2))
         prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
-        probe = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
-        score = probe.score(prepared.fields)
+        signature = next(p for p in prepared.signatures if p.name == "row_additive_temporal")
+        score = signature.score(prepared.fields)
         assert score is not None
         shifts.append(score.amplitude**2 / score.shift**2)
-    # Four times the variance of the limit; what is frozen in the frames costs the probe a frame of each.
+    # Four times the variance of the limit; what is frozen in the frames costs the signature a frame of each.
     assert np.mean(shifts) == pytest.approx(4 * 5 * np.sqrt(7 / 8), rel=0.15)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.fit import stepwise
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.signatures import groups
 from cannoise_jax.signatures.fields import Fields, helmert, refit
 from cannoise_jax.signatures.score import sidak
@@ -15,7 +15,7 @@ from tests.discovery.looks import SIGNATURES
 
 SIZE = (64, 96)
 KIN = ("tile", "diagonal", "antidiagonal", "site", "row", "column", "frame", "pixel", "scene")
-PROBES = tuple(s for s in SIGNATURES.values() if s.name.startswith(KIN) and "slope" not in s.name)
+LOOKED_FOR = tuple(s for s in SIGNATURES.values() if s.name.startswith(KIN) and "slope" not in s.name)
 ALLOWED = frozenset({"row_noise", "column_noise", "row_fpn", "column_fpn", "dsnu"})
 
 
@@ -37,7 +37,7 @@ def dark(rng, number, tiles=0.0, columns=0.0, frames=6):
 def fitted():
     rng = np.random.default_rng(4)
     fields = refit(tuple(dark(rng, n, 0.25, 0.3) for n in range(3)))
-    return stepwise(fields, PROBES, ALLOWED, float(np.log(0.01)))
+    return stepwise(fields, LOOKED_FOR, ALLOWED, float(np.log(0.01)))
 
 
 def test_both_effects_are_found_and_nothing_else(fitted):
@@ -57,7 +57,7 @@ def test_p_of_the_first_is_taken_with_the_second_in_the_model(fitted):
 def test_nothing_is_found_where_there_is_nothing():
     rng = np.random.default_rng(5)
     found = [
-        stepwise(tuple(dark(rng, n) for n in range(2)), PROBES, ALLOWED, float(np.log(0.01))).steps
+        stepwise(tuple(dark(rng, n) for n in range(2)), LOOKED_FOR, ALLOWED, float(np.log(0.01))).steps
         for _ in range(40)
     ]
     assert sum(map(bool, found)) <= 3  # 0.4 expected: more than 3 has probability 1e-4
@@ -67,10 +67,10 @@ def test_what_the_final_model_does_not_need_is_given_up_again():
     """Row noise of two frames shows in their mean first; beside it in the model nothing is left to stay."""
     capture = capture_set(70, row_offsets(1.5), kinds="df", frames=2)
     prepared = prepare_split(capture, split_recordings(capture))
-    probes = tuple(p for p in prepared.signatures if p.name.startswith("row_"))
+    signatures = tuple(p for p in prepared.signatures if p.name.startswith("row_"))
     said = []
     found = stepwise(
-        prepared.fields, probes, frozenset({"row_fpn", "row_noise"}), float(np.log(0.01)), said.append
+        prepared.fields, signatures, frozenset({"row_fpn", "row_noise"}), float(np.log(0.01)), said.append
     )
     assert [s.named.mechanism for s in found.steps] == ["row_noise"]
     assert any(text.startswith("given up: row_fpn") for text in said)
@@ -88,7 +88,7 @@ def test_a_second_look_sees_what_the_first_suspects_and_charges_its_share():
     for seed in range(12):
         looked, together = two_looks(np.random.default_rng(seed), 0.05)
         found = stepwise(
-            looked, PROBES, ALLOWED, float(np.log(0.01)), every=lambda together=together: together
+            looked, LOOKED_FOR, ALLOWED, float(np.log(0.01)), every=lambda together=together: together
         )
         for step in found.steps:
             assert step.named.mechanism in ("column_noise", "column_fpn")  # their mean shows some of it, too
@@ -107,5 +107,5 @@ def test_two_looks_find_nothing_where_there_is_nothing():
     for seed in range(40):
         looked, together = two_looks(np.random.default_rng(100 + seed), 0.0)
         every = lambda together=together: together  # noqa: E731
-        found.append(stepwise(looked, PROBES, ALLOWED, float(np.log(0.01)), every=every).steps)
+        found.append(stepwise(looked, LOOKED_FOR, ALLOWED, float(np.log(0.01)), every=every).steps)
     assert sum(map(bool, found)) <= 3  # 0.4 expected: more than 3 has probability 1e-3

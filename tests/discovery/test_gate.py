@@ -8,14 +8,14 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery import gate as gate_module
-from cannoise_jax.discovery.battery import split_recordings
-from cannoise_jax.discovery.check import check, compared_on, frames_for
 from cannoise_jax.discovery.compare.sources import open_source
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.gate import Gain, Tried
-from cannoise_jax.discovery.twosample import Area, differs
-from cannoise_jax.discovery.verdict import verdict_of
+from cannoise_jax.discovery.frames.battery import split_recordings
+from cannoise_jax.discovery.proof import gate as gate_module
+from cannoise_jax.discovery.proof.check import check, compared_on, frames_for
+from cannoise_jax.discovery.proof.gate import Gain, Tried
+from cannoise_jax.discovery.proof.twosample import Area, differs
+from cannoise_jax.discovery.proof.verdict import verdict_of
 from tests.discovery.capture import capture_set
 from tests.discovery.test_compare_bank import camera, fixed, rows, tails
 

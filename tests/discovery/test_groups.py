@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
 from cannoise_jax.signatures import groups
 from cannoise_jax.signatures.fields import Fields, helmert, refit
 from tests.discovery.capture import capture_set
@@ -98,10 +98,10 @@ def test_what_is_left_of_strong_offsets_is_white(name, sigma):
     """The modelled noise holds strong offsets too: once out, no line or tile stands above its pixels."""
     capture = capture_set(57, redrawn_by(DRAWS[name], sigma), kinds="df")
     prepared = prepare_split(capture, split_recordings(capture))
-    probes = {p.name: p for p in prepared.signatures}
+    signatures = {p.name: p for p in prepared.signatures}
     fields = prepared.fields
-    left = refit(probes[name].absorb(fields, probes[name].score(fields)))
-    again = probes["tile_16_redrawn" if name.startswith("tile") else "row_additive_temporal"].score(left)
+    left = refit(signatures[name].absorb(fields, signatures[name].score(fields)))
+    again = signatures["tile_16_redrawn" if name.startswith("tile") else "row_additive_temporal"].score(left)
     assert again.log_p > np.log(0.01)
     # What the pixels are left with is their own noise: 3 electrons and shot noise of 1.5 DN/e-, and rounding.
     own = [np.mean(f.sigma.astype(np.float64) ** 2) for f in left]

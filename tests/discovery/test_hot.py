@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from cannoise_jax.discovery.locate import Located
-from cannoise_jax.discovery.name import name
+from cannoise_jax.discovery.search.locate import Located
+from cannoise_jax.discovery.search.name import name
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.hot import (
     Heat,

@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.declare import registered
-from cannoise_jax.discovery.fit import stepwise
-from cannoise_jax.discovery.model import extended_model
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.search.declare import registered
+from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.model import extended_model
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare
 from cannoise_jax.discovery.diagnose import detectable, diagnose
-from cannoise_jax.discovery.limits import mde
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.search.limits import mde
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude
 from tests.conftest import SEARCH
@@ -206,8 +206,8 @@ def test_the_smallest_detectable_effect_is_found_half_of_the_time(mechanism, eff
         for seed in range(sets):
             capture = capture_set(seed, effect(amplitude), kinds="d")
             prepared = prepare(capture, [list(range(r.count)) for r in capture.recordings], False)
-            probes = [p for p in prepared.signatures if p.mechanism == mechanism]
-            seen += min(p.score(prepared.fields).log_p for p in probes) < level
+            signatures = [p for p in prepared.signatures if p.mechanism == mechanism]
+            seen += min(p.score(prepared.fields).log_p for p in signatures) < level
         return seen / sets
 
     assert share(0.6 * found[0]) <= 0.25

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.fit import stepwise
-from cannoise_jax.discovery.model import baseline_model, extended_model
-from cannoise_jax.discovery.simulate import simulate_like
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.simulate import simulate_like
+from cannoise_jax.discovery.search.declare import registered
+from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.model import baseline_model, extended_model, with_addition
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.settings import ExtrapolationWarning
+from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.signatures.covariance import neighbour_kernel
+from cannoise_jax.signatures.signature import Addition
 from tests.discovery.capture import (
     SIZE,
     capture_set,
@@ -56,8 +62,8 @@ def test_draws_show_the_finding_as_strong_as_the_recordings_did(alter, hidden, e
     assert [f.mechanism for f in model.mechanisms] == [expected]
     again = looked_at(simulate_like(capture, model.sample, jax.random.key(0), True))
     named = steps[0].named
-    probe = next(p for p in again.signatures if p.name == named.signature.name)
-    score = probe.score(again.fields)
+    signature = next(p for p in again.signatures if p.name == named.signature.name)
+    score = signature.score(again.fields)
     assert score.amplitude == pytest.approx(named.score.amplitude, abs=4 * named.score.error, rel=0.1)
     # The noise that the effect was part of is not counted twice.
     for before, after in zip(first.baselines, again.baselines, strict=True):
@@ -129,6 +135,19 @@ def test_an_unnamed_model_survives_its_file(tmp_path):
     clean, settings = np.zeros(SIZE, np.float32), Settings(100.0, 0.01, None, 2)
     both = [np.asarray(m.sample(jax.random.key(1), clean, settings)) for m in (model, read)]
     np.testing.assert_array_equal(*both)
+
+
+def test_thermal_charge_keeps_the_temperature_at_which_it_was_found(recwarn):
+    recordings = capture_set(59, kinds="d").recordings
+    cold = [
+        dataclasses.replace(r, temperature_c=-5.0 - n, exposure_s=9.0 - n) for n, r in enumerate(recordings)
+    ]
+    step = SimpleNamespace(named=SimpleNamespace(mechanism="dark_current"))
+    model = SensorModel.poisson_gaussian(1.5, 2.0, 100.0, 1100.0)
+    model = with_addition(model, step, Addition({"e_per_s": 2.0}), measured_at(cold))
+    assert model.mechanisms[0].scaling.reference_temperature_c == -5.0
+    model.sample(jax.random.key(0), np.zeros(SIZE, np.float32), Settings(100.0, 9.0, -5.0))
+    assert not [w for w in recwarn if issubclass(w.category, ExtrapolationWarning)]
 
 
 def test_without_findings_it_is_the_baseline():

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.battery import splits_of
-from cannoise_jax.discovery.contrasts import robust_mean
-from cannoise_jax.discovery.locate import locate
-from cannoise_jax.discovery.name import name
-from cannoise_jax.discovery.smooth import beyond, polynomials
+from cannoise_jax.discovery.frames.battery import splits_of
+from cannoise_jax.discovery.frames.contrasts import robust_mean
+from cannoise_jax.discovery.frames.smooth import beyond, polynomials
+from cannoise_jax.discovery.search.locate import locate
+from cannoise_jax.discovery.search.name import name
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.codes import _above_the_law

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.report import document
+from cannoise_jax.discovery.report.document import document
+from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
@@ -119,7 +119,7 @@ def test_the_name_of_one_of_the_package_is_refused():
 
 @pytest.mark.parametrize("own", [THIRD, BLOCKS], ids=["third rows", "blocks"])
 def test_p_is_uniform_without_an_effect(own):
-    (signature,) = generic.by_sampling(own.record, name=own.id, unit="DN", known={})(RECORDED)
+    (signature,) = generic.by_sampling(own.record, name=own.id, known={})(RECORDED)
     p = np.exp([signature.score(white(np.random.default_rng(s), size=(48, 64))).log_p for s in range(200)])
     for level in (0.5, 0.1):
         assert np.mean(p < level) == pytest.approx(level, abs=3.5 * np.sqrt(level / 200))

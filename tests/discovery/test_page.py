@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 from cannoise_jax.discovery.diagnose import ROWS
-from cannoise_jax.discovery.page import place, verdict
-from cannoise_jax.discovery.prove import Proof
-from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.discovery.proof.prove import Proof
+from cannoise_jax.discovery.report.page import place, verdict
+from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
 from cannoise_jax.signatures.signature import Axes

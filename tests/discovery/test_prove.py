@@ -7,17 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare, prepare_split, split_recordings
-from cannoise_jax.discovery.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.heldout import Predicted, Scored, score_frames
-from cannoise_jax.discovery.prove import frame_interval, held_out_gain
+from cannoise_jax.discovery.frames.battery import prepare, prepare_split, split_recordings
+from cannoise_jax.discovery.frames.blocks import frame_blocks, leave_out
+from cannoise_jax.discovery.proof.heldout import Predicted, Scored, score_frames
+from cannoise_jax.discovery.proof.prove import Proof, Proofs, frame_interval, held_out_gain, refuted, standing
+from cannoise_jax.discovery.search.fit import Fitted, Step
+from cannoise_jax.discovery.search.locate import Located
+from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import frame_fields
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.waves import wave_score
 from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
-from tests.discovery.looks import white
+from tests.discovery.looks import SIGNATURES, white
 
 
 def halves(capture):
@@ -186,3 +189,26 @@ def test_a_wave_is_proved_at_the_frequency_that_it_was_found_at():
     lost = [np.hypot(a - frequency[0], b - frequency[1]) > 1.2 / 64 for a, b in anywhere]
     assert np.mean(lost) > 0.05  # the search of the whole plane goes astray
     assert np.mean(there) == pytest.approx(amplitude, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("again", "gain", "gone"),
+    [
+        ((0.0, 0.1), -0.6, True),  # excluded: at most 0.16 of the 1.0 that was found
+        ((0.0, 0.4), -0.6, False),  # too few frames to say
+        ((0.0, 0.1), 2.0, False),  # they gain by it
+        ((0.3, 0.1), -0.6, False),  # they show some of it
+    ],
+)
+def test_what_the_frames_held_back_exclude_is_no_finding(again, gain, gone):
+    found = Score(
+        log_p=-20.0, gain=25.0, penalty=3.0, amplitude=1.0, error=0.2, shift=0.3, power=2,
+        parameters={}, where={},
+    )  # fmt: skip
+    rows = SIGNATURES["row_additive_temporal"]
+    step = Step(Named(found, rows, "row_noise", (("row_noise", 1.0),), False), (), -20.0)
+    proof = Proof(found.replace(amplitude=again[0], error=again[1]), gain, gain - 1, gain + 1, 9)
+    empty = Located({}, {}, 1.0)
+    fitted, proofs = standing(Fitted((step,), (), empty, empty), Proofs((proof,), None, None))
+    assert (len(fitted.steps), len(proofs.each)) == ((0, 0) if gone else (1, 1))
+    assert not refuted(step._replace(late=True), proof)

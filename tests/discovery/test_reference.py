@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.declare import registered
 from cannoise_jax.discovery.diagnose import detectable, diagnose
-from cannoise_jax.discovery.fit import stepwise
-from cannoise_jax.discovery.report import finding
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.report.document import finding
+from cannoise_jax.discovery.search.declare import registered
+from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import diagnose as command
-from cannoise_jax.discovery.battery import split_recordings
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.page import advice, page
-from cannoise_jax.discovery.prove import Proof
-from cannoise_jax.discovery.report import document
-from cannoise_jax.discovery.wording import sentence
+from cannoise_jax.discovery.frames.battery import split_recordings
+from cannoise_jax.discovery.proof.prove import Proof
+from cannoise_jax.discovery.report.document import digests, document
+from cannoise_jax.discovery.report.page import advice, page
+from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.native import write_recording
@@ -262,6 +262,19 @@ def test_command_writes_report_page_and_model(tmp_path, capsys):
     assert (out / "report.json").read_bytes() == before
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert error.startswith("bin/diagnose: ") and np.char.count(error, "\n") == 0
+
+
+def test_digests_are_those_of_the_files_that_a_recording_was_made_from(tmp_path):
+    names = [str(tmp_path / f"dark_{n}.fits") for n in (1, 2)]
+    for n, name in enumerate(names):
+        (tmp_path / name).write_bytes(b"ab"[n : n + 1])
+    first = capture_set(1, kinds="d").recordings[0]
+    sums = [hashlib.sha256(text).hexdigest() for text in (b"a", b"b", b"ab")]
+    joined = dataclasses.replace(first, path=f"{names[0]} and 1 more", sources=tuple(names))
+    files = [{"file": name, "sha256": s} for name, s in zip(names, sums, strict=False)]
+    assert digests(joined) == {"sha256": sums[2], "files": files}
+    assert digests(dataclasses.replace(first, path=names[0])) == {"sha256": sums[0]}
+    assert digests(dataclasses.replace(first, path=None)) == {"sha256": None}
 
 
 def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():

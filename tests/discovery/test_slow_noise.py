@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.report import document
+from cannoise_jax.discovery.report.document import document
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.spectra import below_frame
 from tests.discovery.capture import SIZE, capture_set

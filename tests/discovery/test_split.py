@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_frames, split_recordings
-from cannoise_jax.discovery.blocks import leave_out
-from cannoise_jax.discovery.locate import locate
-from cannoise_jax.discovery.prove import strength_beyond
+from cannoise_jax.discovery.frames.battery import prepare_split, split_frames, split_recordings
+from cannoise_jax.discovery.frames.blocks import leave_out
+from cannoise_jax.discovery.proof.prove import strength_beyond
+from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.signatures.fields import contrast_matrix, frame_fields
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak

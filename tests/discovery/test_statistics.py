@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.contrasts import detected_step
+from cannoise_jax.discovery.frames.contrasts import detected_step
 from cannoise_jax.signatures import lines
 from cannoise_jax.signatures.fields import frame_fields, helmert
 from cannoise_jax.signatures.score import chi2_log_sf, quadratic_log_p, sidak, variance_component

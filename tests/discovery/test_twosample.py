@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.battery import prepare_split, split_recordings
-from cannoise_jax.discovery.draws import spread_codes
-from cannoise_jax.discovery.patch_network import Patches, all_features, cut, train
-from cannoise_jax.discovery.twosample import (
+from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.draws import spread_codes
+from cannoise_jax.discovery.proof.patch_network import Patches, all_features, cut, train
+from cannoise_jax.discovery.proof.twosample import (
     Scored,
     area,
     decided,

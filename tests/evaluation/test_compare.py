@@ -95,8 +95,18 @@ def test_cameras_and_isos_add_up(patches):
 
 
 def test_same_key_same_results(patches, results):
-    again = compare.evaluate_model(oracle, patches, NAMES, jax.random.key(1), batch=16, columns=("model",))
+    told = []
+    again = compare.evaluate_model(
+        oracle,
+        patches,
+        NAMES,
+        jax.random.key(1),
+        batch=16,
+        columns=("model",),
+        tell=lambda *at: told.append(at),
+    )
     assert again["pooled"]["model"] == results["pooled"]["model"]
+    assert told == [(n, len(told)) for n in range(1, len(told) + 1)] and len(told) > 1
 
 
 def test_a_model_that_looks_at_no_reference_is_the_same_with_any(patches):

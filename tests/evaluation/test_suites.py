@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.evaluate import _plain, main
-from cannoise_jax.discovery.patch_area import two_sample_area
+from cannoise_jax.discovery.proof.patch_area import two_sample_area
 from cannoise_jax.evaluation.evaluators import Samples
 from cannoise_jax.evaluation.noise_models import (
     BASELINES,

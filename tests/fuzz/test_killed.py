@@ -25,7 +25,7 @@ from tests.fuzz.test_fuzz import Worker, prepared
 FEW, MANY, SOME = 3, 200, 50
 CODE = (
     *("cannoise_jax/recordings/atomic.py", "cannoise_jax/recordings/native.py", "cannoise_jax/training"),
-    *("cannoise_jax/physics/core/sensor_json.py", "cannoise_jax/discovery/save.py"),
+    *("cannoise_jax/physics/core/sensor_json.py", "cannoise_jax/discovery/report/save.py"),
     *(f"cannoise_jax/commands/{name}.py" for name in ("convert", "diagnose", "sample_frames", "simulate")),
 )
 """What the table of docs/reliability.md depends on."""
@@ -142,7 +142,7 @@ def test_the_command_train_that_is_killed_ends_at_the_same_bits(worker, tmp_path
     shutil.rmtree(folder / "out" / "w")
     whole = worker.run(case, folder, 1000, cpu=1000)
     assert whole["status"] == 0 and bits() == expected, whole["err"][-600:]
-    while killed_ < SOME:
+    while killed_ < MANY:
         rounds += 1
         if model.exists():
             assert bits() == expected

@@ -27,12 +27,14 @@ import cannoise_jax
 
 READERS = ("h5py", "astropy.io.fits", "tifffile", "rawpy", "PIL.Image", "jax.numpy")
 """What modules import only when they need it."""
+PEERS = "cannoise_jax.bench.torch_"
+"""Modules that need an optional extra, for `bin/bench` alone."""
 
 
 def main() -> int:
     warnings.filterwarnings("ignore", category=RuntimeWarning, message=r".*fork.*")
     inside = (module.name for module in pkgutil.walk_packages(cannoise_jax.__path__, "cannoise_jax."))
-    for name in (*READERS, *inside):
+    for name in (*READERS, *(name for name in inside if not name.startswith(PEERS))):
         importlib.import_module(name)
     logging.getLogger().handlers.clear()  # a library's own would keep a command from setting up its lines
     answers = os.fdopen(os.dup(1), "w")

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.vocabulary import Term
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "adding_a_mechanism.md"
 CODE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
@@ -141,7 +143,7 @@ def test_a_name_of_the_package_cannot_be_taken(droop):
 def test_a_record_that_cannot_work_is_refused_in_one_line(droop, change, said):
     import dataclasses
 
-    from cannoise_jax.discovery.declare import registered
+    from cannoise_jax.discovery.search.declare import registered
 
     record = dataclasses.replace(droop.record, **change)
     base = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095)
@@ -149,3 +151,30 @@ def test_a_record_that_cannot_work_is_refused_in_one_line(droop, change, said):
         base.with_mechanism(record)
     with pytest.raises(ValueError, match=said):
         registered(mechanisms=[dataclasses.replace(droop, record=record)])
+
+
+def test_what_a_sampler_returns_is_checked(droop):
+    import dataclasses
+
+    from cannoise_jax.signatures import generic
+    from tests.discovery.looks import RECORDED, white
+
+    def rows_alone(key, x, values, maps, context):
+        return x[:, :, 0]
+
+    def broken(key, x, values, maps, context):
+        return x * jnp.where(values["sigma_dn"] > 0, jnp.nan, 1.0)
+
+    base, clean = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095), np.full((32, 48), 0.1, np.float32)
+    with pytest.raises(BadInput, match="droop: its sampler returns"):
+        base.with_mechanism(dataclasses.replace(droop.record, sample=rows_alone)).sample(
+            jax.random.key(0), clean, Settings(frames=2)
+        )
+    record = dataclasses.replace(droop.record, sample=broken)
+    with pytest.raises(BadInput, match="droop: its sampler draws values that are not finite"):
+        generic.learned(record, white(np.random.default_rng(0)), RECORDED)
+
+
+def test_a_class_that_there_is_not_is_refused():
+    with pytest.raises(ValueError, match="class 'sensr': one of"):
+        Term("droop", "Something.", None, "sensr", "DN", "rms")

@@ -7,7 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.networks.convolutions import CONV, CONV_TRANSPOSE, choose_conv, conv2d
+from cannoise_jax.networks.convolutions import (
+    CONV,
+    CONV_TRANSPOSE,
+    choose_conv,
+    conv2d,
+)
 
 CASES = [
     ("patches", 4, 2, 1, 6),
@@ -16,6 +21,9 @@ CASES = [
     ("patches", 1, 1, 0, 3),
     ("blocks", 3, 1, 1, 4),
     ("blocks", 7, 1, 3, 6),
+    ("runs", 3, 1, 1, 4),
+    ("runs", 7, 1, 3, 6),
+    ("runs", 4, 2, 1, 8),
 ]
 
 
@@ -90,3 +98,4 @@ def test_small_maps_become_matrix_products_and_large_ones_do_not():
     assert choose_conv(4, 3, 1024, 1024, 1, False) == "patches"
     assert choose_conv(64 * 64, 3, 20, 32, 1, False) == "plain"
     assert choose_conv(64 * 64, 4, 16, 16, 2, True) == "patches"
+    assert choose_conv(64 * 64, 7, 4, 16, 1, False) == choose_conv(64 * 64, 4, 8, 16, 2, False) == "runs"

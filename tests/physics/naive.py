@@ -206,6 +206,9 @@ SAMPLE = {
     "rts": rts,
     "dsnu": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"] / c["gain"],
     "row_noise": lambda rng, x, p, m, c: x + rng.normal(0, p["sigma_dn"], _per(x, 1)),
+    "odd_even_row_noise": lambda rng, x, p, m, c: (
+        x + rng.normal(0, p["sigma_dn"], _per(x, 1)) * np.where(np.arange(x.shape[2]) % 2, -1, 1)
+    ),
     "column_noise": lambda rng, x, p, m, c: x + rng.normal(0, p["sigma_dn"], _per(x, 2)),
     "row_fpn": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"],
     "column_fpn": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"],

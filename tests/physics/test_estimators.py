@@ -11,6 +11,7 @@ from cannoise_jax.mechanisms.entry import DARK, Case
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, root, variance_difference
 from cannoise_jax.physics.transfer.estimators.circle import circle
 from cannoise_jax.physics.transfer.estimators.codes import black_level_errors
+from cannoise_jax.physics.transfer.estimators.maps import green_imbalance
 from cannoise_jax.physics.transfer.estimators.spectra import _expected_rows, power_law_correlation
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.recordings import Recording
@@ -48,6 +49,19 @@ def test_every_estimator_has_a_case_for_its_parameters():
         for case in entry.examples.cases:
             names = set(entry.record.defaults())
             assert set(case.truth) == names or entry.id in ("row_noise", "bookkeeping"), entry.id
+
+
+def test_what_is_missing_is_said_in_view_of_what_was_given():
+    frames = np.random.default_rng(0).normal(200, 4, (2, 16, 16))
+    one, two = (darks(frames[:n], 0.0, "bias") for n in (1, 2))
+    for id, given, least, said in (
+        ("dsnu", [], 2, "better 16"),
+        ("dsnu", [one], 2, "1 bias given"),
+        ("pixel_read_noise_map", [one, two], 4, "2 biases given"),
+        ("rts", [two], 8, "2 biases given"),
+    ):
+        words = estimated(id, given).record
+        assert words.startswith(f"record at least {least} frames") and words.endswith(said), words
 
 
 @pytest.mark.parametrize("id", SLICE)
@@ -187,3 +201,11 @@ def test_white_rows_are_not_pink_and_pink_rows_are():
             s = darks(rng.normal(200, 6, (8, 64, 96)) + rows[:, :, None])
             against.append(entry.estimator.against(estimated(entry.id, [s]), [s]))
     assert all(said[0.0]) and said[1.0].count("") >= 4
+
+
+def test_a_sensor_without_colours_has_no_two_greens():
+    rng = np.random.default_rng(0)
+    frames = rng.poisson(1000, (4, 32, 48)).astype(np.uint16)
+    flat = Recording(frames, "MONO", (0.0,) * 4, 65535.0, kind="flat", exposure_s=0.01)
+    said = green_imbalance([frame_statistics(flat)])
+    assert isinstance(said, NotMeasurable) and "no two greens" in said.record

@@ -8,6 +8,8 @@ from cannoise_jax.recordings.codes import (
     detect_code_step_per_channel,
 )
 from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.native import read_recording, write_recording
+from cannoise_jax.recordings.recording import Recording
 
 
 def lattice(codes):
@@ -105,3 +107,10 @@ def test_real_recordings(real_data, camera, step):
     for recording in load_capture_set(real_data / camera).recordings:
         assert detect_code_step(recording.frames) == step, recording.path
         assert detect_code_step_per_channel(recording.frames[:2]) == (step,) * 4, recording.path
+
+
+def test_the_widest_step_that_may_be_stated_is_compared_with_the_codes(tmp_path):
+    frames = (64 + np.random.default_rng(0).poisson(200, (2, 24, 32))).astype(np.uint16)
+    stated = Recording(frames, "RGGB", (64.0,) * 4, 1023.0, code_step=65536.0)
+    write_recording(tmp_path / "a.h5", stated)
+    assert read_recording(tmp_path / "a.h5").code_step == 65536.0

@@ -154,6 +154,17 @@ def test_overscan_is_cut_and_becomes_the_black_level(tmp_path):
         load_recording(write(tmp_path / "c.fits", data, **more), white_level=65535)
 
 
+def test_a_picture_section_alone_is_cut_and_sections_of_another_frame_are_said(tmp_path, caplog):
+    data = np.random.default_rng(1).normal(500, 3, (12, 20)).round().astype(np.uint16)
+    cut = load_recording(write(tmp_path / "a.fits", data, TRIMSEC="[3:16,1:12]"), cfa="MONO", **LEVELS)
+    np.testing.assert_array_equal(cut.frames[0], data[:, 2:16])
+    assert not caplog.text
+    stale = {"BIASSEC": "[17:2000,1:12]", "TRIMSEC": "[16:2,1:0]"}
+    whole = load_recording(write(tmp_path / "b.fits", data, **stale), cfa="MONO", **LEVELS)
+    assert whole.size == (12, 20)
+    assert "BIASSEC [17:2000,1:12], TRIMSEC [16:2,1:0]: no part of 12 x 20 pixels: not used" in caplog.text
+
+
 def amplifiers(path, whole, detsec=True, gap=0):
     """Two amplifiers side by side, the right one read from its far end, each with two columns of overscan."""
     hdus = [fits.PrimaryHDU()]
@@ -204,6 +215,14 @@ def test_three_planes_of_a_developed_picture(tmp_path):
         load_recording(write(tmp_path / "a.fits", colours), cfa="MONO", **LEVELS)
     frames = np.random.default_rng(0).normal(900, 5, (3, 6, 10)).astype(np.uint16)
     assert load_recording(write(tmp_path / "b.fits", frames), cfa="MONO", **LEVELS).count == 3
+
+
+def test_a_picture_of_three_values_a_pixel(tmp_path):
+    colours = np.random.default_rng(0).integers(800, 1000, (20, 30, 3)).astype(np.uint16)
+    np.save(tmp_path / "a.npy", colours)
+    for path in (write(tmp_path / "a.fits", colours), tmp_path / "a.npy"):
+        with pytest.raises(BadInput, match="3 values a pixel are the colours of a developed picture"):
+            load_recording(path, cfa="MONO", **LEVELS)
 
 
 def test_a_kind_that_is_not_known_is_said(tmp_path, caplog):

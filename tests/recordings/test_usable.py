@@ -53,3 +53,27 @@ def test_too_few_that_are_left_are_refused_but_single_frames_are_not():
         with pytest.raises(BadInput, match="copy of frame 1") as refused:
             usable(CaptureSet("c", recordings))
         assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"frames": noisy()[0]}, "frames have shape"),
+        ({"frames": noisy().astype(float)}, "frames are float64"),
+        ({"cfa": "ABCD"}, "unknown CFA 'ABCD'"),
+        ({"kind": "drak"}, "unknown kind 'drak'"),
+        ({"shot": (-1.0,) * 4, "read": (1e-4,) * 4}, "shot is -1"),
+        ({"white_level": 1e30}, "far beyond codes of 16 bits"),
+        ({"temperature_c": -400.0}, "temperature_c is -400"),
+        ({"clean": np.zeros((2, 2), np.float32)}, "clean has shape"),
+    ],
+)
+def test_recordings_of_ones_own_are_held_to_the_rules_for_files(fields, message):
+    wrong = dataclasses.replace(recording(noisy()), **fields)
+    with pytest.raises(BadInput, match=message):
+        usable(CaptureSet("a", (wrong,)))
+
+
+def test_one_black_level_is_that_of_all_sites():
+    one = dataclasses.replace(recording(noisy()), black_level=64.0)
+    assert usable(CaptureSet("a", (one,)))[0].recordings[0].black_level == (64.0,) * 4

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.physics.core.mosaic_ops import neighbour_mean
+from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.training.drawn import DrawnBatches, drawn_cameras
 
 
@@ -72,3 +76,24 @@ def test_codes_at_the_black_level_are_zeros(cameras):
         off_black = np.abs(images[images != 0]).min()
         found += off_black > 0.9 / (2**14 - 1)
     assert found >= len(cameras) - 1
+
+
+def test_what_denoising_takes_from_a_scene_is_no_noise(cameras):
+    """Beside its clean signal a camera that denoises has the noise of its level, however sharp the scene."""
+    edges = 0.2 + 0.1 * (np.arange(64) // 4 % 2)[:, None, None].astype(np.float32)
+    scene = np.broadcast_to(edges, (64, 64, 4))
+    weight = np.float32(0.2)
+    denoising = replace(
+        cameras,
+        scenes=np.broadcast_to(scene, cameras.scenes.shape),
+        truth={**cameras.truth, "blend": np.full(len(cameras), weight)},
+    )
+    clean = denoising.clean(0, 0)
+    shown = denoising.shown(0, 0)
+    mosaic = np.asarray(unpack(shown, "RGGB"))
+    wanted = pack(np.asarray((1 - weight) * mosaic + weight * neighbour_mean(mosaic, 2)), "RGGB")
+    np.testing.assert_allclose(clean, wanted, atol=1e-6)
+    assert np.std(clean - shown) > 0.001
+    np.testing.assert_array_equal(denoising.noisy(0, 0), shown + denoising.noise[0, 0])
+    untouched = replace(denoising, truth={**cameras.truth, "blend": np.zeros(len(cameras), np.float32)})
+    np.testing.assert_array_equal(untouched.clean(0, 0), shown)

@@ -85,11 +85,12 @@ def test_the_way_travels_in_the_file_and_older_files_are_refused(trained, tmp_pa
     with np.load(tmp_path / "model.npz") as file:
         arrays = dict(file)
     description = json.loads(str(arrays["description"]))
-    arrays["description"] = np.array(json.dumps({**description, "format": "cannoise/model/1"}))
-    np.savez(tmp_path / "model.npz", **arrays)
-    with pytest.raises(BadInput, match="older version.*train it again") as error:
-        load_model(tmp_path)
-    assert "\n" not in str(error.value)
+    for older in ("cannoise/model/1", "cannoise/model/2"):
+        arrays["description"] = np.array(json.dumps({**description, "format": older}))
+        np.savez(tmp_path / "model.npz", **arrays)
+        with pytest.raises(BadInput, match="older version.*train it again") as error:
+            load_model(tmp_path)
+        assert "\n" not in str(error.value)
 
 
 def test_the_level_of_training_is_that_of_sampling():

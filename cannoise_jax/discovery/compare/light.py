@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.discovery.frames.contrasts import robust_line
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 
@@ -35,7 +36,7 @@ class Light:
         out = np.empty(mean.shape, np.float32)
         for at in SITES:
             if self.reference is not None:
-                out[at] = _affine(mean[at], self.reference[at], usable[at])
+                out[at] = _on_reference(mean[at], self.reference[at], usable[at])
             else:
                 out[at] = surface(mean[at], usable[at], self.degree)
         return out
@@ -155,14 +156,10 @@ def _cell_means(basis: np.ndarray, cells: int) -> np.ndarray:
     return np.stack([part.mean(1) for part in np.array_split(basis, cells, axis=1)], 1)
 
 
-def _affine(mean: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Offset and factor of a reference, pixels that stand out left aside; of an even one, the offset."""
+def _on_reference(mean: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """A reference at the offset and factor of the mean; an even one, at its level."""
     x, values = reference[usable].astype(np.float64), mean[usable].astype(np.float64)
     if x.size < 16 or np.ptp(x) < 1e-6:
         return np.full(mean.shape, _bulk(values) if values.size else mean.mean(), np.float32)
-    kept = np.ones(x.size, bool)
-    for _ in range(3):
-        slope, offset = np.polyfit(x[kept], values[kept], 1)
-        rest = values - slope * x - offset
-        kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest[kept])) + 1e-6
+    offset, slope = robust_line(x, values, np.ones(x.size))
     return (slope * reference + offset).astype(np.float32)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.score import Better, scores
 from cannoise_jax.discovery.compare.table import Difference, differences
-from cannoise_jax.discovery.simulate import Draw
+from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
 

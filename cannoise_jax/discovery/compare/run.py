@@ -7,18 +7,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.discovery.calibrate import gain_groups
 from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
 from cannoise_jax.discovery.compare.light import Light, light_for
 from cannoise_jax.discovery.compare.measure import Family, Measured, is_coarse, measure, shared
 from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
-from cannoise_jax.discovery.contrasts import code_step, iso_numbers
-from cannoise_jax.discovery.simulate import Draw
+from cannoise_jax.discovery.frames.calibrate import gain_groups
+from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
+from cannoise_jax.discovery.frames.contrasts import code_step, iso_numbers
+from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
@@ -78,11 +78,11 @@ def compare_bank(
 
     held_back: of every recording the frames that are looked at, and those before them which lend their mean
     alone (all frames where not given). Raises BadInput for a simulator that cannot be judged, ValueError
-    for an alpha out of (0, 1).
+    for an alpha out of (0, 1), TypeError for what is no capture set or no key.
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
-    key = jax.random.key(0) if key is None else key
+    capture, key = checked_capture(capture), checked_key(key)
     source = simulator if isinstance(simulator, Source) else open_source(simulator, capture, key)
     chosen = held_back or [([], chosen_frames(r).tolist()) for r in capture.recordings]
     work = [

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import special, stats
 
-from cannoise_jax.discovery.battery import split_frames
 from cannoise_jax.discovery.compare.measure import STATIC, TEMPORAL
 from cannoise_jax.discovery.compare.run import Compared
+from cannoise_jax.discovery.frames.battery import split_frames
 
 
 class Better(NamedTuple):

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
-from cannoise_jax.discovery.contrasts import MOST_FRAMES
+from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import contrast_matrix, helmert

@@ -143,7 +143,13 @@ def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:
         record = fitted.record
         if record.acts_on == acts_on and record.sample is not None:
             maps = maps_of(model, i, values[i], context)
-            x = record.sample(mechanism_key(key, model, i), x, values[i], maps, context)
+            drawn = record.sample(mechanism_key(key, model, i), x, values[i], maps, context)
+            if jnp.shape(drawn) != jnp.shape(x):
+                raise BadInput(
+                    f"{record.id}: its sampler returns {jnp.shape(drawn)} for frames of {jnp.shape(x)}: "
+                    "return every pixel of every frame"
+                )
+            x = drawn
     return x
 
 

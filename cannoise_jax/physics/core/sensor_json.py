@@ -15,8 +15,6 @@ import hashlib
 import io
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +27,7 @@ from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
 from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
 from cannoise_jax.recordings.atomic import remove_leftovers
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/sensor/1"
@@ -217,5 +216,5 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+    except (*BROKEN_ARRAYS, RuntimeError) as error:
         raise BadInput(f"{npz}: holds no plain arrays: write it anew with bin/calibrate") from error

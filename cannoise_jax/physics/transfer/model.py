@@ -33,7 +33,7 @@ from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_expo
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.recording import BadInput, Recording
 
 Verdict = Literal[
     "in the model",
@@ -174,7 +174,9 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
         law = dataclasses.replace(
             record.scaling,
             reference_iso=float(np.asarray(model.iso)[0]),
-            reference_temperature_c=_temperature(first.statistics) if record.scaling.doubling_c else None,
+            reference_temperature_c=measured_at(r.recording for r in first.statistics)
+            if record.scaling.doubling_c
+            else None,
             **(_exposures(first.statistics) if record.scaling.exposure else {}),
         )
         if finding.point is None:
@@ -188,9 +190,9 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
     return without_charge(model, exposures, first.statistics[0].recording.size)
 
 
-def _temperature(statistics: Sequence[FrameStatistics]) -> float | None:
+def measured_at(recordings: Iterable[Recording]) -> float | None:
     """The temperature at which thermal charge was measured: of the longest recording that states one, C."""
-    known = [s.recording for s in statistics if s.recording.temperature_c is not None]
+    known = [r for r in recordings if r.temperature_c is not None]
     return max(known, key=lambda r: r.exposure_s or 0.0).temperature_c if known else None
 
 

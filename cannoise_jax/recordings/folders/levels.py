@@ -93,7 +93,10 @@ def _white(groups: Sequence[Group]) -> tuple[float | None, str]:
         return min(stated), f"white level {min(stated):g} DN: the lowest that the files state"
     shots = [s for g in groups for s in g.shots]
     top, step = max(s.top for s in shots), int(np.gcd.reduce([s.step for s in shots]))
-    depth = next(d for d in _DEPTHS if top <= d)
+    narrow = all(
+        s.about.get("bits") == 8 for s in shots
+    )  # dim frames of a wider word are no camera of 8 bits
+    depth = next(d for d in _DEPTHS[0 if narrow else 1 :] if top <= d)
     if step > 1 and (step & (step - 1)) == 0:  # codes shifted left: the highest code of a full word
         highest = 65536 - step
         return float(highest), f"white level {highest} DN: codes {step} apart, shifted to 16 bits"

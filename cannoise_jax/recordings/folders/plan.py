@@ -10,7 +10,7 @@ from typing import Any
 
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.levels import Levels, levels
-from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.folders.shots import DEVELOPED, PACKED, Scan, Shot, Tell, matches, scan
 from cannoise_jax.recordings.recording import BadInput
 
 _MOST_NAMED = 3
@@ -138,9 +138,14 @@ def _notes(found: Scan) -> list[str]:
     notes += [f"{_listed(names)}: {doubt}" for doubt, names in by_doubt.items()]
     if found.links:
         notes.append(f"{_listed(found.links)}: not read, links to folders are not followed")
-    if found.unread:
-        counts = ", ".join(f"{n} {suffix}" for suffix, n in sorted(found.unread.items()))
-        notes.append(f"not read: {counts} (developed pictures and films hold no raw values)")
+    if found.lost:
+        notes.append(f"{_listed(found.lost)}: not read, a link to nothing")
+    for suffixes, why in (
+        (DEVELOPED, "developed pictures and films hold no raw values"),
+        (PACKED, "unpack them"),
+    ):
+        counts = [f"{n} {suffix}" for suffix, n in sorted(found.unread.items()) if suffix in suffixes]
+        notes += [f"not read: {', '.join(counts)} ({why})"] if counts else []
     return notes
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +21,8 @@ from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
 from cannoise_jax.recordings.usable import fault_of
 
 _SAMPLE = 1 << 20
-_DEVELOPED = (".jpg", ".jpeg", ".bmp", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf")
+DEVELOPED = (".jpg", ".jpeg", ".bmp", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf")
+PACKED = (".bz2", ".xz", ".zst", ".lz4", ".z", ".zip", ".7z", ".rar", ".tar", ".tgz", ".gz")
 
 Tell = Callable[[int, int], None]
 
@@ -51,7 +52,7 @@ class Shot(NamedTuple):
 class Scan(NamedTuple):
     """The files of a folder. averages: masters and stacks, with the words that say so. failures: why a file
     cannot be used. duds: files whose frames hold no noise, and why. unread: of other formats, by suffix.
-    links: to folders; they may lead anywhere, in circles too."""
+    links: to folders; they may lead anywhere, in circles too. lost: links to nothing, of no format."""
 
     shots: tuple[Shot, ...]
     averages: tuple[tuple[str, str], ...]
@@ -60,6 +61,7 @@ class Scan(NamedTuple):
     failures: tuple[tuple[str, str], ...]
     unread: dict[str, int]
     links: tuple[str, ...]
+    lost: tuple[str, ...]
 
 
 class _Dud(BadInput):
@@ -76,7 +78,8 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
     shots, averages, failures, copies, duds = [], [], [], [], []
     unread: dict[str, int] = {}
     links: list[str] = []
-    found = list(_files(folder, tuple(leave_out), unread, links))
+    lost: list[str] = []
+    found = list(_files(folder, tuple(leave_out), unread, links, lost))
     if not found:
         kinds = f", only {_counted(unread)}" if unread else ""
         raise BadInput(f"{folder}: holds no recordings{kinds}: see bin/convert --help for the formats")
@@ -107,9 +110,8 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
         seen[key] = name
         shots.append(shot)
     tell(len(found), len(found))
-    return Scan(
-        tuple(shots), tuple(averages), tuple(duds), tuple(copies), tuple(failures), unread, tuple(links)
-    )
+    good, apart, ends = tuple(shots), tuple(averages), (tuple(links), tuple(lost))
+    return Scan(good, apart, tuple(duds), tuple(copies), tuple(failures), unread, *ends)
 
 
 def matches(name: str, pattern: str) -> bool:
@@ -118,7 +120,9 @@ def matches(name: str, pattern: str) -> bool:
     return fnmatch(name, pattern) or any(fnmatch(part, pattern) for part in parts)
 
 
-def _files(folder: Path, leave_out: tuple[str, ...], unread: dict[str, int], links: list[str]):
+def _files(
+    folder: Path, leave_out: tuple[str, ...], unread: dict[str, int], links: list[str], lost: list[str]
+) -> Iterator[Path]:
     if sidd.is_instance(folder):
         yield folder
         return
@@ -134,7 +138,9 @@ def _files(folder: Path, leave_out: tuple[str, ...], unread: dict[str, int], lin
                 continue
             if path.is_dir() or is_supported(path):
                 yield path
-            elif suffix_of(path) in _DEVELOPED:
+            elif path.is_symlink() and not path.exists():
+                lost.append(name)
+            elif suffix_of(path) in DEVELOPED + PACKED:
                 unread[suffix_of(path)] = unread.get(suffix_of(path), 0) + 1
 
 

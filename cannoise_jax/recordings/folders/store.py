@@ -24,7 +24,7 @@ from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.load import is_supported, load_capture_set, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.metadata import count_above, make_recording, warn_saturation
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
-from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.native import open_native, write_recording
 from cannoise_jax.recordings.opened import stated
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.sidd import is_instance
@@ -32,7 +32,9 @@ from cannoise_jax.recordings.sidd import is_instance
 _KEPT = 6
 """Conversions that a cache keeps."""
 _MAKING = ".making-"
-_LAYOUT = "1"
+_SOURCES = "sources.json"
+"""In a cached conversion: the files of every recording, below the folder."""
+_LAYOUT = "2"
 """Of what is cached: entries of another layout are not used."""
 
 
@@ -59,21 +61,23 @@ def capture_of(
         return load_capture_set(folder, **options.overrides), ""
     entry = cache / _key(folder, options)
     if (entry / "plan.txt").is_file():
-        os.utime(entry)
-    else:
-        plan = plan_folder(
-            folder, options.overrides, assign=options.assign, leave_out=options.leave_out, tell=tell
+        try:
+            os.utime(entry)
+            return _from_cache(entry, folder, scan=True)
+        except (BadInput, OSError, ValueError):  # damaged: of no use to anyone
+            shutil.rmtree(entry, ignore_errors=True)
+    plan = plan_folder(
+        folder, options.overrides, assign=options.assign, leave_out=options.leave_out, tell=tell
+    )
+    check(plan)
+    cameras = dict.fromkeys(one.groups[0].mode[0] for one in plan.sets)
+    if len(cameras) > 1:
+        raise BadInput(
+            f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): give one of its folders, or "
+            "name them --camera NAME if they are one"
         )
-        check(plan)
-        cameras = dict.fromkeys(one.groups[0].mode[0] for one in plan.sets)
-        if len(cameras) > 1:
-            raise BadInput(
-                f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): give one of its folders, or "
-                "name them --camera NAME if they are one"
-            )
-        _into_cache(plan, entry)
-    capture = load_capture_set(entry)
-    return dataclasses.replace(capture, path=str(folder)), (entry / "plan.txt").read_text(encoding="utf-8")
+    _into_cache(plan, entry)
+    return _from_cache(entry, folder, scan=False)
 
 
 def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[Path, Recording]]:
@@ -92,7 +96,7 @@ def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[
     if lacking:
         words = "; ".join(f"{one.folder}: {'; '.join(one.levels.missing)}" for one in lacking)
         raise BadInput(f"{plan.folder}: {words}")
-    before = _missing_parents(out)
+    made = list(dict.fromkeys(p for one in plan.sets for p in _missing_parents(out / one.folder)))
     written: list[Path] = []
     try:
         for path, one, group in named:
@@ -103,10 +107,10 @@ def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[
             written += [path] if fresh else []
             yield path, recording
     except OSError as error:
-        _undo(written, before, out)
+        _undo(written, made)
         raise BadInput(f"{out}: cannot be written ({error.strerror}): name another folder") from error
     except BaseException:
-        _undo(written, before, out)
+        _undo(written, made)
         raise
 
 
@@ -123,8 +127,31 @@ def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) ->
         parts.append(_lean(make_recording(shot.path, opened.frames, {**known, **settings}, {}, scan=False)))
     recording = join_recordings(parts)
     white = recording.white_level
-    warn_saturation(group.label, count_above(recording.frames, white), recording.frames.shape, white)
+    name = _called([str(s.path) for s in group.shots])
+    warn_saturation(name, count_above(recording.frames, white), recording.frames.shape, white)
     return recording
+
+
+def _called(files: Sequence[str]) -> str:
+    """How messages call a recording that was joined from files."""
+    return files[0] + (f" and {len(files) - 1} more" if len(files) > 1 else "")
+
+
+def _from_cache(entry: Path, folder: Path, scan: bool) -> tuple[CaptureSet, str]:
+    """The recordings of a cached conversion, under the names of the files that they were made from, and the
+    plan of it.
+
+    scan: whether saturation is to be said, which converting does already.
+    """
+    sources = json.loads((entry / _SOURCES).read_text(encoding="utf-8"))
+    recordings = []
+    for name in sorted(sources):
+        files = tuple(str(folder / one) for one in sources[name])
+        opened = open_native(entry / name)
+        recording = make_recording(_called(files), opened.frames, opened.known, {}, scan=scan)
+        recordings.append(dataclasses.replace(recording, sources=files))
+    said = (entry / "plan.txt").read_text(encoding="utf-8")
+    return CaptureSet(recordings[0].camera, tuple(recordings), str(folder)), said
 
 
 def _lean(recording: Recording) -> Recording:
@@ -183,6 +210,8 @@ def _into_cache(plan: Plan, entry: Path) -> None:
         main = dataclasses.replace(plan, sets=plan.sets[:1])
         for _ in write_plan(main, temporary, force=True):
             pass
+        sources = {f"{g.label}.h5": [s.name for s in g.shots] for one in main.sets for g in one.groups}
+        (temporary / _SOURCES).write_text(json.dumps(sources), encoding="utf-8")
         (temporary / "plan.txt").write_text(text(plan) + "\n", encoding="utf-8")
         try:
             os.replace(temporary, entry)
@@ -223,11 +252,11 @@ def _missing_parents(out: Path) -> list[Path]:
     return missing
 
 
-def _undo(written: Iterable[Path], folders: Iterable[Path], out: Path) -> None:
+def _undo(written: Iterable[Path], made: Iterable[Path]) -> None:
+    """Removes files and folders of a conversion that failed; empty folders of the user's own stay."""
     for path in written:
         path.unlink(missing_ok=True)
-    below = sorted((p for p in out.rglob("*") if p.is_dir()), reverse=True) if out.is_dir() else []
-    for folder in [*below, *folders]:
+    for folder in sorted(made, key=lambda p: len(p.parts), reverse=True):
         try:
             folder.rmdir()
         except OSError:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from cannoise_jax.recordings.folders import store
 from cannoise_jax.recordings.folders.plan import check, plan_folder, text
 from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.load import load_capture_set
@@ -236,6 +237,20 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path):
     assert len(list(write_plan(plan, out, force=True))) == 3
 
 
+def test_a_conversion_that_fails_takes_away_what_it_made_and_no_more(tmp_path, monkeypatch):
+    plan, out = plan_folder(night(tmp_path / "in")), tmp_path / "out"
+    (out / "mine" / "empty").mkdir(parents=True)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "write_recording", full)
+    for folder in (out, tmp_path / "new" / "deep"):
+        with pytest.raises(BadInput, match="No space left"):
+            list(write_plan(plan, folder))
+    assert [p.name for p in out.rglob("*")] == ["mine", "empty"] and not (tmp_path / "new").exists()
+
+
 def test_a_folder_is_converted_once(tmp_path):
     folder, cache = night(tmp_path / "in"), tmp_path / "cache"
     steps = []
@@ -255,6 +270,29 @@ def test_a_folder_is_converted_once(tmp_path):
         pass
     assert capture_of(prepared, Options({}), tmp_path / "unused")[1] == ""
     assert not (tmp_path / "unused").exists()
+
+
+def test_recordings_of_a_converted_folder_are_named_after_its_files(tmp_path, caplog):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    for cached in (False, True):
+        caplog.clear()
+        capture, _ = capture_of(folder, Options({"white_level": 9100.0}), cache)
+        dark = capture.of_kind("dark")[0]
+        assert dark.path == f"{folder / 'dark_1.fits'} and 1 more", cached
+        assert dark.sources == (str(folder / "dark_1.fits"), str(folder / "dark_2.fits"))
+        (line,) = (record.getMessage() for record in caplog.records)
+        assert line.startswith(f"{folder / 'flat_1.fits'} and 1 more: ") and line.endswith("saturated")
+
+
+def test_a_damaged_conversion_in_the_cache_is_made_anew(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    first, said = capture_of(folder, Options({}), cache)
+    frames = first.recordings[0].frames[:]
+    for damaged in ("*.h5", "sources.json"):
+        path = next(cache.glob(f"*/{damaged}"))
+        path.write_bytes(path.read_bytes()[:50])
+        again, said_again = capture_of(folder, Options({}), cache)
+        assert said_again == said and (again.recordings[0].frames[:] == frames).all()
 
 
 def test_text_names_every_file_and_note(tmp_path):
@@ -296,7 +334,11 @@ def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_pa
     for name, seconds in (("a", {"EXPTIME": "1,5"}), ("b\n", {"EXPTIME": 2.0, "EXPOSURE": 20.0})):
         shot(folder / f"dark_{name}.fits", "dark", IMAGETYP="Dark", INSTRUME="Acme 100", **seconds)
     (folder / "night before").symlink_to(tmp_path)  # and back in here
+    (folder / "darks of June").symlink_to(tmp_path / "gone")
+    (folder / "more.fits.bz2").write_bytes(b"BZh9")
     plan = plan_folder(folder)
+    assert "darks of June: not read, a link to nothing" in notes(plan)
+    assert "not read: 1 .bz2 (unpack them)" in notes(plan)
     assert "dark_a.fits: EXPTIME '1,5': no time: not used" in notes(plan)
     assert "EXPTIME 2 s and EXPOSURE 20 s contradict: EXPTIME 2 s is used" in notes(plan)
     assert "night before: not read, links to folders are not followed" in notes(plan)
@@ -320,6 +362,14 @@ def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_pa
     with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
         capture_of(folder, Options({"camera": "X"}), cache)
     assert len(list(cache.iterdir())) == 1
+
+
+def test_dim_frames_of_a_wider_word_are_no_camera_of_8_bits(tmp_path):
+    for n in range(2):
+        values = np.random.default_rng(n).integers(90, 110, (24, 32)).astype(np.uint16)
+        fits.PrimaryHDU(values, fits.Header({"IMAGETYP": "Bias"})).writeto(tmp_path / f"bias_{n}.fits")
+    plan = plan_folder(tmp_path, {"cfa": "MONO"})
+    assert "white level 1023 DN: the highest value is 109, so of 10 bits" in notes(plan)
 
 
 def test_files_of_8_bits_are_kept_apart_from_those_of_16(tmp_path):

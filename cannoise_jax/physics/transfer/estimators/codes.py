@@ -15,7 +15,7 @@ from cannoise_jax.physics.transfer.estimate import (
     normal_estimate,
     scatter_estimate,
 )
-from cannoise_jax.physics.transfer.estimators.pick import REPEATED_DARKS, column_offsets, darkest
+from cannoise_jax.physics.transfer.estimators.pick import column_offsets, darkest, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.codes import code_histogram
 
@@ -51,7 +51,7 @@ def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
     """level_dn: the code at which darks pile up, above the black level; known to half a code step."""
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     ends = [
         low - black
         for low, black in zip(dark.low, dark.recording.black_level, strict=True)
@@ -69,7 +69,7 @@ def black_level_errors(statistics: Sequence[FrameStatistics]) -> tuple[Estimate,
     pixels of a frame do together is in the errors. Of the exposure of the flats, see `transfer_black`."""
     dark, black = reference_dark(statistics), black_level(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     if not black.certain:
         return NotMeasurable(f"black level {black.note}")
     if np.isfinite(dark.low).any():
@@ -90,7 +90,7 @@ def bookkeeping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     errors = black_level_errors(statistics)
     dark, black = reference_dark(statistics), black_level(statistics)
     if isinstance(errors, NotMeasurable) or dark is None:
-        return errors if isinstance(errors, NotMeasurable) else REPEATED_DARKS
+        return errors if isinstance(errors, NotMeasurable) else repeated_darks(statistics)
     stated = np.asarray(dark.recording.black_level)
     found = {"black_dn": scatter_estimate((dark.frame_means - stated).mean(1))}
     if black.note:
@@ -116,7 +116,7 @@ def channel_offset(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
     values are known, so the interval is that of chi-square with four degrees of freedom."""
     dark, black = reference_dark(statistics), black_level(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     if not black.certain:
         return NotMeasurable(f"black level {black.note}")
     offsets = np.subtract(black.level, dark.recording.black_level)
@@ -135,7 +135,7 @@ def amplifier_mismatch(statistics: Sequence[FrameStatistics], baseline=None) -> 
     """step_dn: offset of the right half of the frame less that of the left, in the average of the darks."""
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     columns = column_offsets(dark).mean(0)
     middle = len(columns) // 2
     left, right = columns[:middle], columns[middle:]

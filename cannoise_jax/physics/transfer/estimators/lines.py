@@ -22,11 +22,11 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimator import Placed
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_DARKS,
     column_offsets,
     darkest,
     mean_variance,
     pooled_variance,
+    repeated_darks,
     row_offsets,
     steady_pixels,
 )
@@ -87,7 +87,7 @@ def offset_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     """sigma_dn of the frame offsets: variance of frame means less what rows (and pixels) leave in them."""
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     frames = dark.frame_means.mean(1)
     rows, dof = temporal_mean_square(dark.row_means.mean(-1))
     # Correlated rows average out more slowly: their mean keeps (1 + 2 sum rho) times the white share.
@@ -112,6 +112,22 @@ def placed_rows(estimates: Mapping[str, Estimate], dark: FrameStatistics) -> Pla
     return Placed({"sigma_dn": sigma}, f"({', '.join(said)})", point)
 
 
+def odd_even_row_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
+    """sigma_dn by which even and odd columns of a row part: mean square of half their difference over frames
+    less the pixels' share."""
+    dark = darkest(statistics)
+    if dark is None:
+        return repeated_darks(statistics)
+    square, dof = temporal_mean_square((dark.row_means[..., 0] - dark.row_means[..., 1]) / 2)
+    pixel, pixel_dof = mean_variance(dark)
+    return {"sigma_dn": root(variance_difference(square, dof, pixel / dark.recording.size[1], pixel_dof))}
+
+
+def beside_rows_apart(parted: Mapping[str, Estimate], place: Point, dark: FrameStatistics) -> bool:
+    """Whether row noise whose even and odd columns have nothing in common makes them part."""
+    return place.over == "row" and place.interleave == 2
+
+
 def columns_apart(dark: FrameStatistics) -> bool:
     """Whether even and odd columns of a row have row offsets of their own: both as strong, and not alike."""
     rest = dark.row_means - dark.row_means.mean(0)
@@ -128,7 +144,7 @@ def columns_apart(dark: FrameStatistics) -> bool:
 def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
     square, dof = temporal_mean_square(means)
     groups = row_groups(dark) if axis == 0 else None
@@ -142,7 +158,7 @@ def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
 def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     offsets = row_offsets(dark) if axis == 0 else column_offsets(dark)
     frames, count = offsets.shape
     temporal, dof = temporal_mean_square(offsets)

@@ -11,17 +11,18 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
     Estimates,
+    NotMeasurable,
     heavy_dof,
     normal_estimate,
     root,
     variance_difference,
 )
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_DARKS,
     REPEATED_FLATS,
     brightest_flat,
     darkest,
     pooled_variance,
+    repeated_darks,
     steady_pixels,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, steady_frames
@@ -78,7 +79,7 @@ def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma_dn of the pixels' fixed offsets, row and column patterns apart."""
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     return {"sigma_dn": root(_pixel_part(offset_pattern(dark)))}
 
 
@@ -116,7 +117,7 @@ def pixel_read_noise_map(
     """
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 4:
-        return REPEATED_DARKS
+        return repeated_darks(statistics, 4)
     rounding = dark.code_step**2 / 12
     halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
     products, means = [], []
@@ -178,9 +179,11 @@ def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
 def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma: half of the relative difference of the two greens, that beside red less that beside blue."""
     flat = brightest_flat(statistics)
-    greens = None if flat is None else green_sites(flat.recording.cfa)
-    if flat is None or not greens:
+    if flat is None:
         return REPEATED_FLATS
+    greens = green_sites(flat.recording.cfa)
+    if not greens:
+        return NotMeasurable("the sensor has no colours, so no two greens")
     first, second = greens
     # Lamp drift hits both greens alike, so the difference of logs is taken frame by frame.
     black = np.asarray(flat.recording.black_level)

@@ -10,10 +10,10 @@ from scipy import optimize
 
 from cannoise_jax.physics.transfer.estimate import Estimates, normal_estimate
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_DARKS,
     REPEATED_FLATS,
     brightest_flat,
     darkest,
+    repeated_darks,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
 from cannoise_jax.recordings.packing import SITES
@@ -70,7 +70,7 @@ def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) ->
     """
     s = darkest(statistics) or brightest_flat(statistics)
     if s is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     # At the edge a pixel stands in for its missing neighbours.
     found = lag_covariances(s, ((0, 0), *(lag for group in _BLEND_LAGS for lag in group)), margin=2)
     power = found[0, 0][0] - s.code_step**2 / 12

@@ -11,7 +11,7 @@ from scipy import optimize, special
 from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate, root
 from cannoise_jax.physics.transfer.estimators.charge import hessian
-from cannoise_jax.physics.transfer.estimators.pick import REPEATED_DARKS, darkest, steady_pixels
+from cannoise_jax.physics.transfer.estimators.pick import darkest, repeated_darks, steady_pixels
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
@@ -42,7 +42,7 @@ def read_noise_error(statistics: Sequence[FrameStatistics], baseline=None) -> Es
     """error: temporal dark noise of the pixels over the assumed one, minus one."""
     dark = darkest(statistics)
     if baseline is None or dark is None:
-        return _ASSUMED if baseline is None else REPEATED_DARKS
+        return _ASSUMED if baseline is None else repeated_darks(statistics)
     found = []
     for c in range(4):
         variance = pixel_variance(dark, c)
@@ -62,7 +62,7 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     """
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     step = dark.code_step if dark.code_step > 0 else 1.0
     histograms = np.zeros((4, 1 << 16), np.int64)
     for part in chunks(dark.recording.frames):
@@ -81,7 +81,7 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     quiet pixels; the level of every pixel is that of its channel."""
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 8:
-        return NotMeasurable("record at least 8 frames with the cap on, better 100")
+        return repeated_darks(statistics, 8, 100)
     series, sigma = standardised(dark)
     spread = series.std(0)
     loud = spread > 2.0

@@ -13,8 +13,21 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
-REPEATED_DARKS = NotMeasurable("record at least 2 frames with the cap on, better 16")
 REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady light, better 16")
+
+
+def repeated_darks(statistics: Sequence[FrameStatistics], least: int = 2, better: int = 16) -> NotMeasurable:
+    """What to record where so many frames in the dark are needed, in view of the biases and darks given."""
+    most = max(
+        (s.recording for s in statistics if s.recording.kind in DARK), key=lambda r: r.count, default=None
+    )
+    if most is None:
+        return NotMeasurable(f"record at least {least} frames with the cap on, better {better}")
+    kinds = {"bias": "biases", "dark": "darks"}
+    given = f"1 {most.kind}" if most.count == 1 else f"{most.count} {kinds[most.kind]}"
+    return NotMeasurable(
+        f"record at least {least} frames of one exposure with the cap on, better {better}: {given} given"
+    )
 
 
 def darkest(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:

@@ -20,10 +20,10 @@ from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, normal_e
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_DARKS,
     darkest,
     mean_variance,
     pooled_variance,
+    repeated_darks,
     row_offsets,
 )
 from cannoise_jax.physics.transfer.fit import median_quotient
@@ -46,7 +46,7 @@ def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
     """
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     means = dark.row_means.mean(-1)
     height = means.shape[1]
     first = max(0, (height - _MOST_ROWS) // 2)
@@ -72,7 +72,7 @@ def pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     """
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     height, width = dark.recording.size
     seen = row_power(dark)
     # Both the real and the imaginary part of every row and frame, less one frame for the averages.
@@ -98,7 +98,7 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """
     dark = darkest(statistics)
     if dark is None:
-        return REPEATED_DARKS
+        return repeated_darks(statistics)
     power = scan_power(dark)
     frames, (height, width) = dark.recording.count, dark.recording.size
     count = height * width

@@ -1,0 +1,143 @@
+"""One engine at one item, in a process of its own: python -m cannoise_jax.bench.worker ENGINE ITEM WEIGHTS
+
+Says on stdout, a line of JSON each, what starting cost and then, for every line on stdin, what one more call
+cost. The weights go from our process to the other by a file of arrays.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.bench.items import ITEMS, NLF, Item, batch_of, config_of, images_of
+
+Call = Callable[[], Any]
+
+
+def ours(item: Item, place: Path) -> tuple[Call, dict[str, float]]:
+    """What does the work once, and the seconds that initialisation and the first call took."""
+    import jax
+    from flax.traverse_util import flatten_dict
+
+    from cannoise_jax.sampling import make_model, sample_noise
+    from cannoise_jax.training.state import init_state, make_networks
+    from cannoise_jax.training.step import make_train_step
+
+    config = config_of(item)
+    start = time.perf_counter()
+    state: Any = jax.block_until_ready(init_state(config, item.batch))
+    begun = time.perf_counter() - start
+    parts = {name: getattr(state, name) for name in ("generator", "encoder", "critic")}
+    arrays: dict[str, Any] = {n: np.asarray(v) for n, v in flatten_dict(parts, sep="/").items()}
+    np.savez(place, **arrays)
+    if item.kind == "step":
+        step, data = make_train_step(config, item.batch), batch_of(item)
+
+        def call():
+            nonlocal state
+            state, _ = step(state, data)
+            jax.block_until_ready(state)
+
+    else:
+        networks = make_networks(config)
+        encoder: Any = networks.encoder
+        model = make_model(
+            networks.generator, dict(state.generator), encoder, dict(state.encoder), level=config.level
+        )
+        sample, (clean, reference), key = jax.jit(sample_noise), images_of(item), jax.random.key(0)
+
+        def call():
+            jax.block_until_ready(sample(model, key, clean, reference, NLF))
+
+    return call, {"init": begun, "first": _timed(call)["s"]}
+
+
+def peer(item: Item, place: Path) -> tuple[Call, dict[str, float]]:
+    """The same in PyTorch, with the weights that ours began with."""
+    import torch
+    from flax.traverse_util import unflatten_dict
+
+    from cannoise_jax.bench import torch_networks, torch_step
+    from cannoise_jax.bench.torch_layers import folded, spectral_in_order, weights
+
+    with np.load(place, allow_pickle=False) as file:
+        parts = unflatten_dict({name: file[name] for name in file.files}, sep="/")
+    config = config_of(item)
+    start = time.perf_counter()
+    g, e, d = (weights(spectral_in_order(parts[n])) for n in ("generator", "encoder", "critic"))
+
+    def image(x):
+        return torch.tensor(np.ascontiguousarray(np.moveaxis(x, -1, 1)))
+
+    if item.kind == "step":
+        state = torch_step.trained(g, e, d, config)
+        begun = time.perf_counter() - start
+        data = {n: image(v) if v.ndim == 4 else torch.tensor(v) for n, v in batch_of(item).items()}
+
+        def call():
+            torch_step.step(state, data, config)
+
+    else:
+        g, e = folded(g), folded(e)
+        begun = time.perf_counter() - start
+        clean, reference = images_of(item)
+        level = [torch.full((item.batch, 4), v) for v in NLF]
+
+        def call():
+            with torch.no_grad():
+                images = image(clean)
+                latent = torch_networks.encoder(e, image(reference[None]), train=False)
+                n_init = torch_step.poisson_gaussian(images, *level)
+                told = latent.expand(item.batch, -1)
+                made = torch_networks.generator(g, images, n_init, told, train=False)
+                return made.permute(0, 2, 3, 1).contiguous().numpy()
+
+    return call, {"init": begun, "first": _timed(call)["s"]}
+
+
+def _timed(call: Call) -> dict[str, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    call()
+    return {"s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+
+
+def _forget_peak() -> None:
+    """Lets the greatest memory begin anew, where the system can."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak_mib() -> float:
+    """The greatest resident memory since it began anew, MiB."""
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+    except (OSError, StopIteration):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def main(engine: str, name: str, place: str) -> None:
+    """Starts, warms up with one more call, and then answers."""
+    cores = int(os.environ.get("CANNOISE_BENCH_CORES", 0))
+    if cores and hasattr(os, "sched_setaffinity"):  # before either engine is loaded and asks
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-cores:])
+    call, started = {"ours": ours, "torch": peer}[engine](ITEMS[name], Path(place))
+    most = peak_mib()
+    call()
+    _forget_peak()
+    print(json.dumps({**started, "start_mib": most}), flush=True)
+    for _ in sys.stdin:
+        print(json.dumps({**_timed(call), "mib": peak_mib()}), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,1 @@
+"""From frames to the statistics that signatures read: groups, contrasts, baseline, draws."""

@@ -1,0 +1,102 @@
+"""Noise of the baseline beside the findings: lowered by what they add, so that nothing is counted twice."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from cannoise_jax.discovery.frames.battery import Prepared
+from cannoise_jax.discovery.frames.calibrate import own_variance
+from cannoise_jax.discovery.frames.contrasts import FLICKER
+from cannoise_jax.physics.core.chain import closed_form
+from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import context_of, resolve
+from cannoise_jax.signatures.fields import channel_index
+
+
+def _of_frames(record: Mechanism) -> bool:
+    """Whether it is what a whole frame, or channel of it, shares."""
+    return record.point.over in ("whole", "channel") and record.point.time != "frozen"
+
+
+def _of_lit_rows(record: Mechanism) -> bool:
+    """Whether it is what rows of light share: out of the fitted baseline where it is strong, see
+    `stacks.without_flicker`."""
+    point = record.point
+    return point.over == "row" and point.combine == "multiply" and point.time != "frozen"
+
+
+def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> SensorModel:
+    """The model with gain and read noise lowered so that its temporal variance of the ordinary pixel is that
+    of the recordings: at black of the shortest dark, at 0.4 of the range of the fitted baseline, whose line
+    through long darks and flats need not meet the short ones."""
+    channel = channel_index(prepared.fields[0].mean.shape)
+    for n, iso in enumerate(np.asarray(bare.iso)):
+        seconds, dark = _shortest_dark(prepared, float(iso), channel)
+        settings = Settings(float(iso), seconds)
+        wanted = [_variance(bare, level, settings, channel) for level in (0.0, 0.4)]
+        wanted[0] = wanted[0] if dark is None else dark
+        gain, read = np.array(bare.gain_dn_per_e)[n], np.array(bare.read_noise_e)[n]
+        shot0 = gain.copy()
+        for _ in range(4):
+            trial = _with_noise(model, n, gain, read)
+            have = [_variance(trial, level, settings, channel) for level in (0.0, 0.4)]
+            slope = (wanted[1] - wanted[0]) / np.maximum(have[1] - have[0], 1e-9)
+            read_dn = np.sqrt(np.maximum((gain * read) ** 2 + wanted[0] - have[0], 0.0025 * wanted[0]))
+            gain = np.clip(gain * slope, 0.3 * shot0, 3 * shot0)
+            read = read_dn / gain
+        model = _with_noise(model, n, gain, read)
+    return model
+
+
+def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray):
+    """Exposure, s, and temporal variance before rounding per channel, DN^2, of the shortest dark of one gain
+    setting; 0.01 and None without one, None where one frame or rounding hides it."""
+    isos = [np.float32(prepared.isos[b.iso]) for b in prepared.baselines]
+    mine = [f for f in prepared.fields if not f.lit and f.exposure_s is not None and isos[f.group] == iso]
+    if not mine:
+        return 0.01, None
+    f = min(mine, key=lambda f: f.exposure_s or 0.0)
+    stacked = next(s for s in prepared.stacks if s.number == f.number)
+    # Of the frames as they were recorded: the fields' own holds what whole frames share.
+    total = own_variance(stacked, channel, f.sigma.astype(np.float64) ** 2, f.mean)
+    variance = np.array([np.median(total[channel == c]) for c in range(4)]) - f.step**2 / 12
+    shown = f.frames > 1 and variance.min() > (0.5 * f.step) ** 2
+    return f.exposure_s, variance if shown else None
+
+
+def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) -> SensorModel:
+    gains, reads = np.array(model.gain_dn_per_e), np.array(model.read_noise_e)
+    gains[n], reads[n] = gain, read
+    return dataclasses.replace(model, gain_dn_per_e=gains, read_noise_e=reads)
+
+
+def _variance(model: SensorModel, level: float, settings: Settings, channel: np.ndarray) -> np.ndarray:
+    """Median over the pixels of each channel of the temporal variance before rounding, DN^2, but for what the
+    fitted baseline is without: what whole frames share, and rows of light where that is strong."""
+    own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel)
+    if not any(_of_lit_rows(f.record) for f in model.mechanisms):
+        return own
+    steady = _closed_variance_of(
+        model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel
+    )
+    return np.where(own - steady > FLICKER * steady, steady, own)
+
+
+def _closed_variance_of(
+    model: SensorModel,
+    kept_if: Callable[[Mechanism], bool],
+    level: float,
+    settings: Settings,
+    channel: np.ndarray,
+) -> np.ndarray:
+    kept = tuple(f for f in model.mechanisms if kept_if(f.record))
+    model = dataclasses.replace(model, mechanisms=kept)
+    context = context_of(model, jnp.full((1, *channel.shape), level, jnp.float32), settings)
+    _, variance = closed_form(model, context, resolve(model, context))
+    values = np.broadcast_to(np.asarray(variance)[0], channel.shape)
+    return np.array([np.median(values[channel == c]) for c in range(4)])

@@ -1,0 +1,327 @@
+"""The battery for one capture set: its fields under the fitted baseline, and every signature that applies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.frames.calibrate import fit_baseline, gain_groups, standardise, stated_black
+from cannoise_jax.discovery.frames.contrasts import (
+    MOST_FRAMES,
+    Stack,
+    code_step,
+    detected_step,
+    iso_numbers,
+    stack,
+)
+from cannoise_jax.mechanisms import ENTRIES, signatures
+from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet
+from cannoise_jax.signatures.code_spacing import occurrences
+from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.levels import frame_jitter
+from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Recorded
+from cannoise_jax.signatures.signature import Signature
+
+BROAD = 3.0
+"""Standard deviation, in codes, from which a pixel's noise is broad enough to judge the lattice of codes."""
+ONE_ELECTRON = 0.8
+"""Read noise, electrons, below which a histogram of millions of pixels shows the electrons one by one."""
+
+
+LEAST_SIDE = 32
+"""Rows and columns from which the laws of the statistics hold."""
+
+
+class Prepared(NamedTuple):
+    """One split of a capture set, ready for the statistics. isos: by which a camera model knows each gain
+    setting of the whole set."""
+
+    fields: tuple[Fields, ...]
+    baselines: tuple[GroupBaseline, ...]
+    signatures: tuple[Signature, ...]
+    stacks: tuple[Stack, ...]
+    step: float
+    span: float
+    isos: dict[float | None, float]
+
+
+def split_frames(count: int) -> tuple[list[int], list[int]]:
+    """Frames that look for effects, and frames that estimate and prove: three and one of every four. Fewer
+    than three cannot be split."""
+    show = [count - 1] if count == 3 else list(range(3, count, 4))
+    return [t for t in range(count) if t not in show], show
+
+
+def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
+    """Frames of every recording that look for effects, and those that prove. Recordings that cannot be split
+    look and prove in turn, those of each kind by themselves. Of long ones `MOST_FRAMES` in all are used,
+    spread evenly."""
+    out, short = [], dict.fromkeys({r.kind for r in capture.recordings}, 0)
+    for r in capture.recordings:
+        used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
+        look, show = ([int(used[n]) for n in part] for part in split_frames(used.size))
+        if not show:
+            look, show = (look, show) if short[r.kind] % 2 == 0 else (show, look)
+            short[r.kind] += 1
+        out.append((look, show))
+    return out
+
+
+def all_frames(splits: list[tuple[list[int], list[int]]]) -> list[list[int]]:
+    """Frames of every recording that look or prove, in order."""
+    return [sorted(look + show) for look, show in splits]
+
+
+def prepare_split(
+    capture: CaptureSet,
+    splits: list[tuple[list[int], list[int]]],
+    judge_stated: bool = False,
+    drawn: CaptureSet | None = None,
+    *,
+    held_back: bool = False,
+    entries: tuple[Entry, ...] = ENTRIES,
+) -> Prepared:
+    """The frames that look for effects or, `held_back`, those that prove, seen against the others' mean."""
+    looking = [a for a, _ in splits]
+    if not held_back:
+        return prepare(capture, looking, judge_stated, drawn, entries=entries)
+    return prepare(capture, [b for _, b in splits], judge_stated, drawn, looking, entries)
+
+
+@dataclass(frozen=True, eq=False)
+class Splits:
+    """The frames of a capture set as a run sees them, each split prepared once, when it is first asked for.
+
+    frames: of every recording, those that look and those that are held back.
+    """
+
+    frames: list[tuple[list[int], list[int]]]
+    of: Callable[[str], Prepared]
+
+    @cached_property
+    def looking(self) -> Prepared:
+        """The frames that look for effects."""
+        return self.of("looking")
+
+    @cached_property
+    def held_back(self) -> Prepared:
+        """Those that prove, seen against the others' mean."""
+        return self.of("held_back")
+
+    @cached_property
+    def together(self) -> Prepared:
+        """All frames."""
+        return self.of("together")
+
+    @property
+    def chosen(self) -> list[list[int]]:
+        """Frames held back, per recording."""
+        return [held for _, held in self.frames]
+
+    @property
+    def can_prove(self) -> bool:
+        """Whether any frames are held back."""
+        return any(self.chosen)
+
+    def less(self, change: Callable[[Prepared], Prepared]) -> Splits:
+        """The same splits, each changed."""
+        return Splits(self.frames, lambda which: change(getattr(self, which)))
+
+
+def splits_of(
+    capture: CaptureSet,
+    judge_stated: bool = False,
+    drawn: CaptureSet | None = None,
+    entries: tuple[Entry, ...] = ENTRIES,
+) -> Splits:
+    """The splits of a capture set, see `prepare` for what is judged and looked for."""
+    frames = split_recordings(capture)
+
+    def of(which: str) -> Prepared:
+        if which == "together":
+            return prepare(capture, all_frames(frames), judge_stated, drawn, entries=entries)
+        held = which == "held_back"
+        return prepare_split(capture, frames, judge_stated, drawn, held_back=held, entries=entries)
+
+    return Splits(frames, of)
+
+
+def prepare(
+    capture: CaptureSet,
+    chosen: list[list[int]],
+    judge_stated: bool,
+    drawn: CaptureSet | None = None,
+    before: list[list[int]] | None = None,
+    entries: tuple[Entry, ...] = ENTRIES,
+) -> Prepared:
+    """Reads the chosen frames of every recording once, fits the baseline and builds fields and signatures.
+
+    chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
+    read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given. before:
+    frames per recording whose mean the chosen ones are seen against as well. entries: mechanisms that are
+    looked for. Raises BadInput for recordings
+    of fewer than `LEAST_SIDE` rows or columns.
+    """
+    first = capture.recordings[0]
+    for r in capture.recordings:
+        height, width = r.frames.shape[1:]
+        if min(height, width) < LEAST_SIDE:
+            raise BadInput(
+                f"{r.path or 'recording'}: {height}x{width} pixels: give {LEAST_SIDE}x{LEAST_SIDE} or more"
+            )
+        if r.size != first.size:
+            raise BadInput(
+                f"{r.path or 'recording'}: {height}x{width} pixels, {first.path or 'the first'} has "
+                f"{first.size[0]}x{first.size[1]}: give recordings of one size"
+            )
+    step = code_step(capture)
+    known = before or [[] for _ in chosen]
+    stacks = tuple(
+        stack(r, n, c, step, b)
+        for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
+        if c
+    )
+    _check_noise(stacks)
+    isos = gain_groups(capture)
+    groups = [[s for s in stacks if s.recording.iso == iso] for iso in isos]
+    baselines = tuple(fit_baseline(g, iso) for g, iso in zip(groups, isos, strict=True) if g)
+    order = {baseline.iso: n for n, baseline in enumerate(baselines)}
+    # A lit recording's own contrasts say how noisy it is better than the curve through all of them.
+    fields = refit(
+        tuple(standardise(s, baselines[order[s.recording.iso]], order[s.recording.iso]) for s in stacks)
+    )
+    span = float(np.mean([r.white_level - np.mean(r.black_level) for r in capture.recordings]))
+    stated = None
+    if drawn is not None:
+        stated = drawn_parameters(drawn, baselines, step)
+    elif judge_stated:
+        stated = stated_parameters(capture, baselines)
+    recorded = Recorded(
+        *described(capture, step),
+        frame_jitter(fields),
+        collect_codes(capture, stacks, fields, chosen, step),
+        baselines,
+        stated,
+        drawn is not None,
+        step,
+        span,
+        capture.recordings[0].cfa == "MONO",
+        {n: list(frames) for n, frames in enumerate(chosen)},
+        occurrences(stacks, fields, chosen, step),
+    )
+    return Prepared(
+        fields,
+        baselines,
+        signatures(recorded, entries),
+        stacks,
+        step,
+        span,
+        iso_numbers(isos),
+    )
+
+
+def _check_noise(stacks: tuple[Stack, ...]) -> None:
+    for s in stacks:
+        if len(s.contrasts) and s.usable.any() and not s.contrasts.any():
+            what = "holds one value only" if s.low == s.high else "repeats one frame"
+            raise BadInput(
+                f"{s.recording.path or 'recording'}: {what}: there is no noise to judge; leave it out"
+            )
+    if not any(s.usable.any() for s in stacks):
+        raise BadInput(
+            f"{stacks[0].recording.path or 'recordings'}: every pixel is at a rail, and so in all others: "
+            "record darker or brighter frames"
+        )
+
+
+def described(capture: CaptureSet, step: float) -> tuple[np.ndarray, tuple[int, int] | None, float]:
+    """Stated black level, DN, the sites of the two greens, and how far the black level may be rounded, DN."""
+    dark = capture.of_kind(*DARK) or capture.recordings
+    black = stated_black(list(dark))
+    cfa = capture.recordings[0].cfa
+    greens = None if cfa == "MONO" else tuple(n for n, letter in enumerate(cfa) if letter == "G")
+    # A stated level is rounded to what it is a multiple of: a code, or a whole number.
+    rounded = next((u for u in (step, 1.0) if np.allclose(black / u, np.round(black / u), atol=1e-4)), 0.0)
+    return black, greens, 0.5 * rounded  # type: ignore[return-value]
+
+
+def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float) -> tuple:
+    """Gain (DN/e-) and read noise (DN) of a simulator per gain setting, fitted on its own draws."""
+    out: list[tuple] = []
+    for baseline in baselines:
+        chosen = [(n, r) for n, r in enumerate(drawn.recordings) if r.iso == baseline.iso and r.count > 1]
+        if not chosen:
+            out.append((None, None))
+            continue
+        fitted = fit_baseline([stack(r, n, list(range(r.count)), step) for n, r in chosen], baseline.iso)
+        out.append((fitted.gain, fitted.read_dn))
+    return tuple(out)
+
+
+def stated_parameters(capture: CaptureSet, baselines: tuple[GroupBaseline, ...]) -> tuple:
+    """Gain (DN/e-) and read noise (DN) of the files per gain setting; None where not stated. None at all, or
+    less, is taken as next to none, so that it is judged, too."""
+    out: list[tuple] = []
+    for baseline in baselines:
+        chosen = [r for r in capture.recordings if r.iso == baseline.iso and r.shot and r.read]
+        if not chosen:
+            out.append((None, None))
+            continue
+        r = chosen[0]
+        span = r.white_level - np.asarray(r.black_level)
+        read = np.sqrt(np.maximum(np.asarray(r.read), 0.0)) * span
+        out.append((np.maximum(np.asarray(r.shot) * span, 1e-6), np.maximum(read, 1e-3)))
+    return tuple(out)
+
+
+def _smoothing(field: Fields, wide: np.ndarray, step: float) -> float:
+    """Standard deviation, codes, of the normal law that smooths the histogram of these pixels at least: all
+    of their noise, or of the read noise alone where that leaves the codes of single electrons apart."""
+    read = np.sqrt(np.median((field.sigma**2 * (1 - field.shot))[wide]))
+    apart = field.lit and read < ONE_ELECTRON * float(np.mean(field.gain))
+    return float(read if apart else field.sigma[wide].min()) / step
+
+
+def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
+    """Histograms of the stored codes: of pixels with broad noise, and of every dark."""
+    broad = np.zeros(int(65536 // step) + 1)
+    dark, lowest = [], []
+    narrowest = np.inf
+    for s, f in zip(stacks, fields, strict=True):
+        # Away from the rails: a pile-up there is no comb.
+        wide = (
+            f.usable
+            & (f.sigma > BROAD * step)
+            & (f.mean > s.low + 6 * f.sigma)
+            & (f.mean < s.high - 6 * f.sigma)
+        )
+        is_dark = f.kind in DARK
+        if not is_dark and wide.mean() < 0.02:
+            continue
+        counts = np.zeros_like(broad)
+        for t in chosen[s.number][:16]:
+            frame = (np.asarray(s.recording.frames[t : t + 1])[0] // step).astype(np.int64)
+            if wide.any():
+                broad += np.bincount(frame[wide], minlength=broad.size)
+            if is_dark:
+                counts += np.bincount(frame.ravel(), minlength=broad.size)
+        if wide.any():
+            narrowest = min(narrowest, _smoothing(f, wide, step))
+        if is_dark:
+            dark.append(counts)
+            lowest.append(0)
+    stated = {r.code_step for r in capture.recordings if r.code_step}
+    return Codes(
+        broad,
+        narrowest if np.isfinite(narrowest) else 0.0,
+        tuple(dark),
+        tuple(lowest),
+        step,
+        detected_step(capture),
+        float(stated.pop()) if len(stated) == 1 else None,
+    )

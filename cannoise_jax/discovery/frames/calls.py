@@ -1,0 +1,41 @@
+"""What verbs are called with, refused in one line where it cannot be used."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+
+
+def checked_capture(capture: Any) -> CaptureSet:
+    """The capture set as given. Raises TypeError for anything else, BadInput for one without recordings."""
+    if not isinstance(capture, CaptureSet):
+        raise TypeError(
+            f"capture is a {type(capture).__name__}: expected a CaptureSet, of load_capture_set(folder) or "
+            "CaptureSet(camera, recordings)"
+        )
+    odd = next((r for r in capture.recordings if not isinstance(r, Recording)), None)
+    if odd is not None:
+        raise TypeError(f"capture.recordings holds a {type(odd).__name__}: expected recordings alone")
+    if not capture.recordings:
+        raise BadInput(f"{capture.path or capture.camera}: holds no recordings")
+    return capture
+
+
+def checked_key(key: Any) -> jax.Array:
+    """The key as given, `jax.random.key(0)` for None. Raises TypeError for what is no single key of JAX."""
+    if key is None:
+        return jax.random.key(0)
+    if isinstance(key, (jax.Array, np.ndarray)):
+        if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and key.shape == ():
+            return jnp.asarray(key)
+        if key.dtype == np.uint32 and key.shape == (2,):  # as jax.random.PRNGKey makes them
+            return jnp.asarray(key)
+        raise TypeError(
+            f"key is an array {key.dtype}{list(key.shape)}: expected one key, as jax.random.key(0)"
+        )
+    raise TypeError(f"key is of type {type(key).__name__}: expected a key of JAX, as jax.random.key(0)")

@@ -1,0 +1,277 @@
+"""One split of a recording: its frames reduced, its mean modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.discovery.frames.smooth import beyond
+from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
+from cannoise_jax.signatures.fields import (
+    channel_index,
+    contrast_matrix,
+    least_squares,
+    surfaces,
+)
+
+MOST_FRAMES = 16
+"""Frames of one recording and split that are held at once: memory does not grow beyond."""
+
+
+_DEGREE = 4
+"""Degree of the smooth surface of a flat unless the data ask for more."""
+
+
+class Stack(NamedTuple):
+    """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails. earlier:
+    mean of the `before` frames of the other split, against which the last contrast is taken; None: none."""
+
+    recording: Recording
+    number: int
+    mean: Float[np.ndarray, "h w"]
+    variance: Float[np.ndarray, "h w"]
+    contrasts: Float[np.ndarray, "n h w"]
+    usable: np.ndarray
+    frames: int
+    step: float
+    low: float
+    high: float
+    before: int = 0
+    earlier: Float[np.ndarray, "h w"] | None = None
+
+
+def stack(
+    recording: Recording, index: int, chosen: list[int], step: float, before: list[int] | None = None
+) -> Stack:
+    """Reads the chosen frames one by one (at most MOST_FRAMES) and forms their contrasts; before: frames of
+    the other split, which lend their mean alone."""
+    chosen, before = chosen[:MOST_FRAMES], (before or [])[:MOST_FRAMES]
+    matrix = contrast_matrix(len(chosen), len(before)).astype(np.float32)
+    size = recording.size
+    total, earlier = np.zeros(size, np.float64), np.zeros(size, np.float64)
+    contrasts = np.zeros((len(matrix), *size), np.float32)
+    high, low = np.zeros(size, np.uint16), np.full(size, 65535, np.uint16)
+    anchor = None
+    for n, t in enumerate((*before, *chosen)):
+        frame = np.asarray(recording.frames[t : t + 1])[0]
+        high, low = np.maximum(high, frame), np.minimum(low, frame)
+        anchor = frame.astype(np.float32) if anchor is None else anchor
+        moved = frame.astype(np.float32) - anchor
+        total += frame if n >= len(before) else 0
+        earlier += frame if n < len(before) else 0
+        for k in np.flatnonzero(matrix[:, n]):
+            contrasts[k] += matrix[k, n] * moved
+    mean = (total / len(chosen)).astype(np.float32)
+    # The mean of all frames is independent of every contrast.
+    overall = ((total + earlier) / (len(chosen) + len(before))).astype(np.float32)
+    variance = _steady_variance(contrasts, overall)
+    white = min(recording.white_level, 65535.0)
+    usable = (high < white - 0.5) & (low > 0)
+    if recording.kind in DARK and usable.mean() < 0.9:
+        usable = np.ones(size, bool)
+    return Stack(
+        recording,
+        index,
+        mean,
+        variance,
+        contrasts,
+        usable,
+        len(chosen),
+        step,
+        float(low.min()),
+        float(high.max()),
+        len(before),
+        (earlier / len(before)).astype(np.float32) if before else None,
+    )
+
+
+def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Mean square of the contrasts once what a whole frame shares is taken out."""
+    total = np.zeros(mean.shape, np.float32)
+    for c in range(4):
+        at = SITES[c]
+        for contrast in contrasts:
+            total[at] += steady(contrast[at], mean[at]) ** 2
+    return total / max(len(contrasts), 1)
+
+
+def steady(contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"]) -> Float[np.ndarray, "*at"]:
+    """What is left of a contrast of one channel without an offset and a factor of the whole frame: neither
+    drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
+    level, values = mean.ravel().astype(np.float64), contrast.ravel().astype(np.float64)
+    basis = np.stack([np.ones_like(level), level - level.mean()], 1)
+    if np.ptp(level) < 1e-6:
+        basis = basis[:, :1]
+    rest = values - np.einsum("nk,k->n", basis, least_squares(basis, values))
+    return rest.reshape(mean.shape).astype(np.float32)
+
+
+FLICKER = 0.02
+"""Share of the variance from which on what rows of light share is taken out of the photon-transfer curve."""
+
+
+def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> Stack:
+    """The stack with what whole rows share beyond `additive` (variance per channel, DN^2: that of the darks)
+    taken out of its variance, where that is more than `FLICKER` of it: mains light through a rolling shutter
+    is no noise of a pixel, and would be taken for shot noise."""
+    if not len(stacked.contrasts) or stacked.recording.kind not in ("flat", "scene"):
+        return stacked
+    variance, found = stacked.variance.copy(), False
+    for c in range(4):
+        at = SITES[c]
+        rest, shared = row_variance(stacked.contrasts[:, *at], stacked.mean[at] - black[c])
+        if shared - additive[c] > FLICKER * float(np.mean(rest)):
+            variance[at], found = rest + additive[c], True
+    return stacked._replace(variance=variance) if found else stacked
+
+
+def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
+    """Variance of the contrasts that whole rows share, per channel, DN^2."""
+    flat = np.ones(stacked.mean.shape)
+    return np.array([row_variance(stacked.contrasts[:, *SITES[c]], flat[SITES[c]])[1] for c in range(4)])
+
+
+def row_variance(
+    contrasts: Float[np.ndarray, "n h w"], light: Float[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "h w"], float]:
+    """Mean square of the contrasts of one channel once an offset and a factor of the light of every row are
+    taken out, and the variance of the row means beyond what that explains, drift of whole frames left out."""
+    columns, means = light.shape[1], contrasts.mean(2)
+    slope = light - light.mean(1, keepdims=True)
+    power = np.maximum(np.sum(slope**2, 1), 1e-9)
+    lean = np.einsum("nij,ij->ni", contrasts, slope) / power
+    rest = np.mean((contrasts - means[:, :, None] - lean[:, :, None] * slope) ** 2, 0) / (1 - 2 / columns)
+    drift = np.stack([steady(m, light.mean(1)) for m in means])
+    return rest.astype(np.float32), float(np.mean(drift**2) - np.mean(rest) / columns)
+
+
+def iso_numbers(isos: Iterable[float | None]) -> dict[float | None, float]:
+    """The ISO by which a camera model knows each gain setting: the stated one; where none is stated, or 0 as
+    astronomy cameras count, one below all others."""
+    every = set(isos)
+    lowest = min((iso for iso in every if iso), default=200.0)
+    odd = sorted((iso for iso in every if not iso), key=lambda iso: iso is None)
+    return {iso: iso or lowest / 2 ** (1 + odd.index(iso)) for iso in every}
+
+
+def code_step(capture: CaptureSet) -> float:
+    """Spacing of the codes: stated in the files, else the greatest common divisor of the differences, DN."""
+    stated = {r.code_step for r in capture.recordings if r.code_step}
+    return float(stated.pop()) if len(stated) == 1 else detected_step(capture)
+
+
+def detected_step(capture: CaptureSet) -> float:
+    """Greatest common divisor of the differences between the codes that occur, DN."""
+    step = 0
+    for recording in capture.recordings:
+        codes = np.unique(np.asarray(recording.frames[0:1]))
+        codes = codes[codes < recording.white_level]
+        if codes.size > 1:
+            step = int(np.gcd.reduce(np.append(np.diff(codes).astype(np.int64), step)))
+    return float(max(step, 1))
+
+
+def robust_mean(values: np.ndarray) -> float:
+    """Mean of the values within six robust standard deviations of their median. Where most of them are one
+    code, those that are not tell the spread: without them the mean would be that code."""
+    centre = np.median(values)
+    away = np.abs(values - centre)
+    spread = 1.4826 * np.median(away)
+    if spread < 1e-6:
+        others = away[away > 1e-6]
+        spread = float(np.median(others)) if others.size else 1e-6
+    return float(values[away < 6 * spread].mean())
+
+
+def reference(recording: Recording) -> np.ndarray:
+    """The recording's reference as one normalised frame; a noisy one is smoothed within its colour plane."""
+    clean = np.asarray(recording.clean, np.float32)
+    clean = clean.mean(0) if clean.ndim == 3 else clean
+    return plane_blur(clean) if noisy_reference(recording) else clean
+
+
+def noisy_reference(recording: Recording) -> bool:
+    """Whether a scene's reference is a mean of too few frames, or missing."""
+    if recording.kind != "scene":
+        return False
+    few = recording.reference == "burst_mean" and (recording.reference_frames or 0) < 32
+    return recording.clean is None or few
+
+
+def plane_blur(image: np.ndarray) -> np.ndarray:
+    """Mean of 3 x 3 pixels of one colour plane."""
+    padded = np.pad(image, 2, mode="reflect")
+    h, w = image.shape
+    shifts = [padded[2 + dy : 2 + dy + h, 2 + dx : 2 + dx + w] for dy in (-2, 0, 2) for dx in (-2, 0, 2)]
+    return np.mean(shifts, axis=0)
+
+
+def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean of a flat (a surface per channel, of degree 4 or as the light needs, see `smooth`) or of a dark (a
+    constant per channel), DN."""
+    mean, size = stacked.mean, stacked.mean.shape
+    channel = channel_index(size)
+    out = np.zeros(size, np.float32)
+    degree = _DEGREE if stacked.recording.kind == "flat" else 0
+    for c in range(4):
+        chosen = channel == c
+        if degree == 0:
+            out[chosen] = robust_mean(mean[chosen])
+            continue
+        basis = surfaces(size, degree, c)
+        values = mean[chosen].astype(np.float64)
+        kept = np.ones(values.size, bool)
+        for _ in range(2):
+            beta = least_squares(basis[kept], values[kept])
+            rest = values - np.einsum("nk,k->n", basis, beta)
+            kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+        fitted = np.einsum("nk,k->n", basis, beta)
+        at = SITES[c]
+        out[chosen] = fitted
+        out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
+    return out
+
+
+def affine(
+    stacked: Stack, clean: np.ndarray, sigma: np.ndarray, channel: np.ndarray, linear: np.ndarray
+) -> np.ndarray:
+    """Mean of every pixel, DN: offset and factor per channel on the reference, fitted where it is linear."""
+    out = np.zeros(clean.shape)
+    for c in range(4):
+        chosen = (channel == c) & stacked.usable & linear
+        if chosen.sum() < 64:
+            chosen = channel == c
+        offset, slope = robust_line(clean[chosen], stacked.mean[chosen], sigma[chosen])
+        out[channel == c] = offset + slope * clean[channel == c]
+    return out
+
+
+def robust_line(
+    x: Float[np.ndarray, "n"], values: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "2"]:
+    """Offset and slope by weighted least squares, values beyond six median deviations left aside."""
+    basis = np.stack([np.ones(x.size), x], 1) / sigma[:, None]
+    values = values / sigma
+    kept = np.ones(values.size, bool)
+    for _ in range(2):
+        beta = least_squares(basis[kept], values[kept])
+        rest = values - np.einsum("nk,k->n", basis, beta)
+        kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+    return beta
+
+
+def at_level(mean: np.ndarray, like: np.ndarray, black: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The mean of other frames, DN, scaled per channel to the level of `like` over the chosen pixels: frames
+    brighter or darker as a whole are the lamp's."""
+    out, channel = mean.astype(np.float32), channel_index(mean.shape)
+    for c in range(4):
+        mine = (channel == c) & chosen
+        if mine.any():
+            level = max(float(np.mean(mean[mine] - black[c])), 1e-6)
+            factor = float(np.mean(like[mine] - black[c])) / level
+            out[channel == c] = black[c] + factor * (mean[channel == c] - black[c])
+    return out

@@ -1,0 +1,107 @@
+"""Draws of a simulator at the settings of the recordings, seen as the recordings are: the same mean is taken
+out of them, and they are divided by the same standard deviation, that of the baseline."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from cannoise_jax.discovery.frames.battery import Prepared
+from cannoise_jax.discovery.frames.calibrate import standardise
+from cannoise_jax.discovery.frames.contrasts import stack
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.signatures.fields import Fields, frame_fields
+
+CHUNK = 4
+"""Frames drawn at once: one compiled program serves recordings of any length."""
+
+Frames = dict[int, np.ndarray]
+"""Drawn frames by number of the recording, `uint16[T, H, W]`, DN."""
+Drawing = Callable[[int, Float[np.ndarray, "h w"], Settings], np.ndarray | None]
+"""(number of the recording, clean signal, settings) -> DN `[T, H, W]`, rounded to codes; None for a recording
+that it cannot draw."""
+
+
+def drawing(model: SensorModel, key: Key[Array, ""]) -> Drawing:
+    """Draws of a sensor model, `CHUNK` frames at a time."""
+
+    def draw(number: int, clean, settings: Settings) -> np.ndarray:
+        parts = []
+        for start in range(0, settings.frames, CHUNK):
+            k = jax.random.fold_in(jax.random.fold_in(key, number), start)
+            parts.append(
+                np.asarray(model.sample(k, jnp.asarray(clean), dataclasses.replace(settings, frames=CHUNK)))
+            )
+        return np.concatenate(parts)[: settings.frames]
+
+    return draw
+
+
+def draw_like(draw: Drawing, prepared: Prepared) -> Frames:
+    """As many frames as every recording of the split has, of its expected signal and at its settings; where
+    they are seen against frames before, as many of those first."""
+    black = {b.iso: b.black for b in prepared.baselines}
+    out = {}
+    for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
+        r = stacked.recording
+        span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
+        settings = Settings(
+            prepared.isos[r.iso],
+            r.exposure_s if r.exposure_s is not None else 0.01,
+            r.temperature_c,
+            field.before + field.frames,
+        )
+        clean = field.signal if field.lit else np.zeros(r.size, np.float32)
+        frames = draw(field.number, (clean / span).astype(np.float32), settings)
+        if frames is not None:
+            out[field.number] = frames
+    return out
+
+
+def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
+    """The drawn frames as fields beside those of the recordings: their own mean taken out, the baseline's
+    standard deviation and the recordings' usable pixels."""
+    baselines = {b.iso: b for b in prepared.baselines}
+    out = []
+    for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
+        if field.number not in drawn:
+            continue
+        r = stacked.recording
+        frames = drawn[field.number]
+        all_frames, a = list(range(len(frames))), field.before
+        own = dataclasses.replace(r, frames=frames)
+        taken = stack(own, field.number, all_frames[a:], prepared.step, all_frames[:a])
+        weight = (field.usable / field.sigma).astype(np.float32)
+        static, mean = None, field.mean
+        if field.static is not None:
+            mean = standardise(taken, baselines[r.iso], field.group).mean
+            static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
+        out.append(field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static))
+    return tuple(out)
+
+
+def spread_codes(field: Fields, rng: np.random.Generator) -> Float[np.ndarray, "t h w"]:
+    """Standardised residual of every frame, each code spread evenly over its step: where the lattice of codes
+    lies between those of two recordings is then no difference."""
+    frames = frame_fields(field)
+    dither = rng.random(frames.shape, np.float32) - np.float32(0.5)
+    return frames + dither * (field.step * field.weight).astype(np.float32)
+
+
+def changed(base: Drawing, plain: Drawing, extended: Drawing) -> Drawing:
+    """Draws of a simulator without a formula, changed by what mechanisms add: the difference that they make
+    to a sensor model with the same random numbers."""
+
+    def draw(number: int, clean, settings: Settings) -> np.ndarray | None:
+        parts = [d(number, clean, settings) for d in (base, extended, plain)]
+        if any(p is None for p in parts):
+            return None
+        own, more, less = (np.asarray(p, np.int64) for p in parts)
+        return np.clip(own + more - less, 0, 65535).astype(np.uint16)
+
+    return draw

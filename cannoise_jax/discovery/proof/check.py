@@ -1,0 +1,92 @@
+"""Check: what differs between the frames held back and draws of a simulator, whatever its name.
+
+The layer of `compare` at the end of a run: it looks at the simulator that was judged and at the one that
+is handed
+back, at the settings of the frames held back. Where few were held back, some of the frames that looked
+lend their mean, so that one frame shows what is new in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+from jaxtyping import Array, Key
+
+from cannoise_jax.discovery.compare.report import Comparison
+from cannoise_jax.discovery.compare.run import Chosen, compare_bank
+from cannoise_jax.discovery.compare.score import Better, better
+from cannoise_jax.discovery.compare.sources import Source, modelled
+from cannoise_jax.discovery.compare.table import differences
+from cannoise_jax.discovery.proof.sides import Drawings
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.recordings.recording import CaptureSet
+
+LENT = 3
+"""Frames that lend their mean to as many held back or fewer."""
+
+
+class Checked(NamedTuple):
+    """What differs before and after. nearer: which of both is nearer to the recordings (None: they draw
+    nothing in common); held_back: whether the frames had no part in fitting."""
+
+    before: Comparison
+    after: Comparison
+    nearer: Better | None
+    held_back: bool
+
+    @property
+    def unchanged(self) -> Checked:
+        """The same where the simulator that was judged is handed back."""
+        return self._replace(after=self.before, nearer=None)
+
+    @property
+    def nats(self) -> float:
+        """The mismatch of the simulator that is handed back."""
+        return sum(d.nats for d in self.after.differences)
+
+    @property
+    def left(self) -> float | None:
+        """Share of the mismatch, in nats, that is left; None where there was none."""
+        first = sum(d.nats for d in self.before.differences)
+        return self.nats / first if first > 0 else None
+
+
+def frames_for(splits: list[tuple[list[int], list[int]]]) -> Chosen:
+    """The frames of every recording that are looked at, and those that lend their mean."""
+    return [(look[-LENT:] if held and len(held) <= LENT else [], held) for look, held in splits]
+
+
+def compared_on(
+    capture: CaptureSet,
+    splits: list[tuple[list[int], list[int]]],
+    source: Source,
+    alpha: float,
+) -> Comparison:
+    """One simulator against the frames held back (all frames where there are none)."""
+    held = any(held for _, held in splits)
+    chosen = frames_for(splits) if held else [([], look) for look, _ in splits]
+    bank = compare_bank(capture, source, alpha=alpha, held_back=chosen)._replace(held_back=held)
+    return Comparison(bank, tuple(differences(bank)))
+
+
+def source_of(model: SensorModel | None, draws: Drawings, label: str, key: Key[Array, ""]) -> Source:
+    """What the layer draws from: of a camera model every set is another unit where no map was measured."""
+    if model is not None:
+        return modelled(model, key)._replace(label=label)
+    return Source(label, lambda m, *asked: draws(jax.random.fold_in(key, m))(*asked))
+
+
+def check(
+    capture: CaptureSet,
+    splits: list[tuple[list[int], list[int]]],
+    before: Source,
+    after: Callable[[], Source] | None,
+    alpha: float,
+) -> Checked:
+    """The simulator that was judged and the one that is handed back (None: the same)."""
+    first = compared_on(capture, splits, before, alpha)
+    last = first if after is None else compared_on(capture, splits, after(), alpha)
+    nearer = None if after is None else better(first.bank, last.bank)
+    return Checked(first, last, nearer, first.bank.held_back)

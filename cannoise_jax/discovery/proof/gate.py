@@ -1,0 +1,174 @@
+"""Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
+
+The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
+are tried alone. What no name explains enters, as the remainder, where it makes the draws better: beside
+all of these findings, beside those that are confirmed, or beside the fitted baseline alone. It goes again
+where the layer that knows no names then finds more that differs than before. So the simulator that is
+handed back is no worse than the one that was given, or the report says so first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.proof.heldout import Scored
+from cannoise_jax.discovery.proof.prove import Proofs, frame_interval
+from cannoise_jax.discovery.proof.quality import (
+    NAMED,
+    PLAIN,
+    REST_ALONE,
+    SURE,
+    SURE_WITH_REST,
+    WITH_REST,
+    Looked,
+    Panel,
+)
+from cannoise_jax.discovery.proof.sides import Sides, of_model
+from cannoise_jax.discovery.proof.twosample import Area
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.signatures.fields import stratum
+
+LEAST_GAIN = 2e-4
+"""Nats a pixel that the composite score of two draws of one model differs by chance."""
+
+
+class Gain(NamedTuple):
+    """A change with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Tried(NamedTuple):
+    """One candidate beside the simulator before it. what: `findings`, `confirmed findings` or `remainder`;
+    steps:
+    findings in it; score: of the composite score, nats a pixel, area: of the distance of the two-sample
+    area from 0.5 (None: not measured); entered: whether it is in the simulator that is handed back."""
+
+    what: str
+    steps: int
+    score: Gain | None
+    area: Area | None
+    entered: bool
+
+    @property
+    def better(self) -> bool:
+        """Whether one measure improved beyond its interval, and none became worse."""
+        return not self.worse and (
+            (self.score is not None and self.score.low > LEAST_GAIN)
+            or (self.area is not None and self.area.high < 0)
+        )
+
+    @property
+    def worse(self) -> bool:
+        """Whether a measure became worse beyond its interval."""
+        score = (
+            0 if self.score is None else int(self.score.low > LEAST_GAIN) - int(self.score.high < -LEAST_GAIN)
+        )
+        area = 0 if self.area is None else int(self.area.high < 0) - int(self.area.low > 0)
+        return min(score, area) < 0
+
+
+class Gated(NamedTuple):
+    """The simulator that is handed back, its measures and those of the one that was judged, the findings that
+    are in it, the candidates, and whether the remainder is in it; spare: the same without the remainder."""
+
+    model: SensorModel
+    before: Looked
+    after: Looked
+    steps: tuple[Step, ...]
+    tried: tuple[Tried, ...]
+    remainder: bool
+    spare: Gated | None = None
+
+    @property
+    def without_remainder(self) -> Gated:
+        """The simulator before the remainder was added, which was tried and did not enter."""
+        if self.spare is None:
+            return self
+        late = self.tried[len(self.spare.tried) :]
+        return self.spare._replace(tried=(*self.spare.tried, *(t._replace(entered=False) for t in late)))
+
+
+def gate(
+    panel: Panel,
+    sides: Sides,
+    steps: tuple[Step, ...],
+    proofs: Proofs,
+    with_rest: Callable[[SensorModel], SensorModel],
+) -> Gated:
+    """What enters; with_rest: adds what the frames that look show beyond a camera model.
+
+    A simulator that is no camera model keeps its own draws, changed by all findings; the camera model that is
+    handed back for it is not gated.
+    """
+    before = panel.look(sides.plain, PLAIN)
+    if sides.model is None:
+        after = before if sides.extended is None else panel.look(sides.extended, NAMED)
+        once = () if after is before else (_tried("findings", steps, panel, before, after),)
+        return Gated(sides.exported, before, after, steps, once, False)
+    model, after = sides.model, before
+    kept: tuple[Step, ...] = ()
+    all_tried: list[Tried] = []
+    sure = tuple(s for s, p in zip(steps, proofs.each, strict=True) if p.confirmed)
+    for what, some, number in (("findings", steps, NAMED), ("confirmed findings", sure, SURE)):
+        if not some or (all_tried and len(some) == len(steps)):
+            continue
+        candidate = sides.of(some)
+        looked = panel.look(of_model(candidate), number)
+        tried = _tried(what, some, panel, before, looked)
+        all_tried.append(tried._replace(entered=not tried.worse))
+        if not tried.worse:
+            model, after, kept = candidate, looked, some
+            break
+    rest, spare = False, Gated(model, before, after, kept, tuple(all_tried), False)
+    # Findings that describe badly what they describe keep the remainder from describing it: it is tried
+    # beside
+    # fewer of them, and beside the fitted baseline, which also has nothing too much.
+    for what, some, start, number in (
+        ("remainder", kept, model, WITH_REST),
+        ("remainder beside the confirmed findings", sure, None, SURE_WITH_REST),
+        ("remainder beside the baseline", (), sides.bare, REST_ALONE),
+    ):
+        if number != WITH_REST and len(some) == len(kept) and (some or start is model):
+            continue
+        if number != WITH_REST and not _told(panel, after):
+            break
+        base = sides.of(some) if start is None else start
+        candidate = with_rest(base)
+        if candidate is base:
+            continue
+        looked = panel.look(of_model(candidate), number)
+        tried = _tried(what, some, panel, after, looked)
+        all_tried.append(tried._replace(entered=tried.better))
+        if tried.better:
+            model, after, kept, rest = candidate, looked, some, True
+    return Gated(model, before, after, kept, tuple(all_tried), rest, spare if rest else None)
+
+
+def _told(panel: Panel, looked: Looked) -> bool:
+    """Whether the recordings may still be told from the draws: else nothing better is looked for."""
+    areas = panel.areas([looked])
+    return areas is None or areas[0].low > 0.5
+
+
+def _tried(what: str, steps: tuple[Step, ...], panel: Panel, before: Looked, after: Looked) -> Tried:
+    return Tried(what, len(steps), score_gain(panel, before, after), panel.change(before, after), True)
+
+
+def score_gain(panel: Panel, before: Looked, after: Looked) -> Gain | None:
+    """Composite score of one simulator less that of another, nats a pixel, from the scatter over frames."""
+    one, two = before.side.composite, after.side.composite
+    if one is None or two is None:
+        return None
+    fields = panel.halves[1].fields
+    alike = np.concatenate([np.full(f.frames, stratum(f)) for f in fields])
+    pixels = np.concatenate([np.full(f.frames, f.mean.size) for f in fields])
+    total = float(pixels.sum())
+    gain = frame_interval(Scored(two * pixels, alike, pixels), Scored(one * pixels, alike, pixels))
+    return Gain(*(v / total for v in gain))

@@ -1,0 +1,306 @@
+"""Prove: what every finding gains on frames that took no part in finding it.
+
+Strengths and frozen patterns of the frames that looked are judged on those held back. Where the finding has
+a likelihood (`Signature.predict`), the gain is that of the codes, all findings in the model against all but
+this one; its interval comes from the scatter of the gains of parts of the frames within each recording.
+Where it has none, the gain is that of the finding's own statistic, which is close to quadratic in its
+amplitude (to the statistic's power): its maximum on the frames held back less half the squared,
+standardised distance between the two fits; its interval is a jackknife over bands of rows or blocks of
+frames. Frozen patterns are learned on some frames and predicted on others: the claim is about this camera
+and new frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.discovery.frames.battery import Splits
+from cannoise_jax.discovery.frames.blocks import bands, frame_blocks, leave_out
+from cannoise_jax.discovery.proof.heldout import Scored, score_frames
+from cannoise_jax.discovery.search.fit import Fitted, Step
+from cannoise_jax.signatures.fields import Fields, refit, without_pixels
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import Signature
+
+MOST_JOINT = 4
+"""Up to so many findings each is judged with all others in the model."""
+_BLOCKS = 6
+"""Blocks of a jackknife."""
+_LARGE = 5_000_000
+"""Values from which a jackknife takes fewer blocks: statistics of large sets take seconds each."""
+_WITHIN_ROWS = ("pixel", "signal", "channel", "amplifier", "block", "edge")
+"""What varies within a row: chance in it is independent from one band of rows to the next."""
+_Z90 = 1.645
+_NUISANCES = 12
+"""Black level, gain and read noise of four channels, fitted on the frames that are scored: half a nat each.
+"""
+
+
+class Proof(NamedTuple):
+    """One mechanism on the frames held back.
+
+    score: its fit there. gain: of the fit of those that looked, nats, with a 90 % interval (nan where the
+    frames are too few for one). basis: 'likelihood', 'statistic' or 'composite'; log_e: natural log of the
+    e-value, None without a likelihood. shown: whether the finding is confirmed where `gain` does not say.
+    """
+
+    score: Score | None
+    gain: float | None
+    low: float
+    high: float
+    pixels: int
+    basis: str = "statistic"
+    log_e: float | None = None
+    shown: bool | None = None
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the frames held back show the finding by themselves: the whole 90 % interval of what it
+        gains there lies above zero. Of the finding's own evidence, whatever simulator is judged."""
+        if self.shown is not None:
+            return self.shown
+        return self.gain is not None and self.gain > 0 and bool(self.low > 0)
+
+
+class Proofs(NamedTuple):
+    """All findings, and the mean negative log-likelihood of the frames held back, nats per pixel: of the
+    baseline and with every finding (None where one of them has no likelihood), with the frames' scores."""
+
+    each: tuple[Proof, ...]
+    before: float | None
+    after: float | None
+
+    def without_likelihood(self) -> Proofs:
+        """The proofs of a simulator that has none."""
+        return self._replace(before=None, after=None)
+
+
+def refuted(step: Step, proof: Proof) -> bool:
+    """Whether the frames held back exclude a finding: they gain nothing by it, and the strength that they
+    show, which is zero, leaves no room for half of that of the frames that looked."""
+    found, again = step.named.score, proof.score
+    if step.late or again is None or proof.confirmed or proof.gain is None or proof.gain > 0:
+        return False
+    if step.named.signature.single_pixels:
+        return False  # a few pixels may not jump again in few frames
+    return again.amplitude == 0 and 0 < _Z90 * again.error < found.amplitude / 2
+
+
+def standing(
+    fitted: Fitted, proofs: Proofs, tell: Callable[[str], None] = lambda text: None
+) -> tuple[Fitted, Proofs]:
+    """Both without the findings that the frames held back exclude."""
+    pairs = list(zip(fitted.steps, proofs.each, strict=True))
+    for step, proof in pairs:
+        if refuted(step, proof):
+            tell(
+                f"given up: {step.named.mechanism} ({step.named.signature.name}), not in the frames held back"
+            )
+    kept = [(s, p) for s, p in pairs if not refuted(s, p)]
+    if len(kept) == len(pairs):
+        return fitted, proofs
+    steps, each = tuple(s for s, _ in kept), tuple(p for _, p in kept)
+    return fitted._replace(steps=steps), proofs._replace(each=each)
+
+
+def unproven(steps: tuple[Step, ...]) -> Proofs:
+    """What is said where no frames could be set aside."""
+    return Proofs(tuple(Proof(None, None, np.nan, np.nan, 0) for _ in steps), None, None)
+
+
+def unconfirmed(proofs: Proofs, steps: tuple[Step, ...]) -> Proofs:
+    """The proofs without gains of findings that took all frames to see: none is left to confirm them."""
+    each = (
+        p._replace(gain=None, low=np.nan, high=np.nan, pixels=0, log_e=None, shown=False) if s.late else p
+        for p, s in zip(proofs.each, steps, strict=True)
+    )
+    return proofs._replace(each=tuple(each))
+
+
+def prove(
+    fitted: Fitted,
+    splits: Splits,
+) -> Proofs:
+    """Every accepted mechanism on the frames held back, all others in the model; for statistics, of many
+    findings, those accepted before it, which have the larger effects. With all frames together the strength
+    of a frozen pattern is told by `strength_beyond`.
+
+    Pixels that a finding is about one by one (hot, telegraph) are scored for hot pixels only: their noise is
+    not that of the others, and would drown what rows or frames share.
+    """
+    steps, first, second, chosen = fitted.steps, splits.looking, splits.held_back, splits.chosen
+    signatures = {p.name: p for p in second.signatures}
+    laws = [s.named.signature.predict(s.before, s.named.score) for s in steps]
+    known = [p for p in laws if p is not None]
+    base = score_frames(first, second, chosen, [])
+    full = score_frames(first, second, chosen, known) if known else base
+    pixels = int(base.pixels.sum())
+    ordinary = {f.number: f.usable for f in fitted.fields}
+    masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
+    out: list[Proof] = []
+    complete_model: dict[tuple[bool, bool, bool], Scored] = {}
+    together = splits.together if any(_pattern(step.named.signature) for step in steps) else None
+    for n, step in enumerate(steps):
+        fields = beside(steps, n, second.fields)
+        signature = signatures.get(step.named.signature.name)
+        score = signature.score_again(fields, step.named.score) if signature is not None else None
+        if together is not None and score is not None and _pattern(step.named.signature):
+            looked, both = (step.named.signature.score(beside(steps, n, p.fields)) for p in (first, together))
+            if looked is not None and both is not None:
+                score = strength_beyond(looked, both, score)
+        told = step.named.signature.strength
+        if score is not None and told is not None:
+            score = told(step.named.score, beside(steps, n, first.fields), fields) or score
+        law = laws[n]
+        if law is not None and pixels:
+            rest = [p for p in laws if p is not None and p is not law]
+            single = step.named.signature.single_pixels or not masked
+            masks, cut = None if single else ordinary, (single, bool(law.frame), bool(law.column))
+            if cut not in complete_model:  # the same for all findings whose frames are cut alike
+                complete_model[cut] = score_frames(first, second, chosen, known, masks, law)
+            reference = complete_model[cut]
+            without = score_frames(first, second, chosen, rest, masks, law)
+            gain, low, high = frame_interval(reference, without)
+            scored, shown = int(reference.pixels.sum()), None
+            if not np.isfinite(low) and score is not None and signature is not None:
+                own = held_out_gain(step.named.score, score)  # one frame has no scatter: parts of it do
+                shown = own > 0 and jackknife_interval(signature, fields, step.named.score, own)[0] > 0
+            log_e = gain - _NUISANCES / 2
+            out.append(Proof(score, gain, low, high, scored, "likelihood", log_e, shown))
+        elif score is None or signature is None or not pixels:
+            out.append(Proof(None, None, np.nan, np.nan, 0))
+        else:
+            gain = held_out_gain(step.named.score, score)
+            low, high = jackknife_interval(signature, fields, step.named.score, gain)
+            out.append(Proof(score, gain, low, high, pixels))
+    complete = len(known) == len(steps)
+    return Proofs(
+        tuple(out),
+        -float(base.log_prob.sum()) / pixels if pixels else None,
+        -float(full.log_prob.sum()) / pixels if pixels and complete else None,
+    )
+
+
+def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+    """The fields with every finding but the n-th taken out; of many, and for hot pixels that stand out from a
+    map found after them, those accepted before it."""
+    found = steps[n].named
+    ordered = len(steps) > MOST_JOINT or bool(found.signature.before(found.score))
+    others = steps[:n] if ordered else (*steps[:n], *steps[n + 1 :])
+    for other in others:
+        fields = refit(other.named.signature.absorb(fields, other.named.score))
+    return fields
+
+
+def _pattern(signature: Signature) -> bool:
+    """Whether a signature looks for a random pattern that stays."""
+    return signature.frozen and signature.axes.law == "white"
+
+
+def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
+    """Strength of a frozen pattern from what the frames held back add to those that selected it.
+
+    Log-likelihood of the frames held back given the others, log p(all) - log p(looked), as a function of the
+    pattern's variance, each close to quadratic about its own estimate: their difference is again. The frames
+    held back by themselves tell the strength too, and better where the others know the pattern already; of
+    both, the one with the smaller error. The standard error of an estimate v is s + q v, s: without a
+    pattern, q: from the draw of the pattern itself; both follow from each estimate's own errors.
+    """
+
+    def law(score: Score) -> tuple[float, float, float]:
+        value, least = score.amplitude**2, score.shift**2
+        error = 2 * max(score.amplitude, score.shift) * score.error
+        return value, least, max(error - least, 0.0) / max(value, least)
+
+    (v_all, s_all, q_all), (v_look, s_look, q_look), (_, s_held, q_held) = map(law, (both, looked, held))
+    inverse_all, inverse_look = (s_all + q_all * v_all) ** -2, (s_look + q_look * v_all) ** -2
+    left = inverse_all - inverse_look
+    if not left > (s_held + q_held * v_all) ** -2:
+        return held
+    value = max((v_all * inverse_all - v_look * inverse_look) / left, 0.0)
+    amplitude, error = float(np.sqrt(value)), float(left**-0.5)
+    error /= 2 * max(amplitude, both.shift)
+    name, (_, unit, _) = next(iter(held.parameters.items()))
+    parameters = {**held.parameters, name: (amplitude, unit, error)}
+    return held.replace(amplitude=amplitude, error=error, parameters=parameters)
+
+
+def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, float]:
+    """Total gain in nats and its 90 % interval: from the scatter of the parts of the frames within each
+    recording where they were scored apart, else from that of the frames."""
+    gains = with_it.log_prob - without.log_prob
+    total = float(gains.sum())
+    recordings = np.unique(with_it.recording)
+    if with_it.parts is not None and without.parts is not None:
+        values = with_it.parts - without.parts
+        groups = [values[with_it.recording == r].ravel() for r in recordings]
+        # What a part cannot tell of an offset that it shares with another is missing in the sum of the parts.
+        scale = np.clip(total / values.sum(), 1.0, 2.0) ** 2 if values.sum() > 0 else 1.0
+    elif gains.size > 1:
+        several = [g for r in recordings if (g := gains[with_it.recording == r]).size > 1]
+        groups = several or [gains]
+        # Recordings of one frame scatter like the others.
+        scale = gains.size / sum(g.size for g in groups)
+    else:
+        return total, float("nan"), float("nan")
+    variances = np.array([g.size * np.var(g, ddof=1) for g in groups]) * scale
+    freedom = variances.sum() ** 2 / max(np.sum(variances**2 / [g.size - 1 for g in groups]), 1e-300)
+    half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(variances.sum()))
+    return total, total - half, total + half
+
+
+def held_out_gain(found: Score, again: Score) -> float:
+    """Log-likelihood gain on the frames held back at the parameters of the others, nats."""
+    power = found.power
+    a, b = found.amplitude**power, again.amplitude**power
+    if not same_place(found, again):
+        return 0.0
+    if not again.error > 0:  # a shape without a strength: less what its free parameters gain by chance
+        return float(again.gain - again.penalty)
+    error = max(power * max(again.amplitude, again.shift) ** (power - 1) * again.error, 1e-30)
+    if not np.isfinite(error):
+        return float(again.gain)
+    return float(again.gain - 0.5 * np.clip((a - b) / error, -50.0, 50.0) ** 2)
+
+
+def jackknife_interval(
+    signature: Signature, fields: tuple[Fields, ...], found: Score, gain: float
+) -> tuple[float, float]:
+    """90 % interval of a held-out gain by leaving out bands of rows, or blocks of frames where a row or frame
+    shares what is new in it; nan for fewer than two blocks."""
+    size = sum(f.contrasts.size for f in fields)
+    most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
+    frame_wide = signature.axes.varies_over == "channel" and signature.axes.time == "redrawn"
+    if signature.axes.varies_over in _WITHIN_ROWS and not frame_wide:
+        parts = [without_pixels(fields, band) for band in bands(fields[0].mean.shape, most)]
+    else:
+        parts = [leave_out(fields, block) for block in frame_blocks(fields, most)]
+    if len(parts) < 2:
+        return float("nan"), float("nan")
+    again = [signature.score_again(part, found) for part in parts]
+    gains = np.array([held_out_gain(found, s) for s in again if s is not None])
+    if gains.size < 2:
+        return float("nan"), float("nan")
+    g = gains.size
+    half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
+    return gain - half, gain + half
+
+
+def same_place(found: Score, again: Score) -> bool:
+    """Whether both halves put the effect at the same frequency, boundary, edge or period."""
+    for name, tolerance in (
+        ("frequency", 2.5),
+        ("frequency_x", 2.5),
+        ("frequency_y", 2.5),
+        ("boundary", 4.0),
+    ):
+        if name in found.parameters and name in again.parameters:
+            a, b = found.parameters[name], again.parameters[name]
+            if abs(a[0] - b[0]) > tolerance * max(a[2], b[2]):
+                return False
+    same = all(found.where.get(k) == again.where.get(k) for k in ("period",) if k in found.where)
+    return same

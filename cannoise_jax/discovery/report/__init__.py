@@ -1,0 +1,1 @@
+"""What is written of a diagnosis: the document, cards, wording, pictures, the page."""

@@ -1,0 +1,114 @@
+"""What came of it, as plain data: the baseline, the shares of the findings, the gate, and what still
+differs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.discovery.compare.report import difference_document
+from cannoise_jax.discovery.diagnose import Diagnosis
+from cannoise_jax.discovery.proof.gate import Gated, Tried
+
+
+def baseline(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
+    back, for every ISO that it has; the ISO is None where no file states one, and not the stand-in by which
+    a camera model knows that gain."""
+    model = diagnosis.model
+    stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
+    return [
+        {
+            "iso": stated.get(iso, iso),
+            "gain_dn_per_e": np.asarray(model.gain_dn_per_e)[n],
+            "read_noise_e": np.asarray(model.read_noise_e)[n],
+            "black_dn": np.asarray(model.black_level),
+        }
+        for n, iso in enumerate(np.asarray(model.iso).tolist())
+    ]
+
+
+def shares(diagnosis: Diagnosis, listed: list[int]) -> tuple[list[float | None], float]:
+    """Share of the whole gain on frames held back of every finding (None: not measured), and of the
+    remainder.
+
+    Of the findings together and the remainder by the composite score where both were tried; among the
+    findings by what each gains.
+    """
+    rest = 0.0
+    if diagnosis.gated is not None and diagnosis.gated.remainder:
+        alone = (
+            t.score.value for t in diagnosis.gated.tried if t.score and t.steps and "remainder" not in t.what
+        )
+        whole = score_of(diagnosis.gated)
+        rest = float(np.clip(1 - max(next(alone, 0.0), 0.0) / whole, 0.0, 1.0)) if whole > 0 else 0.0
+    gains = [diagnosis.proofs[n].gain for n in listed]
+    known = sum(max(g, 0.0) for g in gains if g is not None)
+    each = [None if g is None else (1 - rest) * max(g, 0.0) / known if known > 0 else 0.0 for g in gains]
+    return each, rest
+
+
+def score_of(gated: Gated) -> float:
+    """Composite score of the simulator that is handed back less that of the one that was judged, nats a
+    pixel."""
+    one, two = gated.before.side.composite, gated.after.side.composite
+    return 0.0 if one is None or two is None else float(two.mean() - one.mean())
+
+
+def entered(diagnosis: Diagnosis, n: int) -> bool | None:
+    """Whether a finding is in the simulator that is handed back; None where none was chosen by draws."""
+    if diagnosis.gated is None:
+        return None if diagnosis.entered else False
+    return diagnosis.fitted.steps[n] in diagnosis.gated.steps
+
+
+def gate(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What was tried beside the simulator that was judged, and what entered; None: nothing was measured.
+
+    worse: whether what is handed back is worse than what was judged, by a measure of which the interval
+    says so.
+    """
+    if diagnosis.gated is None:
+        return None
+    tried = diagnosis.gated.tried
+    return {
+        "tried": [_tried(t) for t in tried],
+        "remainder": diagnosis.gated.remainder,
+        "worse": any(t.entered and t.worse for t in tried),
+    }
+
+
+def _tried(t: Tried) -> dict[str, Any]:
+    return {
+        "what": t.what,
+        "findings": t.steps,
+        "score_nats_per_pixel": None if t.score is None else _interval(t.score),
+        "area_distance_change": None if t.area is None else _interval(t.area),
+        "entered": t.entered,
+    }
+
+
+def _interval(change: Any) -> dict[str, Any]:
+    return {"value": change.value, "ci90": [change.low, change.high]}
+
+
+def remains(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What differs before and after by the layer that knows no names, largest share first; None: not looked.
+
+    left: nats that are left of those before (above 1: more than before); nearer: log score of the noise
+    after less before, nats a pixel.
+    """
+    found = diagnosis.remains
+    if found is None:
+        return None
+    nearer = found.nearer
+    return {
+        "held_back": found.held_back,
+        "before": [difference_document(d) for d in found.before.differences],
+        "after": [difference_document(d) for d in found.after.differences],
+        "left": found.left,
+        "nearer": None
+        if nearer is None
+        else {"value": nearer.gain, "ci90": [nearer.low, nearer.high], "contrasts": nearer.units},
+    }

@@ -1,0 +1,222 @@
+"""The page of a report: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from cannoise_jax.discovery.compare.report import percent
+from cannoise_jax.discovery.diagnose import Diagnosis
+from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
+from cannoise_jax.discovery.report.card import lines as card_lines
+from cannoise_jax.discovery.report.document import listed_steps
+from cannoise_jax.discovery.report.pictures import quality_pictures, where_pictures
+from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats
+from cannoise_jax.discovery.search.declare import NOTHING_LOOKS
+from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.vocabulary import Term
+
+_MEASURES = (
+    ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),
+    ("two_sample_auc_ci90", "its 90 % interval, frames resampled"),
+    ("nll_nats_per_pixel", "surprise about new frames, nats per pixel (less is better)"),
+    ("kl", "KL divergence of the noise histograms, nats (of the bins that both fill: may be negative)"),
+    ("kl_floor", "what two equal samples of this size would show"),
+)
+
+
+def number(value: Any) -> str:
+    """A number, or a pair of them, as the page prints it."""
+    if value is None:
+        return "not measured"
+    if isinstance(value, (list, tuple)):
+        return " to ".join(number(v) for v in value)
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int) or 1e4 <= abs(value) < 1e9:
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.3e}"
+
+
+def precise(value: Any) -> str:
+    """A number with six decimals, for differences in the fourth."""
+    return f"{value:.6f}" if isinstance(value, float) else number(value)
+
+
+def unit(text: str | None) -> str:
+    """A unit as it follows a number: nothing for a dimensionless one."""
+    return "" if text in (None, "1") else f" {text}"
+
+
+def place(where: dict[str, Any]) -> str:
+    """`where` in words."""
+    words = {
+        "row": "from row to row",
+        "column": "from column to column",
+        "pixel": "pixel by pixel",
+        "channel": "between the colour channels",
+        "block": "between regions of the frame",
+        "frame": "from frame to frame",
+        "signal": "over the range of signals",
+        "frequency": "at one spatial frequency",
+        "code": "in the stored codes",
+        "edge": "at edges",
+    }
+    more = []
+    for name, value in where.items():
+        if name == "axis" or value in (None, [], ""):
+            continue
+        if name == "recordings":  # by their names: where they lie is in the table of recordings
+            value = [Path(str(path)).name for path in value] if isinstance(value, list) else value
+        more.append(f"{name.replace('_', ' ')}: {_listed(value)}")
+    axis = words[where["axis"]]
+    if where["axis"] == "frequency" and not where.get("period_px"):
+        axis = "by spatial frequency"
+    return axis + (f" ({'; '.join(more)})" if more else "")
+
+
+def _listed(value: Any) -> str:
+    """A value of `where`, numbers short, of long lists the first eight."""
+    if isinstance(value, list):
+        parts = [f"({', '.join(map(_listed, v))})" if isinstance(v, list) else _listed(v) for v in value[:8]]
+        return ", ".join([*parts, "…"] if len(value) > 8 else parts)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def verdict(report: dict[str, Any]) -> str:
+    """The page's first sentence."""
+    said = report["verdict"]
+    if said == NOT_TESTABLE:
+        return "Nothing could be tested with these recordings: see below what to record."
+    if said == MATCH:
+        return "Match: nothing that was tested differs from the simulator."
+    left = _largest(report)
+    if said == NO_CAUSE:
+        return f"Differs, and no cause was found.{left}"
+    sure = [f for f in report["findings"] if f["confirmed"]]
+    rest = [f for f in report["findings"] if not f["confirmed"]]
+    start = "Explained" if said == EXPLAINED else "Partly explained"
+    names = f"{start}: {_counted(sure or rest)}"
+    if not sure:
+        return f"{names}, not confirmed on frames held back.{left}"
+    more = f" Found, but not confirmed on frames held back: {_counted(rest)}." if rest else ""
+    return f"{names}.{more}{left}"
+
+
+def _largest(report: dict[str, Any]) -> str:
+    """What differs most once all is in the simulator, as a sentence; nothing where nothing does."""
+    remains = report.get("remains")
+    if not remains or not remains["after"]:
+        return ""
+    most = remains["after"][0]
+    sizes = ", ".join(f"{number(most[k])} {most['unit']} {k}" for k in ("recorded", "simulated"))
+    has = f"of which the simulator has {most['simulator_has']} ({sizes})"
+    return f" What still differs most: {most['what']}, {has}."
+
+
+def sites(values: list[float]) -> str:
+    """A number of every mosaic site, once where all are alike."""
+    said = [f"{v:.3g}" for v in values]
+    return said[0] if len(set(said)) == 1 else ", ".join(said)
+
+
+def share(part: float | None) -> str:
+    """A share as the page prints it."""
+    return "not measured" if part is None else percent(part)
+
+
+def strength(terms: dict[str, Term], mechanism: str, values: Any, of: str | None) -> str:
+    """A strength of a mechanism, or an interval of it, with its unit; fractions in percent."""
+    return amount(values, of, "" if mechanism == UNKNOWN else terms[mechanism].amplitude)
+
+
+def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any]]:
+    """The table at the top: what was found, the largest share first, and the remainder. size: `strength` of
+    the terms of the run."""
+    out = [
+        {
+            "name": _name(f["mechanism"]),
+            "anchor": f"finding-{n + 1}",
+            "size": size(f["mechanism"], f["amplitude"]["value"], f["amplitude"]["unit"]),
+            "sign": f["sign"],
+            "share": share(f["share"]),
+            "part": f["share"] or 0.0,
+            "confirmed": "yes" if f["confirmed"] else "no",
+            "in_simulator": f["in_simulator"],
+        }
+        for n, f in enumerate(report["findings"])
+    ]
+    rest = report["remainder_share"]
+    if rest is not None:
+        name = "remainder: no name explains it"
+        kept = {"name": name, "anchor": "remains", "size": "", "sign": "too little", "part": rest}
+        out.append({**kept, "share": percent(rest), "confirmed": "yes", "in_simulator": True})
+    return sorted(out, key=lambda r: -r["part"])
+
+
+def _counted(findings: list[dict[str, Any]]) -> str:
+    """Names of findings, each once with how often it is there."""
+    names = [_name(f["mechanism"]) for f in findings]
+    each = [n if names.count(n) == 1 else f"{n} ({names.count(n)} times)" for n in dict.fromkeys(names)]
+    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
+
+
+def _name(id: str) -> str:
+    return "a structure without a name" if id == UNKNOWN else id.replace("_", " ")
+
+
+def advice(report: dict[str, Any]) -> list[tuple[str, str]]:
+    """What to record next, and the mechanisms it would decide, the most decisive first."""
+    needs: dict[str, list[str]] = {}
+    for entry in report["not_testable"]:
+        if not entry["needs"].startswith(NOTHING_LOOKS):
+            needs.setdefault(entry["needs"], []).append(_name(entry["mechanism"]))
+    return sorted(((n, ", ".join(m)) for n, m in needs.items()), key=lambda e: -e[1].count(","))
+
+
+def not_looked_for(report: dict[str, Any]) -> str:
+    """The mechanisms that no recording lets this version test."""
+    unseen = (e for e in report["not_testable"] if e["needs"].startswith(NOTHING_LOOKS))
+    return ", ".join(_name(e["mechanism"]) for e in unseen)
+
+
+def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
+    """The report as HTML with its pictures inside."""
+    steps = diagnosis.fitted.steps
+    pictures = []
+    for n in listed_steps(diagnosis):
+        after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
+        axis = steps[n].named.score.where.get("axis", "pixel")
+        redrawn = steps[n].named.signature.axes.time == "redrawn"
+        pictures.append(where_pictures(steps[n].before, after, axis, redrawn))
+    size = partial(strength, diagnosis.terms)
+    template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
+    return jinja2.Template(template, autoescape=True).render(
+        card_lines=card_lines,
+        not_looked_for=not_looked_for(report),
+        camera="Recordings" if diagnosis.capture.camera == Recording.camera else diagnosis.capture.camera,
+        r=report,
+        verdict=verdict(report),
+        rows=rows(report, size),
+        percent=percent,
+        sites=sites,
+        size=size,
+        nats=nats,
+        certain=CERTAIN,
+        pictures=pictures,
+        measures=_MEASURES,
+        number=number,
+        precise=precise,
+        unit=unit,
+        place=place,
+        name=_name,
+        advice=advice(report),
+        definitions={id: term.definition for id, term in diagnosis.terms.items()},
+        quality=[] if diagnosis.quality is None else quality_pictures(diagnosis.quality),
+    )

@@ -1,0 +1,127 @@
+"""The sentence that says a finding to a camera engineer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from cannoise_jax.discovery.proof.prove import Proof
+from cannoise_jax.discovery.report.card import said_against
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.signatures.signature import Axes
+from cannoise_jax.vocabulary import Term
+
+_PLAIN = 1e6
+"""Numbers from which on are written with an exponent."""
+CERTAIN = 10.0
+"""Nats a pixel from which on more of them say nothing more: e^-10 a pixel is never met."""
+_OVER = {
+    "raster time": "along the readout",
+    "frame": "over whole frames",
+    "whole": "over whole frames",
+    "pixel": "from pixel to pixel",
+    "signal": "over the range of signals",
+    "edge": "at edges",
+    "code": "over the stored codes",
+    "block": "between regions of the frame",
+    "channel": "between colours",
+    "amplifier": "between amplifiers",
+}
+_TIME = {"frozen": "the same in every frame", "redrawn": "new in every frame"}
+_SCALES = {
+    "additive": "whatever the signal",
+    "signal": "in proportion to the signal",
+    "signal squared": "as the square of the signal",
+    "exposure": "in proportion to the exposure",
+    "all noise": "in proportion to all noise",
+    "scene": "with the scene",
+    "none": "",
+}
+
+
+def short(value: float) -> str:
+    """Three digits; an exponent only where the number would be long."""
+    if 1000 <= abs(value) < _PLAIN:
+        return f"{float(f'{value:.3g}'):,.0f}"
+    return f"{value:.3g}"
+
+
+def amount(values: float | Sequence[float], unit: str | None, meaning: str = "") -> str:
+    """A strength, or an interval of it, with its unit; fractions in percent. meaning: of the number."""
+    each = values if isinstance(values, Sequence) else (values,)
+    plain = unit in (None, "1")
+    percent = plain and ("fraction" in meaning or "relative" in meaning)
+    said = " to ".join(short(100 * v if percent else v) for v in each)
+    return f"{said} %" if percent else said if plain else f"{said} {unit}"
+
+
+def nats(gain: float, pixels: int) -> str:
+    """A gain on frames held back in words."""
+    if pixels and gain > CERTAIN * pixels:
+        return f"more than {CERTAIN:g} nats a pixel"
+    return f"{short(gain) if abs(gain) >= 1 else f'{gain:.1g}'} nats"
+
+
+def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str:
+    """What a camera engineer reads first. term: of the mechanism."""
+    name = entry["mechanism"].replace("_", " ")
+    unit, (low, high) = entry["amplitude"]["unit"], entry["amplitude"]["ci90"]
+    unnamed = entry["outcome"] == "UNKNOWN_STRUCTURE"
+    meaning = "" if unnamed else term.amplitude
+    size = _sized(entry["amplitude"]["value"], unit, meaning)
+    if unnamed:
+        start = f"A structure without a name, {_placed(step.named.signature.axes)}: strength {size}"
+        if step.named.doubt is not None:
+            near = step.named.doubt.nearest.replace("_", " ")
+            start += f"; nearest to {near}, but {said_against(step.named.doubt)}"
+    elif entry["outcome"] == "AMBIGUOUS":
+        others = [
+            c["mechanism"].replace("_", " ")
+            for c in entry["candidates"]
+            if c["mechanism"] != UNKNOWN and c["probability"] > 0.01
+        ]
+        together = " and ".join([", ".join(others[:-1]), *others[-1:]] if len(others) > 1 else others)
+        start = f"These recordings cannot tell {together} apart; as {name}: {size}"
+    else:
+        told = "exposure" in term.definition or step.named.signature.axes.scales != "exposure"
+        grows = "" if told else " (growing with the exposure)"
+        start = f"{term.definition.removesuffix('.')}{grows}: {size}"
+        if step.named.signature.says:
+            start, (low, high) = step.named.signature.says(entry)
+            unit, meaning = None, ""
+    moved = entry.get("parameters", {}).get("frame_offset")
+    slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
+    within = f" (90 %: {amount((low, high), unit, meaning)})" if low < high else ""
+    return f"{start}{within}{slow}{_proven(step, proof)}"
+
+
+def _sized(value: float, unit: str | None, meaning: str) -> str:
+    """A strength, with what it measures where the unit does not say that."""
+    if unit in (None, "1"):
+        what = meaning.partition(":")[0].replace("fraction of", "share of")
+        return f"{what} {amount(value, unit, meaning)}".strip()
+    kind = meaning.partition(",")[0]
+    return amount(value, unit) + (f" {kind}" if kind in ("rms", "peak") else "")
+
+
+def _placed(axes: Axes) -> str:
+    """The place of a structure in the grammar in words."""
+    over = _OVER.get(axes.varies_over, f"from {axes.varies_over} to {axes.varies_over}")
+    parts = (over, _TIME.get(axes.time, axes.time), _SCALES.get(axes.scales, axes.scales))
+    return f"{', '.join(p for p in parts if p)} (law: {axes.law})"
+
+
+def _proven(step: Step, proof: Proof) -> str:
+    whose = "new frames of this camera" if step.named.signature.frozen else "frames not used to find it"
+    if step.late:
+        return "; not confirmed: only all frames together show it, and none is left to confirm it on."
+    if proof.gain is None:
+        return "; not confirmed: too few frames are held back."
+    gains = f"; on {whose} the fit gains {nats(proof.gain, proof.pixels)}"
+    if proof.confirmed:
+        return f"{gains}."
+    if math.isfinite(proof.low) or proof.gain <= 0:
+        return f"; not confirmed on {whose}."
+    return f"{gains}, from too few frames to confirm it."

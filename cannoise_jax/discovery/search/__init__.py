@@ -1,0 +1,1 @@
+"""What a simulator lacks: declared, located, named, fitted, with the smallest effect that would be seen."""

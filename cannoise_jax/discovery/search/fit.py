@@ -1,0 +1,235 @@
+"""Fit: forward, one mechanism at a time, the baseline refitted after each; back where one is not needed.
+
+The frames that look are not all frames, so that some are left to prove with. What they suspect but cannot
+show gets a second look with all frames together, at its own share of the error rate: such a finding is seen
+sooner, but no frame is left to confirm it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.search.locate import Located, locate
+from cannoise_jax.discovery.search.name import UNKNOWN, Named, name
+from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.multiplicity import SHARED
+from cannoise_jax.signatures.score import Score, sidak
+from cannoise_jax.signatures.signature import Signature
+
+MOST_STEPS = 25
+"""A bound on time: longer lists than this are no explanation."""
+_Z90 = 1.645
+"""Standard errors on each side of a 90 % interval."""
+
+
+class Step(NamedTuple):
+    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
+    with all other accepted mechanisms in the model. late: it took all frames together to see it."""
+
+    named: Named
+    before: tuple[Fields, ...]
+    log_p: float
+    late: bool = False
+
+
+class Search(NamedTuple):
+    """What does not change while steps are added: the signatures, the names that may be given, how many tests
+    share the error rate, log of the share of alpha that one look may spend, and who is told."""
+
+    signatures: tuple[Signature, ...]
+    allowed: frozenset[str]
+    tests: float
+    level: float
+    tell: Callable[[str], None]
+
+
+class Fitted(NamedTuple):
+    """All accepted steps, the fields that are left, and the last pass of the battery."""
+
+    steps: tuple[Step, ...]
+    fields: tuple[Fields, ...]
+    last: Located
+    first: Located
+
+
+def known(
+    located: Located,
+    before: tuple[Fields, ...],
+    after: tuple[Fields, ...],
+    signatures: tuple[Signature, ...],
+) -> dict[str, Score]:
+    """Scores that stand because nothing that they read of the fields has changed."""
+    pairs = list(zip(before, after, strict=True))
+    same = {what for what in Fields._fields if all(getattr(a, what) is getattr(b, what) for a, b in pairs)}
+    return {
+        s.name: located.scores[s.name] for s in signatures if s.name in located.scores and s.reads <= same
+    }
+
+
+def stepwise(
+    fields: tuple[Fields, ...],
+    signatures: tuple[Signature, ...],
+    allowed: frozenset[str],
+    log_alpha: float,
+    tell: Callable[[str], None] = lambda text: None,
+    every: Callable[[], tuple[Fields, ...]] | None = None,
+    located: Located | None = None,
+) -> Fitted:
+    """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is rejected.
+    What the final model does not need any more is given up again, the least needed first. every: the fields
+    of all frames, for a second look at what is suspected; without it all of alpha is spent on the first.
+    located: the first pass of the battery, where it was run already.
+    """
+    share = SHARED.looking if every else 1.0
+    first = last = located or locate(fields, signatures)
+    search = Search(signatures, allowed, first.tests, log_alpha + float(np.log(share)), tell)
+    start = fields
+    steps: list[Step] = []
+    given_up: set[str] = set()
+    while True:
+        steps, fields, last = _forward(search, steps, fields, last, given_up)
+        final = _in_final_model(steps, first.tests)
+        weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
+        if not weak:
+            late = None
+            if every and len(steps) < MOST_STEPS:
+                active = _active(signatures, steps, given_up)
+                late = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
+            if late is None:
+                charged = (s if s.late else s._replace(log_p=charge(s.log_p, share)) for s in final)
+                return Fitted(tuple(charged), fields, last, first)
+            named, log_p = late
+            tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.signature.name})")
+            steps.append(Step(named, fields, log_p, late=True))
+            fields = refit(named.signature.absorb(fields, named.score), fields)
+            last = locate(fields, _active(signatures, steps, given_up), first.tests)
+            continue
+        gone = steps.pop(max(weak, key=lambda n: final[n].log_p))
+        tell(f"given up: {gone.named.mechanism} ({gone.named.signature.name})")
+        given_up.add(gone.named.signature.name)
+        steps, fields = _again(steps, start)
+        last = locate(fields, _active(signatures, steps, given_up), first.tests)
+
+
+def charge(log_p: float, share: float) -> float:
+    """log p of a test that may spend `share` of the error rate."""
+    return min(0.0, log_p - float(np.log(share)))
+
+
+def second_look(
+    steps: list[Step],
+    last: Located,
+    every: Callable[[], tuple[Fields, ...]],
+    signatures: tuple[Signature, ...],
+    allowed: frozenset[str],
+    tests: float,
+    log_alpha: float,
+) -> tuple[Named, float] | None:
+    """What all frames together reject of that which the frames that look suspect, with the score of the
+    latter and the family-wise log p of the former; None where there is no suspicion or it does not hold."""
+    if not last.log_p or min(last.log_p.values()) > np.log(SHARED.suspect):
+        return None
+    doubtful = tuple(
+        p
+        for p in signatures
+        if p.name in last.scores and last.scores[p.name].log_p < np.log(SHARED.candidate)
+    )
+    fields = _again(steps, every())[1]
+    together = locate(fields, doubtful, tests)
+    named = name(together, doubtful, allowed, log_alpha + float(np.log(SHARED.together)))
+    if named is None:
+        return None
+    log_p = charge(together.log_p[named.signature.name], SHARED.together)
+    return named._replace(score=last.scores[named.signature.name]), log_p
+
+
+def _forward(
+    search: Search, steps: list[Step], fields: tuple[Fields, ...], located: Located, given_up: set[str]
+) -> tuple[list[Step], tuple[Fields, ...], Located]:
+    """Steps added until nothing is rejected, what is left of the fields, and the last pass of the battery.
+
+    What was not rejected is looked at again only once all that was rejected is taken out: most of a pass
+    over large frames goes to statistics of effects that are not there.
+    """
+    steps, old = list(steps), set[str]()
+    while True:
+        active = _active(search.signatures, steps, given_up)
+        full = len(steps) == MOST_STEPS
+        named = None if full else name(located, active, search.allowed, search.level)
+        if named is None:
+            if not old:
+                return steps, fields, located
+            located = locate(
+                fields, active, search.tests, {n: s for n, s in located.scores.items() if n not in old}
+            )
+            old = set()
+            continue
+        search.tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
+        steps.append(Step(named, fields, located.log_p[named.signature.name]))
+        previous, fields = fields, refit(named.signature.absorb(fields, named.score), fields)
+        active = _active(search.signatures, steps, given_up)
+        same = known(located, previous, fields, active)
+        put_off = {
+            s.name: located.scores[s.name]
+            for s in active
+            if s.name not in same and located.log_p.get(s.name, -np.inf) >= search.level
+        }
+        old = {s.name for s in active if s.name in old} | put_off.keys()
+        located = locate(fields, active, search.tests, {**same, **put_off})
+
+
+def _active(
+    signatures: tuple[Signature, ...], steps: list[Step], given_up: set[str]
+) -> tuple[Signature, ...]:
+    """Signatures that can be trusted beside the steps."""
+    found = [(s.named.signature, s.named.score) for s in steps]
+    aside = given_up | {n for p, score in found for n in (p.name, *p.covers, *p.hides(score))}
+    return tuple(p for p in signatures if p.name not in aside)
+
+
+def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:
+    """The steps fitted anew from the start, each beside those before it, and what is left of the fields."""
+    out = []
+    for step in steps:
+        score = step.named.signature.score(fields) or step.named.score
+        out.append(step._replace(named=step.named._replace(score=score), before=fields))
+        fields = refit(step.named.signature.absorb(fields, score), fields)
+    return out, fields
+
+
+def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
+    """Steps that are the slow part of another: means of frames that move no more than noise slower than a
+    frame moves them, and the step with that noise."""
+    out = {}
+    for n, step in enumerate(steps):
+        score, axes = step.named.score, step.named.signature.axes
+        if (axes.varies_over, axes.time, axes.scales) != ("frame", "redrawn", "additive"):
+            continue
+        for m, other in enumerate(steps):
+            moved = other.named.signature.moves_frames
+            size = step.before[0].mean.shape
+            if moved and score.amplitude - _Z90 * score.error < moved(other.named.score, size):
+                out[n] = m
+    return out
+
+
+def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
+    """The steps with the p-value that each has when it alone is dropped from the final model. A signature
+    that the others leave nothing to look at keeps the p-value of its step. What is left of an effect that is
+    known but approximately, and has no name, does not make it superfluous."""
+    out = []
+    for k, step in enumerate(steps):
+        fields = step.before
+        for later in steps[k + 1 :]:
+            if step.named.signature.approximate and later.named.mechanism == UNKNOWN:
+                continue
+            fields = refit(later.named.signature.absorb(fields, later.named.score), fields)
+        score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
+        share = step.named.signature.weight
+        out.append(
+            step if score is None or step.late else step._replace(log_p=sidak(score.log_p, tests / share))
+        )
+    return tuple(out)

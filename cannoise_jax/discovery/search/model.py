@@ -1,0 +1,139 @@
+"""The extended simulator: the baseline and every finding as a `SensorModel`, named or from the grammar.
+
+Everything comes from the frames that looked for effects, so that the frames that prove it have had no part
+in it: strengths, measured maps of frozen patterns, and the noise of the baseline, which was fitted with the
+effects in it and is lowered by what they now add.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from cannoise_jax.discovery.frames.balance import balanced
+from cannoise_jax.discovery.frames.battery import Prepared
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.physics.core import registry
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
+from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.core.ranges import clipped
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.transfer.model import measured_at
+from cannoise_jax.recordings.recording import CaptureSet, per_channel
+from cannoise_jax.signatures.signature import Addition, Found
+
+
+def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None = None) -> SensorModel:
+    """The fitted Poisson-Gaussian baseline of the recordings; with gain and read noise (DN) as `stated` per
+    gain setting where given."""
+    first = capture.recordings[0]
+    order = np.argsort([prepared.isos[b.iso] for b in prepared.baselines])
+    gains, reads = [], []
+    for n in order:
+        baseline = prepared.baselines[n]
+        gain, read = stated[n] if stated is not None and stated[n][0] is not None else (None, None)
+        gains.append(np.maximum(baseline.gain if gain is None else gain, 1e-6))
+        reads.append((baseline.read_dn if read is None else read) / gains[-1])
+    baselines = [prepared.baselines[n] for n in order]
+    return SensorModel.poisson_gaussian(
+        np.stack(gains),
+        np.stack(reads),
+        per_channel(baselines[0].pedestal),
+        min(first.white_level, 65535.0),  # a wrong one may lie above every code
+        first.cfa,
+        iso=tuple(prepared.isos[b.iso] for b in baselines),
+        code_step=prepared.step,
+        camera=capture.camera,
+    )
+
+
+def extended_model(
+    capture: CaptureSet,
+    prepared: Prepared,
+    steps: tuple[Step, ...],
+    start: SensorModel | None = None,
+    seed: int = 0,
+    silent: Step | None = None,
+) -> SensorModel:
+    """The baseline of the recordings with every finding that can be simulated added, sorted along the chain.
+
+    steps: the accepted findings. start: the camera model that was judged; what was found is added to it.
+    seed: of the part of frozen maps that the frames leave open. silent: a step that is added at strength
+    zero, so that all else is as with it. Capture and bookkeeping errors are not the camera's: they are not in
+    it.
+    """
+    bare = baseline_model(capture, prepared)
+    model = bare if start is None else start
+    if not steps:
+        return model
+    rng = np.random.default_rng(seed)
+    added = [(step, addition(step, prepared, rng)) for step in steps]
+    if any(a is not None and a.fitted_black for _, a in added):
+        model = dataclasses.replace(model, black_level=bare.black_level)
+    temperature = measured_at(capture.recordings)
+    for step, more in added:
+        if more is not None:
+            more = _silenced(step, more) if step is silent else more
+            model = with_addition(model, step, more, temperature)
+    matched = start is None or np.size(model.iso) == np.size(bare.iso)
+    return balanced(bare, model, prepared) if matched else model
+
+
+def addition(step: Step, prepared: Prepared, rng: np.random.Generator) -> Addition | None:
+    """What a finding adds to a camera model, by its name or else by its place in the grammar; None:
+    nothing."""
+    signature, score = step.named.signature, step.named.score
+    exposures = [f.exposure_s for f in prepared.fields]
+    found = Found(
+        mechanism=step.named.mechanism,
+        score=score,
+        fields=step.before,
+        pattern=signature.pattern(step.before, score, rng),
+        gain=float(np.mean(prepared.baselines[0].gain)) or 1.0,
+        read_dn=float(np.mean(prepared.baselines[0].read_dn)),
+        seconds=max(e or 1.0 for e in exposures),
+        longest=max(e or 0.0 for e in exposures),
+        span=prepared.span,
+        size=prepared.fields[0].mean.shape,
+    )
+    return signature.place(found) if step.named.mechanism == UNKNOWN else signature.simulate(found)
+
+
+def _record(id: str, point: Point | None) -> Mechanism:
+    return registry.mechanism(id) if point is None else mechanism_from_grammar(point, id=id)
+
+
+def _silenced(step: Step, more: Addition) -> Addition:
+    """The same at strength zero, its maps likewise."""
+    record = more.record or _record(_id(step), more.point)
+    strength = record.scales or record.parameters[0].name
+    maps = {name: 0 * np.asarray(values) for name, values in more.maps.items()}
+    return more._replace(values={**more.values, strength: 0.0}, maps=maps, black_shift=None)
+
+
+def _id(step: Step) -> str:
+    unnamed = step.named.mechanism == UNKNOWN
+    return f"{UNKNOWN}_{step.named.signature.name}" if unnamed else step.named.mechanism
+
+
+def with_addition(
+    model: SensorModel, step: Step, more: Addition, temperature_c: float | None = None
+) -> SensorModel:
+    """The model with one more mechanism, its measured strengths moved into the ranges that it can have; the
+    model as it was where one of them is no number. temperature_c: at which the strengths were measured."""
+    if more.black_shift is not None:
+        black = per_channel(np.asarray(model.black_level) - more.black_shift)
+        model = dataclasses.replace(model, black_level=np.asarray(black, np.float32))
+    if more.bare:
+        return model
+    id, point = _id(step), more.point
+    record = more.record or _record(id, point)
+    values: dict = clipped(record, more.values)
+    if not np.isfinite(list(values.values())).all():
+        return model
+    law = more.scaling or record.scaling
+    if law.doubling_c is not None and law.reference_temperature_c is None:
+        law = dataclasses.replace(law, reference_temperature_c=temperature_c)
+    return model.with_mechanism(more.record or id, point=point, scaling=law, maps=more.maps, **values)
