@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
+import ctypes.util
+import gc
 import json
 import os
 import shutil
 import tempfile
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +20,11 @@ import pytest
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+# Tests run each program a few times only: compiled without optimisation, half of the time and a fifth of the
+# memory. XLA's emitters of fusions cost most of both, and its flags come and go: only where they are known.
+_XLA = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+if version("jaxlib").startswith("0.10."):
+    os.environ.setdefault("XLA_FLAGS", _XLA)
 # What one test compiles later ones load, on both processes and in the commands that they start: one folder,
 # which with a limit on its size JAX locks while it reads or writes.
 _locks = find_spec("filelock") is not None  # without: a folder for each process
@@ -73,6 +82,27 @@ def own_draws(request):
     if rng is not None:
         start = _GENERATORS.setdefault(request.module.__name__, rng.bit_generator.state)
         rng.bit_generator.state = start
+
+
+_MOST_MEMORY = 1.5 * 2**30
+"""Resident memory of a process from which on what it compiled is forgotten: it is on disk."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory_given_back():
+    """After each file: what compiling left behind goes back to the system."""
+    yield
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        return
+    if int(statm.read_text().split()[1]) * os.sysconf("SC_PAGESIZE") > _MOST_MEMORY:
+        import jax
+
+        jax.clear_caches()
+        gc.collect()
+    trim = getattr(ctypes.CDLL(ctypes.util.find_library("c")), "malloc_trim", None)  # glibc alone has it
+    if trim is not None:
+        trim(0)
 
 
 @pytest.fixture(scope="session")

@@ -28,9 +28,7 @@ from cannoise_jax.sampling import (
 WIDTH = 1 / 64
 SHOT, READ = 2e-3, 1e-5
 NLF = (SHOT, READ)
-FAST = {"xla_backend_optimization_level": 0}
-"""Compiles four times faster; the tests run each program a few times only."""
-sample = jax.jit(sample_noise, compiler_options=FAST)
+sample = jax.jit(sample_noise)
 
 
 def drawn(shapes, size):
@@ -99,7 +97,7 @@ def test_any_even_size_leading_axes_and_type(model, size):
 def test_jit_vmap_and_grad(model):
     clean, reference = jnp.stack([scene(16, 16)] * 2), noisy(jax.random.key(2))[:32, :32]
     keys = jax.random.split(jax.random.key(1), 2)
-    each = jax.jit(jax.vmap(sample_noise, (None, 0, 0, None, None)), compiler_options=FAST)
+    each = jax.jit(jax.vmap(sample_noise, (None, 0, 0, None, None)))
     noise = each(model, keys, clean, reference, NLF)
     for i in range(2):
         np.testing.assert_allclose(noise[i], sample(model, keys[i], clean[i], reference, NLF), atol=1e-5)
@@ -108,7 +106,7 @@ def test_jit_vmap_and_grad(model):
     def energy(clean):
         return jnp.mean(jnp.square(sample_noise(model, keys[0], clean, reference)))
 
-    slope = jax.jit(jax.grad(energy), compiler_options=FAST)(clean[0])
+    slope = jax.jit(jax.grad(energy))(clean[0])
     assert bool(jnp.all(jnp.isfinite(slope))) and float(jnp.max(jnp.abs(slope))) > 0
 
 
@@ -118,7 +116,9 @@ def test_a_reference_of_any_size(model, size):
     noise = sample(model, jax.random.key(1), scene(16, 16), small)
     assert bool(jnp.all(jnp.isfinite(noise)))
     tiled = jnp.tile(small, (16, 16, 1))[: max(16, size[0]), : max(16, size[1])]
-    np.testing.assert_array_equal(noise, sample(model, jax.random.key(1), scene(16, 16), tiled))
+    # Two programs, which round differently.
+    same = sample(model, jax.random.key(1), scene(16, 16), tiled)
+    np.testing.assert_allclose(noise, same, rtol=0, atol=1e-7)
 
 
 def test_small_references_tell_the_noise_level(model):
@@ -134,7 +134,7 @@ def test_the_slope_at_a_reference_without_noise_is_finite(model, level):
     def energy(reference):
         return jnp.mean(jnp.square(sample_noise(model, jax.random.key(1), scene(16, 16), reference)))
 
-    slope = jax.jit(jax.grad(energy), compiler_options=FAST)(jnp.full((16, 16, 4), level))
+    slope = jax.jit(jax.grad(energy))(jnp.full((16, 16, 4), level))
     assert bool(jnp.all(jnp.isfinite(slope)))
 
 

@@ -103,23 +103,34 @@ def residual_nlf(
     power, shared = means[:, :channels], means[:, channels:]
     # Blocks of one code alone hide noise below a code: a line through them would be zero.
     usable = jnp.where(jnp.mean(power, -1, keepdims=True) > _TINY, usable, 1e-6)
-    shot, read = jnp.zeros(()), jnp.mean(power) + _TINY
     spread = _SPREAD / channels**0.5
-    for i in range(_ITERATIONS):
+
+    def fitted(line, smooth_blocks):
+        """One step of the fit, with the weights that it took; loops keep what is compiled small."""
+        shot, read = line
         predicted = shot * level + read + _TINY
         ratio = jnp.mean(power / predicted, -1, keepdims=True)
-        if i < _ITERATIONS // 2:
-            # A low expectile: finds the smooth blocks from wherever it starts.
-            weight = jnp.where(ratio > 1, 0.1, 0.9) * usable
-        else:
-            # Blocks within the spread of plain noise count in full, textured ones hardly.
-            correlation = shared / jnp.sqrt(predicted[:, first] * predicted[:, second])
-            texture = jnp.sum(correlation, -1, keepdims=True) / max(len(pairs), 1)
-            weight = _gentle((ratio - 1) / (2 * spread)) * _gentle(texture / (2 * _SHARED)) * usable
         # Only ratios of weights count; against the least variance the squares stay inside float32.
+        weight = smooth_blocks(ratio, predicted) * usable
         least = lax.stop_gradient(jnp.min(predicted))
         whole = weight * jnp.square(least / predicted)
         shot, read = (v[0] for v in _weighted_line(*(_column(v) for v in (level, power, whole))))
+        return (shot, read), weight
+
+    def low_expectile(ratio, predicted):
+        """Finds the smooth blocks from wherever it starts."""
+        return jnp.where(ratio > 1, 0.1, 0.9)
+
+    def within_spread(ratio, predicted):
+        """Blocks within the spread of plain noise count in full, textured ones hardly."""
+        correlation = shared / jnp.sqrt(predicted[:, first] * predicted[:, second])
+        texture = jnp.sum(correlation, -1, keepdims=True) / max(len(pairs), 1)
+        return _gentle((ratio - 1) / (2 * spread)) * _gentle(texture / (2 * _SHARED))
+
+    line = jnp.zeros(()), jnp.mean(power) + _TINY
+    for smooth_blocks, steps in ((low_expectile, _ITERATIONS // 2), (within_spread, _ITERATIONS // 2 - 1)):
+        line = lax.fori_loop(0, steps, lambda _, now, kind=smooth_blocks: fitted(now, kind)[0], line)
+    (shot, read), weight = fitted(line, within_spread)
     total = jnp.sum(weight, 0)
     factor = jnp.sum(weight * power / (shot * level + read + _TINY), 0) / total
     # Blocks overlap fourfold; a plane's own factor counts as far as it is better known than the prior.

@@ -28,10 +28,8 @@ NONE = Physics(
     *(jnp.zeros(COUNT) for _ in range(4)), jnp.zeros((COUNT, 4)),
 )  # fmt: skip
 
-FAST = {"xla_backend_optimization_level": 0}
 
-
-@partial(jax.jit, compiler_options=FAST)
+@jax.jit
 def make(key, z, clean, level, physics):
     return physical_noise(branch_draws(key, z.shape), z, clean, level, physics)
 
@@ -117,7 +115,7 @@ def test_every_parameter_and_the_clean_image_have_finite_slopes():
     z = jax.random.normal(jax.random.key(0), (COUNT, 16, 16, 4))
     draws = branch_draws(jax.random.key(1), z.shape)
 
-    @partial(jax.jit, compiler_options=FAST)
+    @jax.jit
     @partial(jax.grad, argnums=(0, 1))
     def slopes(raw, clean):
         return jnp.mean(physical_noise(draws, z, clean, LEVEL, physics_of(raw)) ** 4)

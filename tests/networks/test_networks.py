@@ -11,12 +11,11 @@ from cannoise_jax.networks import Discriminator, Encoder, Generator
 from cannoise_jax.networks.layers import Block, Conv, fold_spectral_norm, instance_norm, spectral_norm
 from cannoise_jax.networks.statistics import noise_statistics
 
-FAST = {"xla_backend_optimization_level": 0}
 WIDTH = 1 / 64
 
 
 def jit(function):
-    return jax.jit(function, compiler_options=FAST)
+    return jax.jit(function)
 
 
 def draw(seed, *shape, size=1.0):
