@@ -194,10 +194,12 @@ def draw_noise(
 ) -> Float[np.ndarray, "m h w 4"]:
     """Noise of one model for the `chosen` patches (default: all), clipped as a recording clips it; float32.
 
-    Patches go through in batches of one size (the last is filled up), so a jitted sampler compiles once.
+    Patches go through in batches of one size (the last is filled up), so a jitted sampler compiles once;
+    a batch is at most all patches, chosen or not.
     """
     clean, noisy = np.asarray(patches.clean), np.asarray(patches.noisy)
     chosen = np.arange(clean.shape[0]) if chosen is None else np.asarray(chosen)
+    batch = min(batch, clean.shape[0])
     made = []
     for number, start in enumerate(range(0, chosen.size, batch)):
         index = chosen[np.minimum(np.arange(start, start + batch), chosen.size - 1)]

@@ -53,9 +53,13 @@ class HeldOut:
 
     def some(self, count: int) -> HeldOut:
         """`count` patches spread evenly over the set; all of them where it has no more."""
-        total = len(self.camera)
-        chosen = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int))
+        chosen = self.spread(count)
         return HeldOut(**{name: np.asarray(value)[chosen] for name, value in vars(self).items()})
+
+    def spread(self, count: int) -> Int[np.ndarray, "m"]:
+        """Indices of `count` patches spread evenly over the set; of all where it has no more."""
+        total = len(self.camera)
+        return np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int))
 
 
 @dataclass(frozen=True, eq=False)

@@ -294,10 +294,10 @@ def _validate(
         if camera == "pooled" or len(cameras) <= _MOST_CAMERAS
     }
     writer.write_scalars(step, scalars)
-    shown = patches.some(5)
-    made = model_columns(sampler.usual, shown, key, None, references)
-    noises = [draw_noise(made[name], shown, key) for name in ("poisson_gaussian", "model")]
-    real = np.clip(shown.noisy, 0, 1) - shown.clean
-    writer.write_images(step, {"clean, n_init, generated, real": noise_panel(shown.clean, (*noises, real))})
+    made, shown = model_columns(sampler.usual, patches, key, None, references), patches.spread(5)
+    noises = [draw_noise(made[name], patches, key, chosen=shown) for name in ("poisson_gaussian", "model")]
+    clean = patches.clean[shown]
+    real = np.clip(patches.noisy[shown], 0, 1) - clean
+    writer.write_images(step, {"clean, n_init, generated, real": noise_panel(clean, (*noises, real))})
     writer.flush()
     return results["pooled"]["model"]["kl"]
