@@ -96,13 +96,20 @@ def open_camera_raw(path: str | Path) -> Opened:
         raise BadInput(f"{path}: no such file")
     tags = _directories(path)
     raw = _decode(path, tags)
+    with reading(path, "tags that make no sense: the file is damaged"):
+        known, about = _stated(path, tags, raw)
+    return Opened(np.ascontiguousarray(_visible(raw))[None], known, about)
+
+
+def _stated(path: str | Path, tags: list[_Directory], raw: _Decoded) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a file says of its frame, and where the black level is from."""
     shot, read = _noise_profile(path, tags, raw.cfa)
     black, about = _exact_black(tags, raw) or raw.black, {}
     if not any(black):
         masked = _median_of(_masked(tags, raw))
         if masked is not None:
             black, about = masked, {"black_from": "masked pixels"}
-    known = {
+    known: dict[str, Any] = {
         "cfa": raw.cfa,
         "black_level": black,
         "white_level": raw.white,
@@ -113,7 +120,7 @@ def open_camera_raw(path: str | Path) -> Opened:
         **_exif(path),
     }
     known["camera"] = known.get("camera") or _camera_name(tags)
-    return Opened(np.ascontiguousarray(_visible(raw))[None], known, about)
+    return known, about
 
 
 def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
@@ -123,7 +130,9 @@ def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
     Raises BadInput.
     """
     tags = _directories(path)
-    return _masked(tags, _decode(path, tags))
+    raw = _decode(path, tags)
+    with reading(path, "tags that make no sense: the file is damaged"):
+        return _masked(tags, raw)
 
 
 def _masked(tags: list[_Directory], raw: _Decoded) -> tuple[BorderRegion, ...]:
@@ -312,7 +321,11 @@ def _noise_profile(
     profile = _tag(tags, _NOISE_PROFILE)
     if profile is None:
         return None, None
-    pairs = np.reshape(profile, (-1, 2)).astype(np.float64)
+    values = np.ravel(profile).astype(np.float64)
+    if values.size % 2:
+        _log.warning("%s: NoiseProfile holds %d numbers, not pairs: left out", path, values.size)
+        return None, None
+    pairs = values.reshape(-1, 2)
     if not (np.isfinite(pairs).all() and (pairs[:, 0] >= 0).all()):
         _log.warning("%s: NoiseProfile holds a negative or undefined shot noise: left out", path)
         return None, None

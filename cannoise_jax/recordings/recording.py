@@ -24,11 +24,19 @@ PerChannel = tuple[float, float, float, float]
 """One value per site of the 2x2 mosaic cell, in mosaic order (0,0), (0,1), (1,0), (1,1)."""
 
 
+_LONGEST_LINE = 880
+"""Characters of a message: some name every mechanism that there is."""
+
+
 class BadInput(ValueError):
     """Input that cannot be used: one line that names the file, what is wrong, and what to do about it."""
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().splitlines())  # names of files may hold line breaks
+        line = " ".join(super().__str__().splitlines())  # names of files may hold line breaks
+        if len(line) <= _LONGEST_LINE:
+            return line
+        # A file may hold a name of any length; who it is and what to do stand at the ends.
+        return f"{line[: _LONGEST_LINE // 2]} ... {line[-_LONGEST_LINE // 3 :]}"
 
 
 class Frames(Protocol):

@@ -76,7 +76,7 @@ def open_tiff(path: str | Path) -> Opened:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
     size = next(iter(shapes))
     if len(shapes) > 1 or len(types) > 1 or len(size) != 2:
-        raise BadInput(f"{path}: pages of shape {', '.join(map(str, sorted(shapes)))}: expected mosaics")
+        raise BadInput(f"{path}: pages of shape {', '.join(sorted(map(str, shapes)))}: expected mosaics")
     shape = (count, *size)
     read = partial(read_stack, partial(_read_page, path=str(path)), shape)
     kind = next(iter(types))

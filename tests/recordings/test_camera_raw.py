@@ -92,6 +92,19 @@ def test_a_noise_profile_that_fits_no_plane_is_left_out(tmp_path, caplog):
     assert "5 pairs, not one a colour" in caplog.text
 
 
+def test_a_noise_profile_of_an_odd_count_is_left_out(tmp_path, caplog):
+    path = write_dng(tmp_path / "a.dng", sensor("RGGB"), noise_profile=[1e-3])
+    assert read_camera_raw(path).shot is None
+    assert "1 numbers, not pairs" in caplog.text
+
+
+def test_masked_areas_that_are_no_areas_are_refused(tmp_path):
+    path = write_dng(tmp_path / "a.dng", sensor("RGGB"), black=(0,) * 4, extra={50830: (LONG, [4, 0, 100])})
+    for read in (read_camera_raw, optical_black):
+        with pytest.raises(BadInput, match=r"a\.dng: tags that make no sense"):
+            read(path)
+
+
 def test_masked_border_is_kept_available_with_its_phase(tmp_path):
     active = (5, 8, 101, 152)
     path = write_dng(tmp_path / "a.dng", sensor("GRBG", active), cfa="GRBG", active=active)

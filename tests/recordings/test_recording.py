@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cannoise_jax.recordings.recording import Recording, mosaic_map, per_channel
+from cannoise_jax.recordings.recording import BadInput, Recording, mosaic_map, per_channel
 
 
 def test_mosaic_map_follows_mosaic_order():
@@ -23,3 +23,11 @@ def test_black_map_has_the_frames_size():
     recording = Recording(np.zeros((2, 4, 6), np.uint16), "RGGB", (10, 20, 30, 40), 1023)
     assert recording.count == 2 and recording.black_map().shape == (4, 6)
     assert recording.black_map()[3, 3] == 40
+
+
+def test_a_message_keeps_both_ends_of_what_a_file_holds():
+    said = str(BadInput(f"in/sensor.json: cfa is {'a' * 5000}, not one of RGGB: correct the entry"))
+    assert len(said) < 900
+    assert said.startswith("in/sensor.json: cfa is aaa") and said.endswith(
+        "not one of RGGB: correct the entry"
+    )

@@ -107,6 +107,14 @@ def test_other_byte_orders(tmp_path):
         np.testing.assert_array_equal(recording.frames[:], FRAMES)
 
 
+def test_pages_of_other_dimensions_are_refused(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for page in (FRAMES[0], np.stack([FRAMES[0]] * 3, -1)):
+            file.write(page, photometric="rgb" if page.ndim == 3 else "minisblack")
+    with pytest.raises(BadInput, match="pages of shape .*: expected mosaics"):
+        load_recording(tmp_path / "a.tif")
+
+
 def test_npz_may_hold_the_reference_and_one_array_of_any_name(tmp_path):
     clean = np.random.default_rng(1).random((6, 8), np.float32)
     np.savez(tmp_path / "a.npz", frames=FRAMES, clean=clean)
