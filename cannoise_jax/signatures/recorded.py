@@ -11,7 +11,7 @@ from jaxtyping import Float
 class Level(NamedTuple):
     """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
     sure: whether the signal of each pixel is known well enough to judge the curve; alone: variance of what
-    pixels do not share."""
+    pixels do not share; part: class of like signal of its recording."""
 
     recording: int
     channel: int
@@ -22,6 +22,7 @@ class Level(NamedTuple):
     full: bool = False
     sure: bool = True
     alone: float = 0.0
+    part: int = 0
 
 
 class GroupBaseline(NamedTuple):

@@ -13,7 +13,7 @@ from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.crop import central
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.signatures.recorded import Level
-from tests.discovery.capture import capture_set
+from tests.discovery.capture import SIZE, capture_set, row_offsets
 
 
 @pytest.mark.parametrize("black, read", [(100.2, 0.3), (100.5, 0.25), (3.0, 3.0), (1.0, 1.5), (64.4, 5.0)])
@@ -46,15 +46,33 @@ def test_the_baseline_of_a_camera(read, black, step):
     assert np.asarray(model.black_level) == pytest.approx(np.full(4, black), abs=0.06)
 
 
-@pytest.mark.parametrize("camera", ["asi178", "asi120", "imx541", "stl1001"])
+@pytest.mark.parametrize("camera", ["asi178", "asi120", "imx541", "stl1001", "scmos_live"])
 def test_calibration_and_diagnosis_agree_on_gain_and_read_noise(real_data, camera):
-    """Two estimators, one per pixel with jackknife errors, one through levels with what disturbs them."""
+    """One line through pixels: of the frames of calibration, and of those that diagnosis looks at."""
     capture, _ = central(load_capture_set(real_data / camera), 24576)
     (transfer,) = photon_transfer(capture)
     (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
     assert found.gain == pytest.approx(transfer.baseline.gain, rel=0.03)
-    # Calibration quotes the noise of pixels beside that of rows; the baseline holds both.
+    # Calibration states the noise of pixels beside that of rows; the baseline holds both, and weak
+    # flicker.
     assert found.read_dn == pytest.approx(transfer.baseline.read_noise, rel=0.04)
+
+
+def hot_pixels(rng):
+    """One pixel in a hundred far noisier than the others."""
+    loud = 40.0 * (rng.random(SIZE) < 0.01)
+    return lambda dn, signal, kind, t: dn + loud * rng.standard_normal(dn.shape)
+
+
+@pytest.mark.parametrize("alter, rows", [(None, 0.0), (hot_pixels, 0.0), (row_offsets(2.0), 2.0)])
+def test_calibration_and_diagnosis_agree_on_a_camera_and_differ_by_its_row_noise(alter, rows):
+    capture = capture_set(5, alter, kinds="df")
+    (transfer,) = photon_transfer(capture)
+    (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
+    assert found.gain == pytest.approx(transfer.baseline.gain, rel=0.01)
+    assert found.gain == pytest.approx(np.full(4, 1.5), rel=0.03)
+    assert found.read_dn == pytest.approx(np.hypot(transfer.baseline.read_noise, rows), rel=0.025)
+    assert found.read_dn == pytest.approx(np.full(4, np.hypot(4.5, rows)), rel=0.03)
 
 
 def test_levels_close_together_are_not_taken_for_full_pixels(real_data):
@@ -79,20 +97,12 @@ def curve(rng, darks, flats, full=()):
     ]
 
 
-def fitted_line(levels, channel):
-    x, v, e = (np.array([getattr(p, name) for p in levels]) for name in ("signal", "variance", "error"))
-    if x.size < 2 or np.ptp(x) < 1:
-        return 1.0, 0.0
-    slope, square = np.polyfit(x, v, 1, w=1 / e)
-    return slope, np.sqrt(max(square, 0))
-
-
 @pytest.mark.parametrize("darks, flats", [(2, 2), (1, 3), (6, 2), (0, 5), (9, 1), (3, 8)])
 def test_no_level_of_a_linear_camera_is_full_and_a_full_one_is(darks, flats):
     rng = np.random.default_rng([darks, flats])
     for _ in range(100):
-        levels = mark_full(curve(rng, darks, flats), 1.0, fitted_line)
+        levels, _ = mark_full(curve(rng, darks, flats), 1.0)
         assert not any(p.full for p in levels)
         if flats > 3:
-            levels = mark_full(curve(rng, darks, flats, full=(flats - 1,)), 1.0, fitted_line)
+            levels, _ = mark_full(curve(rng, darks, flats, full=(flats - 1,)), 1.0)
             assert [p.full for p in levels] == [False] * (darks + flats - 1) + [True]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Float
 from scipy import optimize
@@ -20,10 +18,6 @@ _KNOWN = 0.1
 """Relative error of a gain by which others may be judged."""
 
 
-Line = Callable[[list[Level], int], tuple[float, ...]]
-"""Gain and read noise, DN, and more, of the levels of one channel."""
-
-
 def _low_line(levels: list[Level], step: float) -> tuple[np.ndarray, np.ndarray]:
     """Gain and read noise from the lower half of the signals, where no pixel is full, or from as many more
     as tell the gain at all: darks alone do not. Gain 0: none do."""
@@ -32,29 +26,42 @@ def _low_line(levels: list[Level], step: float) -> tuple[np.ndarray, np.ndarray]
         mine = sorted((p for p in levels if p.channel == c), key=lambda p: p.signal)
         if len(mine) < 4:
             continue
-        x = np.maximum([p.signal for p in mine], 0.0)
-        v, weight = np.array([p.variance for p in mine]), 1 / np.array([p.error for p in mine])
         for low in range((len(mine) + 1) // 2, len(mine)):
-            basis = np.stack([x[:low], np.ones(low)], 1) * weight[:low, None]
-            # Neither can be negative: levels that lie close together would extrapolate to anything.
-            (slope, square), _ = optimize.nnls(basis, v[:low] * weight[:low])
-            error = np.sqrt(np.linalg.pinv(basis.T @ basis)[0, 0])
-            if x[low - 1] > _LIT * step and slope > error / _KNOWN:
-                gain[c], read[c] = slope, np.sqrt(square)
+            slope, noise, error = _straight(mine[:low])
+            if mine[low - 1].signal > _LIT * step and slope > error / _KNOWN:
+                gain[c], read[c] = slope, noise
                 break
     return gain, read
 
 
-def mark_full(levels: list[Level], step: float, line: Line) -> list[Level]:
-    """Marks the levels of full pixels, which have lost their shot noise: judged by what pixels do not share,
-    for the few offsets that rows, columns or a wave draw scatter a level's variance by more than that. line:
-    fits gain and read noise, DN, of one channel."""
+def _line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and read noise from all levels that are not full."""
+    gain, read = np.zeros(4), np.zeros(4)
+    for c in range(4):
+        mine = [p for p in levels if p.channel == c and not p.full]
+        if mine:
+            gain[c], read[c], _ = _straight(mine)
+    return gain, read
+
+
+def _straight(levels: list[Level]) -> tuple[float, float, float]:
+    """Gain, read noise and the error of the gain by weighted least squares. Neither can be negative: levels
+    that lie close together would extrapolate to anything."""
+    weight = 1 / np.array([p.error for p in levels])
+    basis = np.stack([np.maximum([p.signal for p in levels], 0.0), np.ones(len(levels))], 1) * weight[:, None]
+    (slope, square), _ = optimize.nnls(basis, np.array([p.variance for p in levels]) * weight)
+    return slope, float(np.sqrt(square)), float(np.sqrt(np.linalg.pinv(basis.T @ basis)[0, 0]))
+
+
+def mark_full(levels: list[Level], step: float) -> tuple[list[Level], tuple[np.ndarray, np.ndarray]]:
+    """The levels with those of full pixels marked, which have lost their shot noise, and the gain (DN/e-) and
+    read noise (DN) per channel of the others. Judged by what pixels do not share, for the few offsets that
+    rows, columns or a wave draw scatter a level's variance by more than that."""
     judged = [p._replace(variance=p.alone) for p in levels]
     judged = _mark_short(judged, *_low_line(judged, step), step)
-    lines = [line([p for p in judged if p.channel == c and not p.full], c) for c in range(4)]
-    gain, read, *_ = (np.array(column) for column in zip(*lines, strict=True))
-    judged = _mark_short(judged, gain, read, step)
-    return [p._replace(full=q.full) for p, q in zip(levels, judged, strict=True)]
+    line = _line(judged)
+    judged = _mark_short(judged, *line, step)
+    return [p._replace(full=q.full) for p, q in zip(levels, judged, strict=True)], line
 
 
 def _mark_short(levels: list[Level], gain: np.ndarray, read: np.ndarray, step: float) -> list[Level]:

@@ -3,7 +3,8 @@
 Rule for outliers: at every pixel the temporal variance is divided by the fitted one; a pixel is set aside
 when the quotient exceeds the larger of 4 (twice the noise) and the value that chi-square with the pixel's
 degrees of freedom exceeds once in 10^4 pixels. What this cuts off a healthy population is known and given
-back. Pixels that touched a rail in any frame are left out beforehand.
+back. Noise below half a code is taken for half a code by this rule: of most pixels no value ever changes, and
+one that changes by a code is no outlier. Pixels that touched a rail in any frame are left out beforehand.
 
 The mean of T frames is itself noisy, which flattens a regression on it; the moments of that error are known
 (variance v/T, and its covariance with the sample variance, the third cumulant K^2 (mean) / T of shot noise)
@@ -25,6 +26,8 @@ _RARE = 1e-4
 _LEAST_CUT = 4.0
 _BLOCKS = 8
 _ROUNDS = 4
+_HALF_A_CODE = 3.0  # its square in units of the variance that rounding adds
+_UNSURE = 0.3
 
 
 class ChannelMaps(NamedTuple):
@@ -52,6 +55,11 @@ class Line:
     offset: Estimate
     dropped: float
 
+    @property
+    def sure(self) -> bool:
+        """Whether the standard error of the slope is no more than 0.3 of it."""
+        return self.slope.stderr <= _UNSURE * abs(self.slope.value)
+
 
 def cut_and_loss(dof: float) -> tuple[float, float]:
     """The quotient above which a pixel is set aside, and by what factor this shrinks a healthy mean."""
@@ -60,14 +68,17 @@ def cut_and_loss(dof: float) -> tuple[float, float]:
 
 
 def robust_mean_square(
-    variance: Float[np.ndarray, "*n"], dof: float, expected: Float[np.ndarray, "*n"] | float | None = None
+    variance: Float[np.ndarray, "*n"],
+    dof: float,
+    expected: Float[np.ndarray, "*n"] | float | None = None,
+    rounding: float = 0.0,
 ) -> tuple[float, Bool[np.ndarray, "*n"]]:
     """Mean temporal variance by the outlier rule, and the pixels kept. expected: the fitted variance; where
-    none is known, the median's."""
+    none is known, the median's. rounding: see `fit_line`."""
     if expected is None:
         expected = float(np.median(variance)) / median_quotient(dof)
     cut, loss = cut_and_loss(dof)
-    keep = variance <= cut * np.maximum(expected, 1e-12)
+    keep = variance <= cut * np.maximum(expected, max(_HALF_A_CODE * rounding, 1e-12))
     return float(variance[keep].mean()) / loss, keep
 
 
@@ -77,8 +88,9 @@ def median_quotient(dof: float) -> float:
 
 
 def fit_line(levels: list[ChannelMaps], rounding: float) -> Line | None:
-    """The photon transfer line through all pixels of `levels` (all of one size). rounding: the variance that
-    rounding to codes adds, DN^2. None when the levels do not span a slope.
+    """The photon transfer line through all pixels of `levels` (all of one size), each weighted by its degrees
+    of freedom over the square of the fitted variance. rounding: the variance that rounding to codes adds,
+    DN^2. None when the levels do not span a slope.
     """
     slope, offset = _start(levels)
     if not np.isfinite(slope) or not np.isfinite(offset):
@@ -86,7 +98,7 @@ def fit_line(levels: list[ChannelMaps], rounding: float) -> Line | None:
     normal, right = np.zeros((1, 2, 2)), np.zeros((1, 2))
     dropped = 0.0
     for _ in range(_ROUNDS):
-        sums = [_block_sums(level, slope, offset) for level in levels]
+        sums = [_block_sums(level, slope, offset, rounding) for level in levels]
         normal = np.sum([s[0] for s in sums], axis=0)
         right = np.sum([s[1] for s in sums], axis=0)
         dropped = 1 - sum(s[2] for s in sums) / max(sum(s[3] for s in sums), 1)
@@ -116,21 +128,23 @@ def _start(levels: list[ChannelMaps]) -> tuple[float, float]:
         classes = 1 if level.known_signal else 16
         for part in np.array_split(np.argsort(signal, kind="stable"), classes):
             points.append((signal[part].mean(), np.median(variance[part]) / median_quotient(level.dof)))
-    if len(points) < 2:
+    x, y = np.array(points).reshape(-1, 2).T
+    if len(x) < 2 or np.ptp(x) == 0:
         return np.nan, np.nan
-    x, y = np.array(points).T
     weight = 1 / np.maximum(y, 1e-6)
     slope, offset = np.polyfit(x, y, 1, w=weight)
     offset = offset if offset > 0 else max(float(y.min()) * 0.5, 1e-6)
     return max(float(slope), 1e-6), float(offset)
 
 
-def _block_sums(level: ChannelMaps, slope: float, offset: float) -> tuple[np.ndarray, np.ndarray, int, int]:
+def _block_sums(
+    level: ChannelMaps, slope: float, offset: float, rounding: float
+) -> tuple[np.ndarray, np.ndarray, int, int]:
     """Normal equations of each block of the image: [B, 2, 2] and [B, 2] for (offset, slope)."""
     cut, loss = cut_and_loss(level.dof)
-    fitted = np.maximum(slope * level.signal + offset, 0.1 * offset)
-    keep = level.usable & (level.variance <= cut * fitted)
-    weight = np.where(keep, 1 / fitted**2, 0.0)
+    fitted = np.maximum(slope * level.signal + offset, max(0.1 * offset, rounding, 1e-9))
+    keep = level.usable & (level.variance <= cut * np.maximum(fitted, _HALF_A_CODE * rounding))
+    weight = np.where(keep, level.dof / fitted**2, 0.0)
     variance = level.variance / loss
     signal = level.signal
     error = 0.0 if level.known_signal else fitted / level.frames

@@ -158,7 +158,7 @@ def _line(
     if not any(s.variance is not None for s in lit):
         return NotMeasurable(RECORD_FLATS)
     line = fit_line(_levels(lit, dark, black, c), step**2 / 12)
-    if line is None or line.slope.stderr > 0.3 * abs(line.slope.value):
+    if line is None or not line.sure:
         reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}; {RECORD_FLATS}"
         return NotMeasurable(reason)
     return line
