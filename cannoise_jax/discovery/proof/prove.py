@@ -22,6 +22,7 @@ from cannoise_jax.discovery.frames.battery import Splits
 from cannoise_jax.discovery.frames.blocks import bands, frame_blocks, leave_out
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
 from cannoise_jax.discovery.search.fit import Fitted, Step
+from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields, refit, without_pixels
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
@@ -34,7 +35,6 @@ _LARGE = 5_000_000
 """Values from which a jackknife takes fewer blocks: statistics of large sets take seconds each."""
 _WITHIN_ROWS = ("pixel", "signal", "channel", "amplifier", "block", "edge")
 """What varies within a row: chance in it is independent from one band of rows to the next."""
-_Z90 = 1.645
 _NUISANCES = 12
 """Black level, gain and read noise of four channels, fitted on the frames that are scored: half a nat each.
 """
@@ -87,7 +87,7 @@ def refuted(step: Step, proof: Proof) -> bool:
         return False
     if step.named.signature.single_pixels:
         return False  # a few pixels may not jump again in few frames
-    return again.amplitude == 0 and 0 < _Z90 * again.error < found.amplitude / 2
+    return again.amplitude == 0 and 0 < Z90 * again.error < found.amplitude / 2
 
 
 def standing(

@@ -17,6 +17,7 @@ from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.search.declare import kinds
 from cannoise_jax.discovery.search.fit import Step, part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.score import Score
 
@@ -35,7 +36,6 @@ _PLACES: dict[str, tuple[str, ...]] = {
 }
 """What `where` says by axis."""
 _AXES = tuple(_PLACES)
-_Z90 = 1.645
 
 
 def plain(value: Any) -> Any:
@@ -232,8 +232,8 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     unit = term.unit if mechanism != UNKNOWN else _unit(score)
     value = score.amplitude
     interval = [
-        max(value - _Z90 * score.error, 0.0) if score.power == 2 else value - _Z90 * score.error,
-        value + _Z90 * score.error,
+        max(value - Z90 * score.error, 0.0) if score.power == 2 else value - Z90 * score.error,
+        value + Z90 * score.error,
     ]
     per_pixel = None
     if proof.gain is not None and proof.pixels:
@@ -249,7 +249,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         "where": _where(step.named.score),
         "amplitude": {"value": value, "unit": unit, "ci90": interval},
         "parameters": {
-            n: {"value": v, "unit": u, "ci90": [v - _Z90 * e, v + _Z90 * e]}
+            n: {"value": v, "unit": u, "ci90": [v - Z90 * e, v + Z90 * e]}
             for n, (v, u, e) in score.parameters.items()
         },
         "p_value": math.exp(max(step.log_p, -700.0)),
@@ -263,7 +263,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     }
     moved = [n for n, slope in part_of(steps).items() if steps[slope] is step]
     for part in (steps[n].named.score for n in moved):
-        of = [max(part.amplitude + e, 0.0) for e in (-_Z90 * part.error, _Z90 * part.error)]
+        of = [max(part.amplitude + e, 0.0) for e in (-Z90 * part.error, Z90 * part.error)]
         out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
     if mechanism == UNKNOWN:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)

@@ -14,6 +14,7 @@ import numpy as np
 
 from cannoise_jax.discovery.search.locate import Located, locate
 from cannoise_jax.discovery.search.name import UNKNOWN, Named, name
+from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields, refit
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
@@ -21,8 +22,6 @@ from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
 """A bound on time: longer lists than this are no explanation."""
-_Z90 = 1.645
-"""Standard errors on each side of a 90 % interval."""
 
 
 class Step(NamedTuple):
@@ -211,7 +210,7 @@ def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
         for m, other in enumerate(steps):
             moved = other.named.signature.moves_frames
             size = step.before[0].mean.shape
-            if moved and score.amplitude - _Z90 * score.error < moved(other.named.score, size):
+            if moved and score.amplitude - Z90 * score.error < moved(other.named.score, size):
                 out[n] = m
     return out
 

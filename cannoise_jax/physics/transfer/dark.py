@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.black import mean_error
-from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.recordings.packing import site
@@ -97,7 +97,7 @@ def _slope(
     dof = len(times) - 2
     covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
     line = normal_estimate(float(slope), float(np.sqrt(covariance[1, 1])), dof)
-    half = float(np.hypot(line.ci90[1] - line.value, 1.6449 * relative * line.value))
+    half = float(np.hypot(line.ci90[1] - line.value, Z90 * relative * line.value))
     error = float(np.hypot(line.stderr, relative * line.value))
     known = float(np.sqrt(np.sum((solve[1] * errors) ** 2)))
     chance = normal_estimate(line.value, max(line.stderr, known)).by_chance

@@ -16,6 +16,8 @@ from jaxtyping import Float
 from scipy import stats
 
 _TAIL = 0.05  # of a 90 % interval
+Z90 = 1.6449
+"""Standard errors on each side of a 90 % interval."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ Estimates = Mapping[str, Estimate] | NotMeasurable
 
 def normal_estimate(value: float, stderr: float, dof: float = np.inf) -> Estimate:
     """An estimate with Gaussian error; `dof`: degrees of freedom behind its `stderr` (Student t)."""
-    half = float(stats.t.ppf(1 - _TAIL, dof)) * stderr if np.isfinite(dof) else 1.6449 * stderr
+    half = float(stats.t.ppf(1 - _TAIL, dof)) * stderr if np.isfinite(dof) else Z90 * stderr
     known = np.isfinite(dof) and stderr > 0
     chance = float(2 * stats.t.sf(abs(value) / stderr, dof)) if known else None
     return Estimate(float(value), float(stderr), (float(value - half), float(value + half)), chance)

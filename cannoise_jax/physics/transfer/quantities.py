@@ -14,6 +14,7 @@ from cannoise_jax.physics.core.rounding import COARSE, before_rounding, level_an
 from cannoise_jax.physics.transfer.black import Black
 from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import (
+    Z90,
     Estimate,
     NotMeasurable,
     Outcome,
@@ -138,7 +139,7 @@ def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
     ratio = value.value / gain.value
     error = float(np.hypot(value.stderr / gain.value, ratio * gain.stderr / gain.value))
     sides = [
-        np.hypot((end - value.value) / gain.value, ratio * 1.6449 * gain.stderr / gain.value)
+        np.hypot((end - value.value) / gain.value, ratio * Z90 * gain.stderr / gain.value)
         for end in value.ci90
     ]
     return Estimate(ratio, error, (max(ratio - float(sides[0]), 0.0), ratio + float(sides[1])))

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.physics.transfer.estimate import (
+    Z90,
     Estimate,
     jackknife_estimate,
     normal_estimate,
@@ -50,7 +51,7 @@ def shape_quantities(dark: FrameStatistics) -> list[Quantity]:
         share = float(np.mean(sigma > factor * middle))
         chance = float(stats.chi2.sf((factor * below) ** 2 * dof, dof))
         error = np.sqrt(max(share, chance) * (1 - share) / sigma.size)
-        low, high = (max(share - chance + 1.6449 * side * error, 0.0) for side in (-1, 1))
+        low, high = (max(share - chance + Z90 * side * error, 0.0) for side in (-1, 1))
         found = Estimate(max(share - chance, 0.0), float(error), (low, float(high))).scaled(100.0)
         note = f"s of a pixel against its median, {100 * chance:.2g} % by chance taken out"
         out.append(Quantity(f"pixels above {factor:g} x typical", "%", "all", found, note))
@@ -93,7 +94,7 @@ def lamp_notes(statistics: Sequence[FrameStatistics]) -> list[str]:
 
 
 def _plain(value: float, error: float) -> Estimate:
-    return Estimate(value, error, (value - 1.6449 * error, value + 1.6449 * error))
+    return Estimate(value, error, (value - Z90 * error, value + Z90 * error))
 
 
 def _differences(dark: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy import optimize, special, stats
 
 from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, dark_series
-from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
+from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -157,7 +157,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
     errors = np.sqrt(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.05, 0.05])))))
     fraction = float(special.expit(fit.x[0]))
-    ends = special.expit(fit.x[0] + 1.6449 * errors[0] * np.array([-1, 1]))
+    ends = special.expit(fit.x[0] + Z90 * errors[0] * np.array([-1, 1]))
     return {
         "e_per_s": _log_estimate(float(np.exp(fit.x[1])) / seconds, float(errors[1])),
         "fraction": Estimate(
@@ -234,7 +234,7 @@ def hessian(
 
 def _log_estimate(value: float, error: float) -> Estimate:
     """A positive value whose logarithm has a Gaussian error; its ends stay within float64."""
-    low, high = np.exp(np.clip(np.log(max(value, 1e-300)) + 1.6449 * error * np.array([-1, 1]), -700, 700))
+    low, high = np.exp(np.clip(np.log(max(value, 1e-300)) + Z90 * error * np.array([-1, 1]), -700, 700))
     return Estimate(value, value * float(error), (float(low), float(high)))
 
 

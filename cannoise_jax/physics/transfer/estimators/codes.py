@@ -9,6 +9,7 @@ from scipy import stats
 
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import (
+    Z90,
     Estimate,
     Estimates,
     NotMeasurable,
@@ -106,7 +107,7 @@ def bookkeeping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
         span, half = float(highest - stated.mean()), step / 2
         value = (code - found["black_dn"].value - float(stated.mean())) / span - 1
         stderr = float(np.hypot(half / np.sqrt(3), found["black_dn"].stderr)) / span
-        reach = (half + 1.645 * found["black_dn"].stderr) / span
+        reach = (half + Z90 * found["black_dn"].stderr) / span
         found["white_error"] = Estimate(value, stderr, (value - reach, value + reach))
     return found
 

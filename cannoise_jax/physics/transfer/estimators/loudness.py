@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.transfer.estimate import Estimate
+from cannoise_jax.physics.transfer.estimate import Z90, Estimate
 from cannoise_jax.physics.transfer.estimator import Law
 from cannoise_jax.physics.transfer.estimators.charge import hessian
 from cannoise_jax.physics.transfer.estimators.noise import standardised, telegraph_odds
@@ -30,7 +30,6 @@ _VISIBLE = 2.0
 """Least distance of two levels, in units of the noise: closer ones are any other shape of noise."""
 _NEARLY_GAUSSIAN = 0.12
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
-_Z_95 = 1.6449
 
 
 class Explanation(NamedTuple):
@@ -209,7 +208,7 @@ def _estimates(
     for law in laws:
         for name, back in zip(_PARTS[law].names, _PARTS[law].back, strict=True):
             unit = sigma if name == "jump_dn" else 1.0
-            low, value, high = (unit * float(back(x[at] + errors[at] * z)) for z in (-_Z_95, 0.0, _Z_95))
-            out[law][name] = Estimate(value, (high - low) / (2 * _Z_95), (low, high))
+            low, value, high = (unit * float(back(x[at] + errors[at] * z)) for z in (-Z90, 0.0, Z90))
+            out[law][name] = Estimate(value, (high - low) / (2 * Z90), (low, high))
             at += 1
     return out

@@ -9,7 +9,14 @@ from jaxtyping import Float
 from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate, root
+from cannoise_jax.physics.transfer.estimate import (
+    Z90,
+    Estimate,
+    Estimates,
+    NotMeasurable,
+    normal_estimate,
+    root,
+)
 from cannoise_jax.physics.transfer.estimators.charge import hessian
 from cannoise_jax.physics.transfer.estimators.pick import darkest, repeated_darks, steady_pixels
 from cannoise_jax.physics.transfer.fit import robust_mean_square
@@ -99,7 +106,7 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
         negative, start, method="Nelder-Mead", options={"xatol": 2e-4, "fatol": 2e-3, "maxfev": 250}
     )
     errors = np.sqrt(np.abs(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.03, 0.05, 0.05]))))))
-    sides = np.array([-1.6449, 0.0, 1.6449])
+    sides = np.array([-Z90, 0.0, Z90])
     jumps = np.exp(fit.x[0] + errors[0] * sides) * sigma
     shares = [special.expit(fit.x[k] + errors[k] * sides) for k in (1, 2)]
     return {

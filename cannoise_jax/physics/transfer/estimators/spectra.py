@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.interpolate import PchipInterpolator
 
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, normal_estimate
+from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, normal_estimate
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
 from cannoise_jax.physics.transfer.estimators.pick import (
@@ -34,7 +34,6 @@ _MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
 _EXPONENTS = np.linspace(0.0, 2.0, 41)
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
 _DROP = float(stats.chi2.ppf(0.9, 1)) / 2
-_HALF_90 = 1.6449
 _BY_CHANCE = 0.05
 
 
@@ -271,7 +270,7 @@ def _profile_estimate(grid: Float[np.ndarray, "n"], loglik: Float[np.ndarray, "n
     top = int(np.argmax(values))
     inside = np.flatnonzero(values >= values[top] - _DROP)
     low, high = float(fine[inside[0]]), float(fine[inside[-1]])
-    return Estimate(float(fine[top]), (high - low) / (2 * _HALF_90), (low, high))
+    return Estimate(float(fine[top]), (high - low) / (2 * Z90), (low, high))
 
 
 def _coefficients(
