@@ -275,4 +275,5 @@ def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
         off=white_error,
+        speaks_for=frozenset({"scene"}),
     )

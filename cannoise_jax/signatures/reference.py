@@ -250,6 +250,7 @@ def moved(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Sig
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
         off=near_filter,
+        speaks_for=frozenset({"scene"}),
     )
 
 
@@ -307,4 +308,5 @@ def blurred(
         least=NO_CLOSED_FORM,
         quoted=quoted,
         off=near_filter,
+        speaks_for=frozenset({"scene"}),
     )

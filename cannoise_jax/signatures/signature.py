@@ -158,7 +158,7 @@ class Signature:
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
-      no mean.
+      no mean. speaks_for: kinds of recordings in which all that stays and differs is then of its part.
     """
 
     name: str
@@ -193,6 +193,7 @@ class Signature:
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None
     off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
+    speaks_for: frozenset[str] = frozenset()
     approximate: bool = False
 
     @property

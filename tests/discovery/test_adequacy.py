@@ -97,4 +97,4 @@ def test_a_reference_that_is_shifted_or_soft_is_told_from_light_from_further_awa
         compare_bank(capture, source, sets=2, alpha=0.002)
         for source in (beside(plain, [off], capture), plain)
     )
-    assert (doubt(full, less, scenes=True) is None) == fits
+    assert (doubt(full, less, frozenset({"scene"})) is None) == fits

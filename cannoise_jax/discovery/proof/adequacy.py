@@ -86,12 +86,12 @@ def doubts(
         if still and not off[n]:
             continue  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}")
-        others = [k for k in every if k != n]
+        others, claimed = [k for k in every if k != n], steps[n].named.signature.speaks_for
         if alone:
-            out[n] = doubt(drawn_from(of((steps[n],)), (n,)), start, bool(off[n]))
+            out[n] = doubt(drawn_from(of((steps[n],)), (n,)), start, claimed if off[n] else frozenset())
             continue
         if still:
-            out[n] = doubt(full, drawn_from(model, others), scenes=True)
+            out[n] = doubt(full, drawn_from(model, others), claimed)
             continue
         # A program of the same mechanisms is compiled already.
         quiet = of(steps, silent=steps[n])
@@ -165,9 +165,9 @@ class Part(NamedTuple):
     more: bool
 
 
-def own_part(full: Compared, less: Compared, scenes: bool = False) -> Part:
-    """The statistics that a mechanism moves, of a simulator with it and one without. scenes: it speaks for
-    all that stays in scenes, so that all that differs there is of its part."""
+def own_part(full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset()) -> Part:
+    """The statistics that a mechanism moves, of a simulator with it and one without, and all that stays and
+    differs in recordings of the kinds that it speaks for."""
     without = {(j.family, j.where): j for j in less.judgements}
     before = after = 0.0
     number = 0
@@ -182,7 +182,7 @@ def own_part(full: Compared, less: Compared, scenes: bool = False) -> Part:
         weight = np.clip(0.5 * j.z**2 / np.maximum(two, 1e-9), 0.0, 1.0) * (two > 1) + (two <= 1)
         one, two = weight * one, weight * two
         own = _moved(one, two)
-        if scenes and full.seen[j.where].kind == "scene" and j.family.startswith(STATIC):
+        if full.seen[j.where].kind in speaks_for and j.family.startswith(STATIC):
             own |= one > _BEARS
         if j.family.endswith("structure"):
             own |= _broken(own, full.seen[j.where].size)
@@ -197,11 +197,11 @@ def own_part(full: Compared, less: Compared, scenes: bool = False) -> Part:
     return Part(max(before - 0.5 * number, 0.0), max(after - 0.5 * number, 0.0), number, left, more)
 
 
-def doubt(full: Compared, less: Compared, scenes: bool = False) -> Doubt | None:
+def doubt(full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset()) -> Doubt | None:
     """What the simulator with a mechanism leaves of that mechanism's part of the mismatch, see `own_part`;
     None where nothing significant is left or it is little."""
-    part = own_part(full, less, scenes)
-    few = LEFT_OF_SCENES if scenes else LEFT
+    part = own_part(full, less, speaks_for)
+    few = LEFT_OF_SCENES if speaks_for else LEFT
     if not (part.left or part.more) or part.after <= (few if part.left else LEFT_TOGETHER) * part.before:
         return None
     return Doubt(part.after / max(part.before, 1e-9), tuple(lines_of(full, part.left)[:3]))
