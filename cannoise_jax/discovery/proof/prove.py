@@ -94,17 +94,15 @@ def standing(
     fitted: Fitted, proofs: Proofs, tell: Callable[[str], None] = lambda text: None
 ) -> tuple[Fitted, Proofs]:
     """Both without the findings that the frames held back exclude."""
-    pairs = list(zip(fitted.steps, proofs.each, strict=True))
-    for step, proof in pairs:
+    steps, each = [], []
+    for step, proof in zip(fitted.steps, proofs.each, strict=True):
         if refuted(step, proof):
-            tell(
-                f"given up: {step.named.mechanism} ({step.named.signature.name}), not in the frames held back"
-            )
-    kept = [(s, p) for s, p in pairs if not refuted(s, p)]
-    if len(kept) == len(pairs):
-        return fitted, proofs
-    steps, each = tuple(s for s, _ in kept), tuple(p for _, p in kept)
-    return fitted._replace(steps=steps), proofs._replace(each=each)
+            named = step.named
+            tell(f"given up: {named.mechanism} ({named.signature.name}), not in the frames held back")
+        else:
+            steps.append(step)
+            each.append(proof)
+    return fitted._replace(steps=tuple(steps)), proofs._replace(each=tuple(each))
 
 
 def unproven(steps: tuple[Step, ...]) -> Proofs:
