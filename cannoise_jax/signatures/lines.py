@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import draw, placed, posterior, strength
@@ -132,7 +133,8 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Sign
     columns of a row differ by. parameter: the mechanism's strength."""
 
     def score(fields: Many) -> Score | None:
-        return temporal_score(tuple(_turned(f) for f in fields), axis="row", scaling="additive")
+        turned = tuple(f._replace(contrasts=f.contrasts * _turns(f)) for f in fields)
+        return temporal_score(turned, axis="row", scaling="additive")
 
     def absorb(fields: Many, found: Score) -> Many:
         turned = tuple(_turned(f) for f in fields)
@@ -154,9 +156,14 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Sign
     )
 
 
+def _turns(field: Fields) -> Float[np.ndarray, "w"]:
+    """1 and -1 in turn, column by column."""
+    return (1 - 2 * (np.arange(field.mean.shape[1]) % 2)).astype(np.float32)
+
+
 def _turned(field: Fields) -> Fields:
     """The field with the sign of every other column turned; twice gives it back."""
-    sign = (1 - 2 * (np.arange(field.mean.shape[1]) % 2)).astype(np.float32)
+    sign = _turns(field)
     static = None if field.static is None else field.static * sign
     return field._replace(contrasts=field.contrasts * sign, static=static)
 
