@@ -22,7 +22,7 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks import Encoder, Generator
-from cannoise_jax.networks.branches import Level
+from cannoise_jax.networks.branches import NoiseLevel
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.networks.layers import fold_spectral_norm
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -160,7 +160,7 @@ def sample_noise(
     padded = _pad(images, margin)
     n_init, sigma = initial_noise_of(params)(noise_key, padded, shot, read)
     said = (float(nlf is not None), float(np.prod(noisy_ref.shape[:-3])))
-    level = Level(shot, read, *(jnp.full(images.shape[0], v) for v in said))
+    level = NoiseLevel(shot, read, *(jnp.full(images.shape[0], v) for v in said))
     noise: Any = params.generator_module.apply(
         params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
     )

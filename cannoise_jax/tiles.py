@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.networks.branches import Draws, Level, line_draws
+from cannoise_jax.networks.branches import Draws, NoiseLevel, line_draws
 from cannoise_jax.networks.generator import row_draws, setting_summary
 from cannoise_jax.physics.initial_noise import INITIAL_NOISE, initial_noise
 from cannoise_jax.physics.single_image import estimate_nlf
@@ -74,7 +74,7 @@ def sample_image(
         for v in (estimate_nlf(shown) if nlf is None else nlf)
     )
     said = (float(nlf is not None), float(np.prod(shown.shape[:-3])))
-    level = Level(shot, read, *(jnp.full(1, v) for v in said))
+    level = NoiseLevel(shot, read, *(jnp.full(1, v) for v in said))
     latent = _latent(model, shown)
     noise_key, row_key = jax.random.split(key)
     margin = margin_of(model)

@@ -30,7 +30,7 @@ _MOST_SKEW = 1.0
 _EDGE = 1 - 2.0**-23
 
 
-class Level(NamedTuple):
+class NoiseLevel(NamedTuple):
     """What is known of the noise's level: shot and read (packed order, normalised units), whether they were
     handed over (1) or estimated (0), and how many images they, and the camera, were read off."""
 
@@ -105,7 +105,9 @@ def physics_of(raw: Float[Array, "b 11"]) -> Physics:
     )
 
 
-def line_variance(physics: Physics, level: Level, clean: Float[Array, "b h w 4"]) -> Float[Array, "b h w 4"]:
+def line_variance(
+    physics: Physics, level: NoiseLevel, clean: Float[Array, "b h w 4"]
+) -> Float[Array, "b h w 4"]:
     """Variance of the branches' noise at every pixel: the level, each part scaled."""
     shot, read = _scaled(physics, level)
     return shot * jnp.maximum(clean, 0) + read
@@ -115,7 +117,7 @@ def physical_noise(
     draws: Draws,
     z: Float[Array, "b h w 4"],
     clean: Float[Array, "b h w 4"],
-    level: Level,
+    level: NoiseLevel,
     physics: Physics,
 ) -> Float[Array, "b h w 4"]:
     """Noise of these parameters, normalised units, from initial noise z = n_init / sigma."""
@@ -137,7 +139,7 @@ def physical_noise(
     return noise + jnp.sqrt(read) * (lines + physics.offset[:, None, None])
 
 
-def _scaled(physics: Physics, level: Level):
+def _scaled(physics: Physics, level: NoiseLevel):
     shot = jnp.maximum(level.shot, LEAST_SHOT) * jnp.exp(physics.log_shot)[:, None]
     read = jnp.maximum(level.read, LEAST_READ) * jnp.exp(physics.log_read)[:, None]
     return shot[:, None, None], read[:, None, None]

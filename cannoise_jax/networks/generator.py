@@ -31,7 +31,7 @@ from cannoise_jax.networks.branches import (
     LEAST_SHOT,
     OUTPUTS,
     Draws,
-    Level,
+    NoiseLevel,
     Physics,
     branch_draws,
     physical_noise,
@@ -168,7 +168,7 @@ class Generator(nn.Module):
         sigma: Float[Array, "b h w 4"],
         *,
         train: bool,
-        level: Level | None = None,
+        level: NoiseLevel | None = None,
         summary: Float[Array, "b s"] | None = None,
         draws: Draws | None = None,
         lines: bool = True,
@@ -229,14 +229,14 @@ def row_draws(key: Key[Array, ""], images: int, rows: int) -> Float[Array, "b h 
     return jnp.repeat(jax.random.normal(key, (images, rows, 1, 2)), 2, -1)
 
 
-def _as_noise(sigma) -> Level:
+def _as_noise(sigma) -> NoiseLevel:
     """The level where none is told: all of it read noise."""
     read = jnp.mean(jnp.square(sigma), (1, 2))
     count = sigma.shape[0]
-    return Level(jnp.zeros_like(read), read, jnp.zeros(count), jnp.ones(count))
+    return NoiseLevel(jnp.zeros_like(read), read, jnp.zeros(count), jnp.ones(count))
 
 
-def level_summary(level: Level) -> Float[Array, "b 2"]:
+def level_summary(level: NoiseLevel) -> Float[Array, "b 2"]:
     """Logs of shot and of read noise in electrons, of about -1.5..1.5."""
     shot = jnp.mean(jnp.log(jnp.maximum(level.shot, LEAST_SHOT)), -1)
     read = jnp.mean(jnp.log(jnp.maximum(level.read, LEAST_READ)), -1)

@@ -19,7 +19,7 @@ from ml_collections import ConfigDict, FrozenConfigDict
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
 from cannoise_jax.evaluation.samplers import Samplers, samplers
-from cannoise_jax.networks.branches import Level
+from cannoise_jax.networks.branches import NoiseLevel
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.physics.initial_noise import initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
@@ -120,7 +120,7 @@ def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
         noise_key, row_key = jax.random.split(key)
         shot, read = nlf or jax.vmap(estimate_nlf)(reference)
         known, shown = (jnp.full(clean.shape[0], float(v)) for v in (nlf is not None, reference.shape[1]))
-        level = Level(shot, read, known, shown)
+        level = NoiseLevel(shot, read, known, shown)
         n_init, sigma = draw(noise_key, clean, shot, read, camera)
         encoder = {"params": average["encoder"], "spectral": spectral[1]}
         latent = latent_of(networks, encoder, reference.reshape(-1, *reference.shape[-3:]))

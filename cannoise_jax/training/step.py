@@ -20,7 +20,7 @@ import optax
 from jaxtyping import Array, Float, Key
 from ml_collections import ConfigDict, FrozenConfigDict
 
-from cannoise_jax.networks.branches import LEAST_READ, LEAST_SHOT, Level, line_variance
+from cannoise_jax.networks.branches import LEAST_READ, LEAST_SHOT, NoiseLevel, line_variance
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise_by_camera
@@ -45,21 +45,21 @@ def visible(noise: Float[Array, "..."], clean: Float[Array, "..."]) -> Float[Arr
     return jnp.clip(clean + noise, 0, 1) - clean
 
 
-def choose_level(level: str, key: Key[Array, ""], batch: Batch) -> Level:
+def choose_level(level: str, key: Key[Array, ""], batch: Batch) -> NoiseLevel:
     """The level of each element as `config.level` says; for "both", by the toss of a coin."""
     count = batch["clean"].shape[0]
     shown = batch.get("shown", jnp.ones(count))
     if level == "given":
-        return Level(batch["shot"], batch["read"], jnp.ones(count), jnp.ones(count))
+        return NoiseLevel(batch["shot"], batch["read"], jnp.ones(count), jnp.ones(count))
     estimated = jax.vmap(estimate_nlf)(batch["anchor"])
     if level == "estimated":
-        return Level(*estimated, jnp.zeros(count), shown)
+        return NoiseLevel(*estimated, jnp.zeros(count), shown)
     known = jax.random.bernoulli(key, shape=(count,))
     shot, read = (
         jnp.where(known[:, None], given, found)
         for given, found in zip((batch["shot"], batch["read"]), estimated, strict=True)
     )
-    return Level(shot, read, known.astype(jnp.float32), jnp.where(known, 1.0, shown))
+    return NoiseLevel(shot, read, known.astype(jnp.float32), jnp.where(known, 1.0, shown))
 
 
 def make_train_step(
@@ -231,7 +231,7 @@ def _stacked(batch: Batch) -> Batch:
     return {**batch, "anchor": anchor if anchor.ndim == 5 else anchor[:, None]}
 
 
-def _choose_latent(latents, level: Level):
+def _choose_latent(latents, level: NoiseLevel):
     """That of any image of the camera where the level is known, else that of the images of the setting."""
     if len(latents) == 1:
         return latents[0]

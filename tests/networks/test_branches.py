@@ -11,7 +11,7 @@ import pytest
 
 from cannoise_jax.networks import branches
 from cannoise_jax.networks.branches import (
-    Level,
+    NoiseLevel,
     Physics,
     branch_draws,
     line_variance,
@@ -22,7 +22,7 @@ from cannoise_jax.physics.core.tukey_lambda import excess_kurtosis
 
 COUNT, SIDE = 4, 64
 SHOT, READ = 1e-3, 4e-5
-LEVEL = Level(jnp.full((COUNT, 4), SHOT), jnp.full((COUNT, 4), READ), jnp.ones(COUNT), jnp.ones(COUNT))
+LEVEL = NoiseLevel(jnp.full((COUNT, 4), SHOT), jnp.full((COUNT, 4), READ), jnp.ones(COUNT), jnp.ones(COUNT))
 NONE = Physics(
     *(jnp.zeros(COUNT) for _ in range(2)), jnp.full(COUNT, branches.GAUSSIAN_TAIL),
     *(jnp.zeros(COUNT) for _ in range(4)), jnp.zeros((COUNT, 4)),

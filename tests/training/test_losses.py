@@ -256,10 +256,10 @@ def test_spectra_see_rows_columns_and_neighbours_apart():
 
 
 def test_the_physics_loss_is_zero_at_the_truth():
-    from cannoise_jax.networks.branches import Level, Physics, line_variance
+    from cannoise_jax.networks.branches import NoiseLevel, Physics, line_variance
 
     one = jnp.ones(2)
-    level = Level(1e-3 * jnp.ones((2, 4)), 1e-5 * jnp.ones((2, 4)), one, one)
+    level = NoiseLevel(1e-3 * jnp.ones((2, 4)), 1e-5 * jnp.ones((2, 4)), one, one)
     physics = Physics(
         0 * one, 0 * one, -0.1 * one, 0.01 * one, 0.02 * one, 0 * one, 0.1 * one, jnp.zeros((2, 4))
     )
