@@ -30,7 +30,7 @@ FLICKER = mechanism_from_grammar(
 )
 
 ILLUMINATION_DRIFT = mechanism_from_grammar(
-    Point("photons", "mean", "whole", "redrawn", "multiply"),
+    Point("photons", "mean", "frame", "redrawn", "multiply"),
     id="illumination_drift",
     default=0.01,
     equation=r"\mu_t = \mu\,(1+\sigma l_t)",

@@ -106,7 +106,7 @@ def _skip_effect(values, maps, context):
 
 MISSING_CODES = Mechanism(
     id="missing_codes",
-    point=Point("converter", "code", "whole", "frozen"),
+    point=Point("converter", "code", "frame", "frozen"),
     parameters=(
         Parameter("period", "code steps", 8.0, 2.0, 4096.0, "log", "one code in so many never occurs"),
     ),

@@ -42,7 +42,7 @@ def _rate(definition: str, default: float) -> Parameter:
 
 DARK_CURRENT = Mechanism(
     id="dark_current",
-    point=Point("pixel", "mean", "whole", "frozen"),
+    point=Point("pixel", "mean", "frame", "frozen"),
     parameters=(_rate("mean dark current", 10.0),),
     equation=r"\mu \to \mu + D\,t\,2^{(T-T_0)/T_d}",
     sentence="Warm silicon frees electrons without light: the darks rise with exposure and temperature, and "
@@ -138,7 +138,7 @@ def _variance_share(context: Context):
 
 CLOCK_INDUCED_CHARGE = Mechanism(
     id="clock_induced_charge",
-    point=Point("pixel", "mean", "whole", "frozen"),
+    point=Point("pixel", "mean", "frame", "frozen"),
     parameters=(Parameter("charge_e", "e-", 0.01, 0.0, 1e3, "log", "mean per pixel and frame"),),
     equation=r"\mu \to \mu + c",
     sentence="The clocking itself frees an electron now and then, in bias frames as in long exposures.",
@@ -170,7 +170,7 @@ def _temperature_effect(values, maps, context):
 
 TEMPERATURE_DRIFT = Mechanism(
     id="temperature_drift",
-    point=Point("pixel", "mean", "whole", "drifting"),
+    point=Point("pixel", "mean", "frame", "drifting"),
     parameters=(
         Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "log", "rms temperature change"),
         Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "log", "correlation time"),

@@ -34,7 +34,7 @@ def _bend_effect(values, maps, context):
 
 NONLINEARITY = Mechanism(
     id="nonlinearity",
-    point=Point("pixel", "charge", "whole", "frozen", "multiply", signal=1.0),
+    point=Point("pixel", "charge", "frame", "frozen", "multiply", signal=1.0),
     parameters=(Parameter("loss", "1", 0.02, -0.49, 0.49, "identity", "share of the signal lost at white"),),
     equation=r"e \to e\,(1 - a\,K e/(W-b))",
     sentence="Charge lowers the voltage that collects it, so bright signals read a little too low.",

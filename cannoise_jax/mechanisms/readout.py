@@ -63,7 +63,7 @@ def _switch_effect(values, maps, context: Context):
 
 DUAL_GAIN = Mechanism(
     id="dual_gain",
-    point=Point("readout", "signal", "whole", "frozen", "multiply"),
+    point=Point("readout", "signal", "frame", "frozen", "multiply"),
     parameters=(
         Parameter("iso_switch", "ISO", 800.0, 1.0, 1e7, "log", "first ISO of the high conversion gain"),
         Parameter("gain_ratio", "1", 1.0, 0.1, 10.0, "log", "system gain above the switch over the table's"),
@@ -237,7 +237,7 @@ ENTRIES: tuple[Entry, ...] = (
              "The black level moves from frame to frame.",
              35, "sensor", "DN", RMS, listed=23),
         mechanism_from_grammar(
-            Point("readout", "signal", "whole", "redrawn"), id="offset_drift", default=0.2,
+            Point("readout", "signal", "frame", "redrawn"), id="offset_drift", default=0.2,
             sentence="The black level is set anew for every frame and never quite the same.",
             reference="Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 "
             "(dark shading)",

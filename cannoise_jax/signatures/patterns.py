@@ -210,9 +210,9 @@ def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         pattern=NO_PATTERN,
         simulate=strength(parameter),
         place=placed(
-            Point("readout", "signal", "whole", "redrawn")
+            Point("readout", "signal", "frame", "redrawn")
             if additive
-            else Point("photons", "mean", "whole", "redrawn", "multiply")
+            else Point("photons", "mean", "frame", "redrawn", "multiply")
         ),
         detectable=BY_SHIFT,
         least=frame_offsets if additive else NO_CLOSED_FORM,

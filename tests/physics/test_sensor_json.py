@@ -67,6 +67,18 @@ def test_round_trip_with_tables_scaling_grammar_and_maps(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["sensor.json"]  # no maps of a model that is gone
 
 
+def test_the_earlier_word_for_one_number_a_frame_is_read(tmp_path):
+    model = camera().with_mechanism(
+        "jumps", point=Point("readout", "signal", "frame", "redrawn"), sigma_dn=2.0
+    )
+    path = tmp_path / "sensor.json"
+    write_sensor(path, model)
+    text = path.read_text()
+    assert text.count('"over": "frame"') == 1
+    path.write_text(text.replace('"over": "frame"', '"over": "whole"'))
+    assert_same(model, read_sensor(path))
+
+
 @pytest.mark.parametrize("id", MECHANISMS)
 def test_every_mechanism_round_trips(id, tmp_path):
     model = SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, "RGGB").with_mechanism(id)

@@ -20,7 +20,7 @@ from cannoise_jax.signatures.fields import channel_index
 
 def _of_frames(record: Mechanism) -> bool:
     """Whether it is what a whole frame, or channel of it, shares."""
-    return record.point.over in ("whole", "channel") and record.point.time != "frozen"
+    return record.point.over in ("frame", "channel") and record.point.time != "frozen"
 
 
 def _of_lit_rows(record: Mechanism) -> bool:

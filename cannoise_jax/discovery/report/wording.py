@@ -20,7 +20,6 @@ CERTAIN = 10.0
 _OVER = {
     "raster time": "along the readout",
     "frame": "over whole frames",
-    "whole": "over whole frames",
     "pixel": "from pixel to pixel",
     "signal": "over the range of signals",
     "edge": "at edges",

@@ -33,7 +33,7 @@ def site_shape(point, size: tuple[int, int]) -> tuple[int, ...]:
         "block": point.blocks,
         "diagonal": (height + width - 1,),
         "antidiagonal": (height + width - 1,),
-        "whole": (),
+        "frame": (),
     }[point.over]
 
 
@@ -51,7 +51,7 @@ def spread(drawn: Float[Array, "t ..."], point, size: tuple[int, int]) -> Float[
         return drawn.reshape(frames, height, 1)
     if over == "column":
         return drawn.reshape(frames, 1, width)
-    if over == "whole":
+    if over == "frame":
         return drawn.reshape(frames, 1, 1)
     if over in ("diagonal", "antidiagonal"):
         y, x = np.indices(size)

@@ -24,7 +24,7 @@ from cannoise_jax.physics.core.mechanism import (
     Values,
 )
 
-Site = Literal["pixel", "row", "column", "block", "channel", "raster", "diagonal", "antidiagonal", "whole"]
+Site = Literal["pixel", "row", "column", "block", "channel", "raster", "diagonal", "antidiagonal", "frame"]
 Time = Literal["frozen", "redrawn", "telegraph", "drifting"]
 Spectrum = Literal["white", "power_law", "sinusoid", "kernel"]
 Distribution = Literal["gaussian", "tukey_lambda", "sparse"]
@@ -36,7 +36,7 @@ TIMES: tuple[Time, ...] = ("frozen", "redrawn", "telegraph", "drifting")
 class Point:
     """A point of the grammar.
 
-    over: the sites that carry one number each. "raster" orders the pixels as they are read; "whole" is one
+    over: the sites that carry one number each. "raster" orders the pixels as they are read; "frame" is one
       number per frame; "block" cuts the frame into `blocks` = (down, across) amplifier regions.
     time: "frozen" belongs to the camera unit; "redrawn" in every frame; "telegraph" jumps between two
     levels at

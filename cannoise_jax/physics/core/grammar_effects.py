@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.mechanism import Context, Effect, Maps, Values
 
-_SHARED = {"row": "row", "column": "column", "whole": "frame"}
+_SHARED = ("row", "column", "frame")
+"""Sites whose number all of their pixels share: fields of `Effect`."""
 
 
 def signal_factor(point, context: Context) -> Any:
@@ -66,9 +67,8 @@ def _of_time(point, values: Values, maps: Maps, context: Context, reach, brought
         changes["third"] = reach**3 * third
     if fourth is not None:
         changes["fourth"] = reach**4 * fourth
-    shared = _SHARED.get(point.over)
-    if shared and point.interleave == 1:
-        changes[shared] = power
+    if point.over in _SHARED and point.interleave == 1:
+        changes[point.over] = power
     lags = _lags(point, values, context, power)
     if lags:
         changes["lags"] = lags

@@ -154,6 +154,8 @@ def _point(id: str, entry: Any) -> Point | None:
         values["kernel"] = tuple(float(_number(v, f"{where}kernel")) for v in values["kernel"])
     if "signal" in values:
         values["signal"] = float(_number(values["signal"], f"{where}signal"))
+    if values["over"] == "whole":  # as earlier versions wrote it
+        values["over"] = "frame"
     return Point(**values)
 
 
