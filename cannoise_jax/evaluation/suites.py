@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from cannoise_jax.evaluation import kl
 from cannoise_jax.evaluation.denoising import paired_interval
@@ -375,8 +375,3 @@ SUITES: dict[str, Callable[[Request], Outcome]] = {
     "cameras": cameras_suite,
     "iso": iso_suite,
 }
-
-
-def groups_of(bench: Bench) -> Int[np.ndarray, "g"]:
-    """Every camera and setting there is, as `Bench.group` numbers them."""
-    return np.unique(bench.group)

@@ -43,16 +43,6 @@ def results_table(results: Mapping[str, Any]) -> str:
     return "\n\n".join(block for block in blocks if block)
 
 
-def settings_table(results: Mapping[str, Any]) -> str:
-    """KL with its floor for every camera and ISO, columns of models."""
-    rows = {
-        f"{camera} {iso}": numbers
-        for camera, by_iso in results["settings"].items()
-        for iso, numbers in by_iso.items()
-    }
-    return _block(rows, "KL(real || model) by camera and ISO, nats (finite-sample floor)", _kl_cell)
-
-
 def write_results(path: Path, results: Mapping[str, Any], seconds: float, **extra: Any) -> None:
     """Write `results.json` atomically: schema, cameras, pooled, settings, seconds, and any `extra` keys.
 

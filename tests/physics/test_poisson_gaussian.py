@@ -17,7 +17,6 @@ from cannoise_jax.physics.core.poisson_gaussian import (
     sample_normal,
     sample_poisson,
     sample_poisson_gaussian,
-    uniform_open,
 )
 from cannoise_jax.physics.core.random_bits import random_bits, threefry
 
@@ -106,9 +105,7 @@ def test_zero_and_negative_means_give_no_counts():
 def test_uniforms_are_open_and_symmetric():
     v = np.asarray(centred_uniform(jax.random.key(1), (400_000,)))
     assert np.abs(v).max() < 1 and abs(v.mean()) < 5 / np.sqrt(3 * v.size)
-    u = np.asarray(uniform_open(jax.random.key(1), (400_000,)))
-    assert u.min() > 0 and u.max() < 1
-    assert stats.kstest(u, "uniform").pvalue > 1e-4
+    assert stats.kstest(0.5 + 0.5 * v, "uniform").pvalue > 1e-4
     assert stats.kstest(np.asarray(sample_normal(jax.random.key(2), (100_000,))), "norm").pvalue > 1e-4
     extremes = jnp.array([-(1 - 2.0**-23), 1 - 2.0**-24], jnp.float32)
     assert np.all(np.isfinite(np.asarray(poisson_quantile(extremes, jnp.float32(50.0)))))
@@ -153,12 +150,9 @@ def test_tukey_lambda_is_scipys(shape):
     variance, excess = (float(v) for v in law.stats(moments="vk"))
     assert float(tukey_lambda.variance(shape)) == pytest.approx(variance, rel=1e-4)
     assert float(tukey_lambda.excess_kurtosis(shape)) == pytest.approx(excess, rel=0.01, abs=3e-3)
-    assert tukey_lambda.shape_of_kurtosis(excess) == pytest.approx(shape, abs=2e-3)
 
 
 def test_tukey_lambda_limits():
     assert np.isinf(float(tukey_lambda.excess_kurtosis(-0.3)))
     assert np.isinf(float(tukey_lambda.variance(-0.6)))
-    with pytest.raises(ValueError, match="below what read noise can have"):
-        tukey_lambda.shape_of_kurtosis(-1.5)
     assert np.isfinite(float(jax.grad(lambda s: tukey_lambda.standard_quantile(0.9, s))(0.03)))

@@ -37,11 +37,6 @@ def centred_uniform(key: Key[Array, ""], shape: tuple[int, ...]) -> Float[Array,
     return (bits.astype(jnp.float32) - np.float32(2**23 - 0.5)) * np.float32(2.0**-23)
 
 
-def uniform_open(key: Key[Array, ""], shape: tuple[int, ...]) -> Float[Array, "..."]:
-    """Uniform numbers strictly between 0 and 1, float32."""
-    return jnp.minimum(0.5 + 0.5 * centred_uniform(key, shape), np.float32(1 - 2.0**-24))
-
-
 def _normal(v: Float[Array, "..."]) -> Float[Array, "..."]:
     return np.float32(math.sqrt(2.0)) * jax.lax.erf_inv(v)
 

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
-from scipy import optimize
 from scipy.special import beta
 
 GAUSSIAN = 0.135
@@ -52,16 +51,6 @@ def excess_kurtosis(shape) -> Float[Array, "..."]:
     shape = jnp.asarray(shape, jnp.result_type(float))
     shapes, values = (jnp.asarray(table, shape.dtype) for table in (_SHAPES, _KURTOSES))
     return jnp.interp(shape, shapes, values, left=jnp.inf)
-
-
-def shape_of_kurtosis(excess: float) -> float:
-    """The shape in (-0.25, 0.3] with a given excess kurtosis: heavier tails than its lower end have no limit.
-
-    Raises ValueError for an excess below that of shape 0.3, about -0.6.
-    """
-    if excess < _kurtosis64(0.3):
-        raise ValueError(f"excess kurtosis {excess:g} is below what read noise can have: use at least -0.5")
-    return float(optimize.brentq(lambda s: _kurtosis64(s) - excess, -0.25 + 1e-9, 0.3))
 
 
 def _moments64(shape: float) -> tuple[float, float]:
