@@ -121,6 +121,7 @@ def make_recording(
         warn_saturation(path, count_above(recording.frames, white), recording.frames.shape, white)
         plausible.check_units_of_clean(recording)
         plausible.warn_of_code_step(recording)
+        plausible.warn_of_lights(recording)
     return recording
 
 

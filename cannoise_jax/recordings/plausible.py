@@ -1,4 +1,4 @@
-"""Whether what a file says about its pixels agrees with them, judged on its first frame."""
+"""Whether what a file says about its pixels agrees with them, judged on one frame or a few."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ import logging
 
 import numpy as np
 
-from cannoise_jax.recordings.recording import BadInput, Recording, normalise
+from cannoise_jax.recordings.recording import DARK, BadInput, Recording, normalise
 
 _log = logging.getLogger(__name__)
+
+_FEW = 4
+"""Frames that are looked at."""
+_SAME_LIGHT = 1.2
+"""Ratio of levels up to which frames count as repeats of each other: lamps and skies drift by less."""
 
 
 def check_units_of_clean(recording: Recording) -> None:
@@ -52,4 +57,25 @@ def warn_of_code_step(recording: Recording) -> None:
         _log.warning(
             "%s: code_step %g is stated, but %.3g %% of the values lie between codes of that spacing: leave "
             "it out to have it detected", recording.path, step, 100 * off,
+        )  # fmt: skip
+
+
+def warn_of_lights(recording: Recording) -> None:
+    """Logs one warning where frames of a flat or scene differ in brightness as under several lights.
+
+    Judged on the medians of a few frames spread over the recording: they are to be repeats of each other.
+    """
+    own_scenes = recording.clean is not None and recording.clean.ndim == 3
+    if recording.kind in DARK or recording.count < 2 or own_scenes:
+        return
+    looked = np.unique(np.linspace(0, recording.count - 1, _FEW).round().astype(int))
+    levels = [float(np.median(np.asarray(recording.frames[t : t + 1]))) for t in looked.tolist()]
+    above = np.array(levels) - np.mean(recording.black_level)
+    dim, bright = int(np.argmin(above)), int(np.argmax(above))
+    # A code or two at the bottom of the scale is no light.
+    if above[bright] - above[dim] > max((_SAME_LIGHT - 1) * above[dim], 4 * (recording.code_step or 1.0)):
+        _log.warning(
+            "%s: frame %d lies %.4g DN above black, frame %d %.4g DN: frames of one recording are to be "
+            "repeats under one light, or its changes count as noise: make a recording of each light",
+            recording.path, looked[dim] + 1, above[dim], looked[bright] + 1, above[bright],
         )  # fmt: skip

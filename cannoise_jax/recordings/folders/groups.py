@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.recordings.folders.lights import by_light
 from cannoise_jax.recordings.folders.shots import Shot
 from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import KINDS
@@ -74,7 +75,18 @@ def grouped(
     order = sorted(
         members, key=lambda k: (str(k[0]), k[1], k[2] or 0, k[3] or 0, k[4] or "", str(k[5]), k[6])
     )
-    return [_group(key, members[key], overrides) for key in order]
+    dark = [s for s in shots if kinds[s.name] in ("bias", "dark")]
+    made = []
+    for key in order:
+        mode = key[0]
+        black = [np.mean(s.medians) for s in dark if _mode(s, camera, overrides, mode[8]) == mode]
+        # Recordings are made of files of one light: their frames are repeats of each other.
+        lit = KINDS[key[1]] in ("flat", "scene")
+        lights = by_light(members[key], float(np.median(black)) if black else 0.0) if lit else [members[key]]
+        for part in lights:
+            level = f"{np.median([np.mean(s.medians) for s in part]):.0f}DN" if len(lights) > 1 else None
+            made.append(_group(key, part, overrides, level))
+    return made
 
 
 def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | None) -> tuple:
@@ -94,7 +106,7 @@ def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | N
     )
 
 
-def _group(key: tuple, shots: list[Shot], overrides: dict[str, Any]) -> Group:
+def _group(key: tuple, shots: Sequence[Shot], overrides: dict[str, Any], level: str | None) -> Group:
     mode, kind, iso, exposure, name, cluster, _ = key
     temperatures = [t for s in shots if (t := s.known.get("temperature_c")) is not None]
     settings: dict[str, Any] = {
@@ -106,13 +118,15 @@ def _group(key: tuple, shots: list[Shot], overrides: dict[str, Any]) -> Group:
         "temperature_c": round(float(np.mean(temperatures)), 2) if temperatures else None,
     }
     settings |= {n: overrides[n] for n in ("temperature_c", "exposure_s") if n in overrides}
-    return Group(KINDS[kind], tuple(shots), settings, mode, name, _label(key, mode, settings["gain_db"]))
+    label = _label(key, mode, settings["gain_db"], level)
+    return Group(KINDS[kind], tuple(shots), settings, mode, name, label)
 
 
-def _label(key: tuple, mode: tuple, gain_db: float | None) -> str:
+def _label(key: tuple, mode: tuple, gain_db: float | None, level: str | None) -> str:
     _, kind, iso, exposure, name, cluster, _ = key
     parts = [KINDS[kind]]
     parts += [seconds(exposure)] if exposure is not None and KINDS[kind] != "bias" else []
+    parts += [level] if level else []
     decibels = gain_db if gain_db is None else f"gain{gain_db:g}dB"
     parts += [decibels] if decibels else [] if iso is None else [f"iso{iso:.4g}"]
     parts += [] if mode[4] is None else [f"gain{mode[4]:g}"]

@@ -34,8 +34,8 @@ _KEPT = 6
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
-_LAYOUT = "2"
-"""Of what is cached: entries of another layout are not used."""
+_LAYOUT = "3"
+"""Of what is cached, and of how folders are sorted: entries of another layout are not used."""
 
 
 class Options(NamedTuple):

@@ -97,6 +97,25 @@ def test_filters_are_recordings_of_their_own(tmp_path):
     assert labels(plan_folder(tmp_path)) == {"flat_2s_Ha-7nm": 2, "flat_2s_R": 2, "dark_60s": 2, "bias": 2}
 
 
+def test_flats_of_one_exposure_under_several_lights_are_recordings_of_their_own(tmp_path):
+    night(tmp_path)
+    for electrons in (150, 900, 4000.0 * 1.05, 16000):
+        for n in (1, 2):
+            shot(tmp_path / f"flat_{electrons:.0f}_{n}.fits", "flat", electrons=electrons * (1 + 0.02 * n),
+                 IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100")  # fmt: skip
+    # The two of the night have 4000 electrons: between the lamps' 4200 and them lies less than a tenth.
+    made = labels(plan_folder(tmp_path))
+    assert sorted(count for name, count in made.items() if name.startswith("flat_2s")) == [2, 2, 2, 4]
+
+
+def test_flats_of_a_sky_that_changes_from_frame_to_frame_stay_together(tmp_path):
+    night(tmp_path)
+    for n in range(5):
+        shot(tmp_path / f"flat_b{n}.fits", "flat", electrons=4000 * 1.3**n, FILTER="B",
+             IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100")  # fmt: skip
+    assert labels(plan_folder(tmp_path))["flat_2s_B"] == 5
+
+
 def test_flats_that_are_headed_light_and_lights_themselves(tmp_path):
     night(tmp_path)
     for n in (1, 2):
@@ -147,7 +166,7 @@ def test_kinds_from_names_alone(tmp_path, names):
 def test_everything_missing_is_said_at_once(tmp_path):
     for n in (1, 2):
         shot(tmp_path / f"flat{n}.fits", "flat", colours=1.6, EXPTIME=1.0)
-        shot(tmp_path / f"other{n}.fits", "flat", EXPTIME=1.0, IMAGETYP="Focus")
+        shot(tmp_path / f"other{n}.fits", "flat", colours=1.6, EXPTIME=1.0, IMAGETYP="Focus")
     shot(tmp_path / "flat_x.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0)
     (tmp_path / "broken.fits").write_bytes(b"SIMPLE")
     plan = plan_folder(tmp_path)
