@@ -119,6 +119,8 @@ def add_docs(commands: Any) -> None:
     docs.add_argument("--take", type=place, metavar="FILE", help="a file that a command wrote, as a result")
     docs.add_argument("--name", metavar="NAME", help="of the result that --take makes or replaces")
     docs.add_argument("--title", metavar="TEXT", help="its title (default: that of the one before, or NAME)")
+    docs.add_argument("--figure", type=place, metavar="PNG", help="that a command wrote, beside --take")
+    docs.add_argument("--caption", metavar="TEXT", help="of --figure (default: that of the one before)")
     docs.add_argument(
         "--command", action="append", default=[], metavar="LINE", help="that wrote FILE; repeat"
     )
@@ -128,13 +130,20 @@ def add_docs(commands: Any) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     root = Path(__file__).resolve().parents[2]
     if arguments.take is not None:
-        from cannoise_jax.commands.bench_take import take
+        from cannoise_jax.commands.bench_take import figure, take
 
         if not arguments.name or not arguments.command:
             raise BadInput("docs: --take needs --name and --command")
         before = read_results(root).get(arguments.name)
         title = arguments.title or (before.title if before else None)
-        print(write_result(root, take(root, arguments.take, arguments.name, title, arguments.command)))
+        taken = take(root, arguments.take, arguments.name, title, arguments.command)
+        if arguments.figure is not None:
+            captions = [f["caption"] for f in (before.figures if before else ())]
+            caption = arguments.caption or (captions[0] if captions else None)
+            if not caption:
+                raise BadInput("docs: --figure needs --caption")
+            taken = taken._replace(figures=(figure(root, arguments.figure, caption),))
+        print(write_result(root, taken))
     changed = run(root, arguments.check)
     for page in changed:
         print(page)

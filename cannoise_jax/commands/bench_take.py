@@ -1,5 +1,5 @@
-"""What a command wrote (results.json, an evaluation's SUITE.json, blind.json, report.json, or a table) as a
-published result."""
+"""What a command wrote (results.json, an evaluation's SUITE.json, a test of denoisers, blind.json,
+report.json, or a table) as a published result."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def take(root: Path, file: Path, name: str, title: str | None, command: list[str
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise BadInput(
-            f"{file}: neither results.json, a suite, blind.json, report.json nor a table ({reason})"
+            f"{file}: neither results.json, a suite, denoisers tested, blind.json, report.json nor a table "
+            f"({reason})"
         ) from error
     code = {"commits": _commit(root, paths), "paths": paths, "sha256": source_sha256(root, paths)}
     machine, date = here()
@@ -56,6 +57,8 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
         return [*_below(_TRAINING), "configs/default.py"], _comparison(content)
     if schema == "cannoise/evaluation/1":
         return [*_below(_TRAINING), "configs/default.py"], _suite(content)
+    if schema == "cannoise/denoising/1":
+        return _below(_TRAINING), _denoising(content)
     if str(schema).startswith("cannoise/diagnosis/"):
         return _below(_SEARCH), _diagnosis(content)
     if "false_alarms" in content:
@@ -95,6 +98,51 @@ def _suite(content: dict[str, Any]) -> _Parts:
     note = f"{content['patches']} patches, {content['seeds']} seeds; intervals: {content['interval']}."
     notes = (table["note"], note) if table["note"] else (note,)
     return {"columns": ("", *columns), "rows": tuple(rows), "values": values, "notes": notes}
+
+
+def _denoising(content: dict[str, Any]) -> _Parts:
+    """A row for every exposure and noise model, the worst first; its values are named
+    EXPOSURE_s_NOISE_psnr, _gain (over Poisson-Gaussian noise) and _ssim."""
+    rows, notes = [], []
+    values: dict[str, str] = {}
+    for exposure, result in content["exposures_s"].items():
+        by_psnr = sorted(result["psnr_db"].items(), key=lambda item: item[1]["mean"]["value"])
+        for noise, row in by_psnr:
+            shown = {
+                "psnr": _between(row["mean"], 2),
+                "gain": _between(row.get("over_pg"), 2, "+"),
+                "ssim": _between(result["ssim"][noise]["mean"], 4),
+            }
+            rows.append((f"{exposure} s", noise.replace("_", " "), *shown.values()))
+            values |= {_identifier(f"{exposure} s {noise} {name}"): text for name, text in shown.items()}
+        notes.append(
+            f"{exposure} s: {result['seeds']} seeds, {result['steps']} steps, {result['scenes']} test scenes "
+            f"on {result['test_frames']} dark frames held back; noisy {result['noisy']['psnr_db']:.2f} dB."
+        )
+    notes.append(f"{content['camera']}. Intervals: {content['interval']}.")
+    columns = ("darks", "trained on", "PSNR, dB", "over pg, dB", "SSIM")
+    return {"columns": columns, "rows": tuple(rows), "values": values, "notes": tuple(notes)}
+
+
+def _between(found: dict[str, float] | None, digits: int, sign: str = "") -> str:
+    """A number with its interval; a dash where there is none."""
+    if found is None:
+        return "–"
+    value, low, high = (f"{found[k]:{sign}.{digits}f}" for k in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"
+
+
+def figure(root: Path, file: Path, caption: str) -> dict[str, str]:
+    """A picture that a command wrote, as docs/images holds it from now on. Raises BadInput."""
+    place = f"images/{file.name}"
+    try:
+        data = file.read_bytes()
+        if not data.startswith(b"\x89PNG"):
+            raise BadInput(f"{file}: no PNG: name a picture that a command wrote")
+        (root / "docs" / place).write_bytes(data)
+    except OSError as error:
+        raise BadInput(f"{file}: cannot be taken ({error.strerror})") from error
+    return {"file": place, "sha256": hashlib.sha256(data).hexdigest(), "caption": caption}
 
 
 def _identifier(text: str) -> str:

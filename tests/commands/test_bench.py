@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+
 import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.commands import bench, bench_runs
-from cannoise_jax.commands.bench_take import take
+from cannoise_jax.commands.bench_take import figure, take
 from cannoise_jax.mechanisms.peers import GETFRAMES
 from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.recordings.recording import BadInput
 from tests.conftest import ROOT
 
 
@@ -88,3 +92,42 @@ def test_coverage_of_a_named_mechanism_is_tabulated(capsys, tmp_path):
     table = capsys.readouterr().out.splitlines()
     assert table[0].split()[0] == "mechanism" and len(table) == 2
     assert table[1].split()[:2] == ["quantization", "step_dn"] and "100.0 %" in table[1]
+
+
+def test_a_test_of_denoisers_is_taken_with_its_gains_and_intervals(tmp_path):
+    interval = {"value": 30.126, "low": 30.0, "high": 30.25}
+    gain = {"value": 0.5, "low": -0.125, "high": 1.0}
+
+    def of(value):
+        return {"mean": {**interval, "value": value}}
+
+    result = {
+        "seeds": 2, "steps": 30, "scenes": 4, "test_frames": 3, "noisy": {"psnr_db": 20.0},
+        "psnr_db": {"real_darks": {**of(31.0), "over_pg": gain}, "pg": {"mean": interval}},
+        "ssim": {"real_darks": of(0.9), "pg": of(0.8)},
+    }  # fmt: skip
+    content = {
+        "schema": "cannoise/denoising/1",
+        "camera": "one",
+        "interval": "90 %",
+        "exposures_s": {"10": result},
+    }
+    file = tmp_path / "denoising.json"
+    file.write_text(json.dumps(content))
+    taken = take(ROOT, file, "denoisers", None, ["bin/denoise test"])
+    assert [row[:2] for row in taken.rows] == [("10 s", "pg"), ("10 s", "real darks")]
+    assert taken.rows[0][3] == "–" and taken.rows[1][3] == "+0.50 (-0.12 to +1.00)"
+    assert taken.values["10_s_pg_psnr"] == "30.13 (30.00 to 30.25)"
+    assert "cannoise_jax/training" in taken.code["paths"] and len(taken.notes) == 2
+
+
+def test_a_figure_is_taken_into_the_docs_with_its_hash(tmp_path):
+    (tmp_path / "docs" / "images").mkdir(parents=True)
+    picture = tmp_path / "noise.png"
+    picture.write_bytes(b"\x89PNG rest")
+    taken = figure(tmp_path, picture, "Noise.")
+    data = (tmp_path / "docs" / taken["file"]).read_bytes()
+    assert taken["sha256"] == hashlib.sha256(data).hexdigest() and taken["caption"] == "Noise."
+    picture.write_bytes(b"GIF")
+    with pytest.raises(BadInput, match="no PNG"):
+        figure(tmp_path, picture, "Noise.")
