@@ -7,6 +7,7 @@ Values are normalised as (DN - black) / (white - black): 0 is the black level, 1
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -136,3 +137,12 @@ def per_channel(value: float | tuple[float, ...] | np.ndarray) -> PerChannel:
         raise ValueError(f"expected 1 or 4 values (mosaic order), got {flat.size}")
     a, b, c, d = np.broadcast_to(flat, (4,)).tolist()
     return a, b, c, d
+
+
+def iso_numbers(isos: Iterable[float | None]) -> dict[float | None, float]:
+    """The ISO by which a camera model knows each gain setting: the stated one; where none is stated, or 0 as
+    astronomy cameras count, one below all others."""
+    every = set(isos)
+    lowest = min((iso for iso in every if iso), default=200.0)
+    odd = sorted((iso for iso in every if not iso), key=lambda iso: iso is None)
+    return {iso: iso or lowest / 2 ** (1 + odd.index(iso)) for iso in every}

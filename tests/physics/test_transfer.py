@@ -10,6 +10,7 @@ from scipy import stats
 
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, variance_difference
 from cannoise_jax.physics.transfer.frames import frame_statistics, rails
+from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
@@ -312,3 +313,13 @@ def test_noise_below_a_code_is_measured_through_the_rounding(read, level, patter
     for found in result.outcomes("temporal dark noise", "DN"):
         assert isinstance(found, Estimate)
         assert found.value == pytest.approx(read, rel=0.05) and found.stderr < 0.02
+
+
+def test_recordings_with_and_without_an_iso_make_one_model():
+    rng = np.random.default_rng(3)
+    plan = [(kind, mu, iso) for iso in (None, 100.0) for kind, mu in (("dark", 0.0), ("flat", 1000.0))]
+    recordings = [recording(rng, mu, 4, (48, 64), kind, exposure_s=0.01, iso=iso) for kind, mu, iso in plan]
+    model = sensor_model(photon_transfer(CaptureSet("made", tuple(recordings))), [])
+    # Settings of a model ascend; the one that states no ISO stands below those that do.
+    assert np.ravel(model.iso).tolist() == [50.0, 100.0]
+    np.testing.assert_allclose(np.asarray(model.gain_dn_per_e), GAIN, rtol=0.1)

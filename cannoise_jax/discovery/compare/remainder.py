@@ -25,11 +25,11 @@ from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
 from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.frames.calibrate import gain_groups
-from cannoise_jax.discovery.frames.contrasts import code_step, iso_numbers, steady
+from cannoise_jax.discovery.frames.contrasts import code_step, steady
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, iso_numbers
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
 _LOWEST, _SPARE, _LEAST_LEFT = 0.02, 0.02, 0.02

@@ -17,11 +17,11 @@ from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
-from cannoise_jax.discovery.frames.contrasts import code_step, iso_numbers
+from cannoise_jax.discovery.frames.contrasts import code_step
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
 
 DRAWN = 40e6
 """Pixels that are drawn at most, all sets and frames together; at least two sets are."""

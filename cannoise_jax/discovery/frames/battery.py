@@ -15,12 +15,11 @@ from cannoise_jax.discovery.frames.contrasts import (
     Stack,
     code_step,
     detected_step,
-    iso_numbers,
     stack,
 )
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, iso_numbers
 from cannoise_jax.signatures.code_spacing import occurrences
 from cannoise_jax.signatures.fields import Fields, refit
 from cannoise_jax.signatures.levels import frame_jitter

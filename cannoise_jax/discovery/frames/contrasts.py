@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -147,15 +146,6 @@ def row_variance(
     rest = np.mean((contrasts - means[:, :, None] - lean[:, :, None] * slope) ** 2, 0) / (1 - 2 / columns)
     drift = np.stack([steady(m, light.mean(1)) for m in means])
     return rest.astype(np.float32), float(np.mean(drift**2) - np.mean(rest) / columns)
-
-
-def iso_numbers(isos: Iterable[float | None]) -> dict[float | None, float]:
-    """The ISO by which a camera model knows each gain setting: the stated one; where none is stated, or 0 as
-    astronomy cameras count, one below all others."""
-    every = set(isos)
-    lowest = min((iso for iso in every if iso), default=200.0)
-    odd = sorted((iso for iso in every if not iso), key=lambda iso: iso is None)
-    return {iso: iso or lowest / 2 ** (1 + odd.index(iso)) for iso in every}
 
 
 def code_step(capture: CaptureSet) -> float:

@@ -19,11 +19,11 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.frames.calibrate import gain_groups
-from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, iso_numbers, smooth_mean, stack
+from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, load_model, sample_noise
 
 Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]

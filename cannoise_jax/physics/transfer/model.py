@@ -33,7 +33,7 @@ from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_expo
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
-from cannoise_jax.recordings.recording import BadInput, Recording
+from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
 
 Verdict = Literal[
     "in the model",
@@ -156,13 +156,14 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
         missing = next(t.baseline for t in transfers if isinstance(t.baseline, NotMeasurable))
         raise BadInput(f"{transfers[0].camera}: no baseline can be measured: {missing.record}")
     (first, base), isos = measured[0], [t.iso for t, _ in measured]
+    numbers = iso_numbers(isos)
     model = SensorModel.poisson_gaussian(
         np.array([b.gain for _, b in measured]),
         np.array([b.read_noise_e for _, b in measured]),
         base.black_level,
         base.white_level,
         first.cfa,
-        iso=tuple(iso if iso is not None else 100.0 for iso in isos),
+        iso=tuple(numbers[iso] for iso in isos),
         code_step=base.code_step,
         camera=first.camera,
     )
