@@ -110,8 +110,8 @@ def residual_nlf(
         shot, read = line
         predicted = shot * level + read + _TINY
         ratio = jnp.mean(power / predicted, -1, keepdims=True)
-        # Only ratios of weights count; against the least variance the squares stay inside float32.
         weight = smooth_blocks(ratio, predicted) * usable
+        # Only ratios of weights count; against the least variance the squares stay inside float32.
         least = lax.stop_gradient(jnp.min(predicted))
         whole = weight * jnp.square(least / predicted)
         shot, read = (v[0] for v in _weighted_line(*(_column(v) for v in (level, power, whole))))

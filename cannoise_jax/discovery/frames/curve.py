@@ -25,7 +25,7 @@ from cannoise_jax.discovery.frames.contrasts import (
     smooth_mean,
 )
 from cannoise_jax.discovery.frames.full import unshared
-from cannoise_jax.physics.transfer.fit import ChannelMaps, median_quotient, robust_mean_square
+from cannoise_jax.physics.transfer.fit import HALF_A_CODE, ChannelMaps, median_quotient, robust_mean_square
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, mosaic_map
 from cannoise_jax.signatures.fields import channel_index
@@ -83,7 +83,7 @@ def levels_of(
 def _levels(curve: Curve, c: int, black: float, start: tuple[np.ndarray, np.ndarray] | None) -> list[Level]:
     stacked, at = curve.stack, SITES[c]
     n, rounding = len(stacked.contrasts), stacked.step**2 / 12
-    far, lattice = float(stats.chi2.isf(1e-6, n) / n), 3 * rounding
+    far, lattice = float(stats.chi2.isf(1e-6, n) / n), HALF_A_CODE * rounding
     part, out = curve.part[at], []
     for b in range(int(part.max()) + 1):
         chosen = part == b

@@ -26,7 +26,8 @@ _RARE = 1e-4
 _LEAST_CUT = 4.0
 _BLOCKS = 8
 _ROUNDS = 4
-_HALF_A_CODE = 3.0  # its square in units of the variance that rounding adds
+HALF_A_CODE = 3.0
+"""Its square in units of the variance that rounding adds."""
 _UNSURE = 0.3
 
 
@@ -78,7 +79,7 @@ def robust_mean_square(
     if expected is None:
         expected = float(np.median(variance)) / median_quotient(dof)
     cut, loss = cut_and_loss(dof)
-    keep = variance <= cut * np.maximum(expected, max(_HALF_A_CODE * rounding, 1e-12))
+    keep = variance <= cut * np.maximum(expected, max(HALF_A_CODE * rounding, 1e-12))
     return float(variance[keep].mean()) / loss, keep
 
 
@@ -143,7 +144,7 @@ def _block_sums(
     """Normal equations of each block of the image: [B, 2, 2] and [B, 2] for (offset, slope)."""
     cut, loss = cut_and_loss(level.dof)
     fitted = np.maximum(slope * level.signal + offset, max(0.1 * offset, rounding, 1e-9))
-    keep = level.usable & (level.variance <= cut * np.maximum(fitted, _HALF_A_CODE * rounding))
+    keep = level.usable & (level.variance <= cut * np.maximum(fitted, HALF_A_CODE * rounding))
     weight = np.where(keep, level.dof / fitted**2, 0.0)
     variance = level.variance / loss
     signal = level.signal

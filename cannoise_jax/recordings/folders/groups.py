@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.recordings.folders.lights import by_light
+from cannoise_jax.recordings.folders.lights import by_light, level_of
 from cannoise_jax.recordings.folders.shots import Shot
 from cannoise_jax.recordings.join import ALIKE_KELVIN
-from cannoise_jax.recordings.recording import KINDS
+from cannoise_jax.recordings.recording import DARK, KINDS
 
 _ALIKE = 0.02
 """Exposures that differ by less than this share are one setting: shutters are that exact."""
@@ -75,16 +75,15 @@ def grouped(
     order = sorted(
         members, key=lambda k: (str(k[0]), k[1], k[2] or 0, k[3] or 0, k[4] or "", str(k[5]), k[6])
     )
-    dark = [s for s in shots if kinds[s.name] in ("bias", "dark")]
     made = []
     for key in order:
-        mode = key[0]
-        black = [np.mean(s.medians) for s in dark if _mode(s, camera, overrides, mode[8]) == mode]
-        # Recordings are made of files of one light: their frames are repeats of each other.
-        lit = KINDS[key[1]] in ("flat", "scene")
-        lights = by_light(members[key], float(np.median(black)) if black else 0.0) if lit else [members[key]]
+        lights = [members[key]]
+        if KINDS[key[1]] in ("flat", "scene"):
+            # Recordings are made of files of one light: their frames are repeats of each other.
+            dark = [s for k in order if KINDS[k[1]] in DARK and _same_black(k[0], key[0]) for s in members[k]]
+            lights = by_light(members[key], level_of(dark) if dark else 0.0)
         for part in lights:
-            level = f"{np.median([np.mean(s.medians) for s in part]):.0f}DN" if len(lights) > 1 else None
+            level = f"{level_of(part):.0f}DN" if len(lights) > 1 else None
             made.append(_group(key, part, overrides, level))
     return made
 
@@ -104,6 +103,12 @@ def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | N
         regulated,
         about.get("bits"),
     )
+
+
+def _same_black(first: tuple, second: tuple) -> bool:
+    """Whether two modes share their black level: it hardly depends on the temperature."""
+    pairs = zip(MODE, first, second, strict=True)
+    return all(a == b for name, a, b in pairs if name != "temperature")
 
 
 def _group(key: tuple, shots: Sequence[Shot], overrides: dict[str, Any], level: str | None) -> Group:

@@ -18,13 +18,18 @@ JUMP = 0.1
 sky that changes so much from one frame to the next gives no repeats."""
 
 
+def level_of(shots: Sequence[Shot]) -> float:
+    """Median level of the shots, DN, mean over the mosaic's sites."""
+    return float(np.median([np.mean(s.medians) for s in shots]))
+
+
 def by_light(shots: Sequence[Shot], black: float) -> list[list[Shot]]:
     """The shots parted where their sorted levels jump, dimmest first; each part in the order given.
 
     black: level of the darks, DN. Where no part would have two frames, the light drifts from frame to frame:
     all stay together.
     """
-    levels = [float(np.mean(s.medians)) - black for s in shots]
+    levels = [level_of([s]) - black for s in shots]
     order = sorted(range(len(shots)), key=levels.__getitem__)
     parts = [order[:1]]
     for dim, bright in pairwise(order):
