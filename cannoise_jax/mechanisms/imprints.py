@@ -10,7 +10,7 @@ _TEMPLATES = ("crosstalk", "brighter_fatter", "in_camera_denoising", "in_camera_
 IN_FRAMES = (
     *(f"{name}_redrawn" for name in (*_PLACES, "column_parity", "wave", "site_relative")),
     *(f"{name}_temporal" for name in _LINES),
-    *(f"lags_{name}" for name in (*_TEMPLATES, "any")),
+    *(f"lags_{name}" for name in (*_TEMPLATES, "any", "read")),
     *("frame_additive", "frame_relative", "raster_slope", "row_slope", "flicker", "variance_curve"),
 )
 """What a few far pixels of single frames imprint on: sums over places and products of neighbours."""
@@ -46,6 +46,7 @@ CORRECTED = (
     "pixel_spread",
     "telegraph",
     "lags_any",
+    "lags_read",
     "lags_in_camera_denoising",
     "lags_in_camera_denoising_8",
     "lags_crosstalk",
@@ -56,6 +57,7 @@ PEAKS = (
     "kurtosis",
     "skewness",
     "lags_any",
+    "lags_read",
     "lags_in_camera_denoising",
     "pixel_spread",
     "lags_in_camera_denoising_8",
@@ -106,6 +108,7 @@ LATTICE = (
     "lags_in_camera_denoising",
     "lags_in_camera_denoising_8",
     "lags_any",
+    "lags_read",
     "lags_demosaicing",
     "lags_crosstalk",
     "pixel_spread",
@@ -156,6 +159,7 @@ MOTION = (
     "raster_slope",
     "row_slope",
     "lags_any",
+    "lags_read",
     "lags_in_camera_denoising",
     "lags_in_camera_denoising_8",
     "lags_crosstalk",

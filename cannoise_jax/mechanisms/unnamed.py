@@ -27,7 +27,8 @@ _ALWAYS: tuple[Signature, ...] = (
     ),
     # A lamp that drifts in colour.
     looks.groups.shared("site_relative_redrawn", "site", "redrawn", scaling="signal", covers=looks.SCALES),
-    looks.covariance.any_lag(name="lags_any"),
+    looks.covariance.any_lag("white", name="lags_any"),
+    looks.covariance.any_lag("read", name="lags_read"),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),
     looks.shape.skewed(name="skewness"),
 )

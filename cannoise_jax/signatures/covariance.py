@@ -34,6 +34,8 @@ LAGS = tuple((dy, dx) for dy in range(_REACH) for dx in range(1 - _REACH, _REACH
 Lag = tuple[int, int]
 _LEAST_POWER = 0.05
 """Power, of that of white noise, that a spectrum with measured correlations is taken to have at least."""
+_DARK_TOO = ("white", "read")
+"""Shares of the noise that darks have as well: all of it, or the read noise."""
 
 
 class Template(NamedTuple):
@@ -74,9 +76,12 @@ class Correlated(NamedTuple):
 
 
 def pair_weight(field: Fields, law: str) -> np.ndarray:
-    """Square root of the weight of a pair: 1, the share of shot noise, or that times the electrons."""
+    """Square root of the weight of a pair: 1, the share of read noise or of shot noise, or the latter times
+    the electrons."""
     if law == "white":
         return field.usable.astype(np.float32)
+    if law == "read":
+        return (np.sqrt(np.clip(1 - field.shot, 0, 1)) * field.usable).astype(np.float32)
     share = np.sqrt(np.clip(field.shot, 0, 1)) * field.usable
     if law == "shot":
         return share.astype(np.float32)
@@ -88,7 +93,7 @@ def lag_sums(fields: tuple[Fields, ...], law: str) -> tuple[np.ndarray, np.ndarr
     """Per lag: U = sum of weighted products of neighbours, and its null variance I."""
     score, information = np.zeros(len(LAGS)), np.zeros(len(LAGS))
     for f in fields:
-        if not len(f.contrasts) or (law != "white" and not f.lit):
+        if not len(f.contrasts) or not (f.lit or law in _DARK_TOO):
             continue
         g = pair_weight(f, law)
         # Row and column offsets are mechanisms of their own: they are taken out, and what that does to the
@@ -150,9 +155,9 @@ def _blend_weight(first_order: float, neighbours: int) -> float:
     return float(np.interp(first_order, rho[: np.argmax(rho) + 1], grid[: np.argmax(rho) + 1]))
 
 
-def any_score(fields: tuple[Fields, ...]) -> Score | None:
-    """The largest correlation at any lag, of either sign."""
-    score, information = lag_sums(fields, "white")
+def any_score(fields: tuple[Fields, ...], *, law: str) -> Score | None:
+    """The largest correlation at any lag, of either sign, in all of the noise or in the read noise."""
+    score, information = lag_sums(fields, law)
     if not information.max() > 0:
         return None
     z = score / np.sqrt(np.maximum(information, 1e-30))
@@ -178,7 +183,7 @@ def any_score(fields: tuple[Fields, ...]) -> Score | None:
         power=1,
         parameters={"correlation": (float(rho[k]), "1", error)},
         where=where,
-        payload=Correlated((), "white"),
+        payload=Correlated((), law),
     )
 
 
@@ -213,7 +218,7 @@ def absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     used = np.abs(u) > 2.0 * np.sqrt(np.maximum(i, 1e-30))
     used |= np.array([lag in score.payload.lags for lag in LAGS])
     rho = np.where(used, rho, 0.0)
-    return tuple(_whiten(f, rho, law) if f.lit or law == "white" else f for f in fields)
+    return tuple(_whiten(f, rho, law) if f.lit or law in _DARK_TOO else f for f in fields)
 
 
 def _whiten(field: Fields, rho: np.ndarray, law: str) -> Fields:
@@ -299,8 +304,8 @@ def neighbour_kernel(lags, correlations, reach: int = 4) -> tuple[tuple[float, .
     return tuple((window / np.linalg.norm(window)).round(6).ravel().tolist()), share
 
 
-def any_lag(*, name: str) -> Signature:
-    """The largest correlation with any neighbour."""
+def any_lag(law: Literal["white", "read"], *, name: str) -> Signature:
+    """The largest correlation with any neighbour, of all noise or of the read noise alone."""
 
     def place(found: Found) -> Addition:
         kernel, share = neighbour_kernel(found.score.where["lags"], found.score.where["correlations"])
@@ -309,9 +314,9 @@ def any_lag(*, name: str) -> Signature:
 
     return Signature(
         name=name,
-        axes=Axes("readout", "pixel", "redrawn", "all noise", "neighbours"),
-        reads=_READS,
-        score=any_score,
+        axes=Axes("readout", "pixel", "redrawn", "all noise" if law == "white" else "additive", "neighbours"),
+        reads=_READS if law == "white" else _READS | {"shot"},
+        score=partial(any_score, law=law),
         absorb=absorb,
         predict=NO_LAW,
         pattern=NO_PATTERN,

@@ -15,12 +15,14 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index, map_contrasts
 from cannoise_jax.signatures.line_sums import (
-    Pixels,
+    LineSums,
     alone,
     by_own_noise,
     component_score,
+    group_pixels,
     held_variance,
     response,
+    shared_sums,
 )
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
@@ -66,33 +68,20 @@ def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, o
     left = 1 - information / total
     if own:
         count = np.bincount(flat, (r > 0).ravel(), number)
-        score, more = by_own_noise(score, _pixels(values, r, groups), count)
+        score, more = by_own_noise(score, group_pixels(values, r, groups), count)
         information = information * more
     return score, information, left
 
 
-def _pixels(values: np.ndarray, r: np.ndarray, groups: np.ndarray) -> Pixels:
-    """The pixels of every group beside the group's own offset."""
-    flat, number = groups.ravel(), int(groups.max()) + 1
-    square = r.astype(np.float64) ** 2
-    information = np.bincount(flat, square.ravel(), number)
-    within = []
-    for v in values:
-        offset = np.bincount(flat, (v * r).ravel(), number) / np.maximum(information, 1e-30)
-        within.append(np.bincount(flat, (square * (v - offset[groups] * r) ** 2).ravel(), number))
-    return Pixels(information, np.bincount(flat, (square**2).ravel(), number), np.array(within))
+def _shared(fields: tuple[Fields, ...], groups: np.ndarray) -> LineSums | None:
+    """Sums of a pattern that stays. The smooth mean of a flat takes large tiles away, so only darks and
+    scenes show it."""
+    return shared_sums(tuple(f for f in fields if f.kind != "flat"), groups, "additive")
 
 
-def _shared_sums(fields: tuple[Fields, ...], groups: np.ndarray) -> list:
-    """The one set of sums of a pattern that stays, over all fields that show it; none where none does. The
-    smooth mean of a flat takes large tiles away, so only darks and scenes show what stays."""
-    shown = [f for f in fields if f.static is not None and f.kind != "flat"]
-    sums = [_sums(f, f.static[None], groups, "additive") for f in shown if f.static is not None]
-    if not sums:
-        return []
-    score = sum(np.sqrt(f.frames) * u for f, (u, _, _) in zip(shown, sums, strict=True))
-    information = sum(f.frames * i for f, (_, i, _) in zip(shown, sums, strict=True))
-    return [(score, information, sums[-1][2])]
+def _left(sums: LineSums) -> np.ndarray:
+    """Share of a degree of freedom that each group keeps beside the mean."""
+    return 1 - sums.information / max(float(sums.information.sum()), 1e-30)
 
 
 def group_score(
@@ -106,7 +95,7 @@ def group_score(
         shown = [f for f in fields if len(f.contrasts) and (f.lit or scaling == "additive")]
         sums = [_sums(f, f.contrasts, groups, scaling, own=True) for f in shown]
     else:
-        sums = _shared_sums(fields, groups)
+        sums = [(s.score[None], s.information, _left(s)) for s in [_shared(fields, groups)] if s]
     for score, information, left in sums:
         powers.append((score**2).sum(0) / np.maximum(information, 1e-30))
         informations.append(information)
@@ -135,8 +124,11 @@ def group_absorb(
         return tuple(
             _apart(f, groups, score.payload, scaling) if f.lit or scaling == "additive" else f for f in fields
         )
-    ((u, i, _),) = _shared_sums(fields, groups)
-    spread = (u[0] * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
+    stays = _shared(fields, groups)
+    if stays is None:
+        return fields
+    u, i = stays
+    spread = (u * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
     return tuple(
         f
         if f.static is None or f.kind == "flat"
@@ -150,7 +142,7 @@ def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
     noise holds them too."""
     flat, number = groups.ravel(), int(groups.max()) + 1
     if len(field.contrasts):
-        held = held_variance(_pixels(field.contrasts, field.weight.astype(np.float32), groups))
+        held = held_variance(group_pixels(field.contrasts, field.weight.astype(np.float32), groups))
         field = alone(field, held[groups], variance, "additive")
     r = field.weight.astype(np.float32)
     information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)

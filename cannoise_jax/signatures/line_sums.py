@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.score import Score, variance_component
@@ -16,6 +17,11 @@ _SUMS = {"row": ("nij,ij->ni", "ni,ij->nij"), "column": ("nij,ij->nj", "nj,ij->n
 _MOST_HELD = 2.0
 """Variance that the modelled noise of one recording may hold of an effect, in units of the fitted one: what a
 few frames draw scatters about it."""
+_FAR = 4.0
+"""Distance from which on a pixel stands out, in standard deviations of what most scatter by: normal noise
+loses one pixel in 16,000, and 1e-3 of its variance."""
+_MEDIAN_OFF = 0.6745
+"""Median distance of a standard normal value from its mean."""
 
 
 class LineSums(NamedTuple):
@@ -175,16 +181,65 @@ def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fie
     return map_contrasts(field, function)
 
 
+def outlying(values: np.ndarray, response: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Pixels far off the median of their group `[H, W]`, in units of what most scatter by: single pixels that
+    stand out, as hot ones do, tell nothing of what a group shares."""
+    seen = response > 0
+    centre = ndimage.median(values, np.where(seen, groups, -1), np.arange(int(groups.max()) + 1))
+    off = np.abs(values - np.nan_to_num(np.asarray(centre))[groups])
+    spread = float(np.median(off[seen])) / _MEDIAN_OFF if seen.any() else 1.0
+    return seen & (off > _FAR * max(spread, 1.0))
+
+
+def shared_sums(fields: tuple[Fields, ...], groups: np.ndarray, scaling: str) -> LineSums | None:
+    """Scores and information [groups] of a pattern of groups that stays and that all recordings share, the
+    mean of each taken out; None where none tells of it.
+
+    Pixels that stand out are left out, and the noise is what the pixels of a group show: patterns of single
+    pixels, such as hot ones, are none of groups.
+    """
+    shown = [(f, f.static) for f in fields if f.static is not None and (f.lit or scaling == "additive")]
+    if not shown or groups.max() < 1:
+        return None
+
+    def together(kept: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        score, information = np.zeros(groups.shape), np.zeros(groups.shape)
+        for f, static in shown:
+            r = response(f, scaling).astype(np.float64) * kept
+            rest = static - float(np.sum(static * r)) / max(float(np.sum(r**2)), 1e-30) * r
+            score += np.sqrt(f.frames) * rest * r
+            information += f.frames * r**2
+        root = np.sqrt(information)
+        return score / np.maximum(root, 1e-15), root
+
+    values, root = together(1.0)
+    values, root = together(~outlying(values, root, groups))
+    pixels = group_pixels(values[None], root, groups)
+    number = pixels.information.size
+    score = np.bincount(groups.ravel(), (values * root).ravel(), number)[None]
+    count = np.bincount(groups.ravel(), (root > 0).ravel(), number)
+    score, more = by_own_noise(score, pixels, count)
+    return LineSums(score[0], pixels.information * more)
+
+
+def group_pixels(values: np.ndarray, response: np.ndarray, groups: np.ndarray) -> Pixels:
+    """The pixels of every group of `values` [n, h, w] beside the group's own offset."""
+    flat, number = groups.ravel(), int(groups.max()) + 1
+    square = response.astype(np.float64) ** 2
+    information = np.bincount(flat, square.ravel(), number)
+    within = []
+    for v in values:
+        offset = np.bincount(flat, (v * response).ravel(), number) / np.maximum(information, 1e-30)
+        within.append(np.bincount(flat, (square * (v - offset[groups] * response) ** 2).ravel(), number))
+    return Pixels(information, np.bincount(flat, (square**2).ravel(), number), np.array(within))
+
+
 def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> LineSums | None:
     """Scores of a frozen line pattern shared by all recordings."""
-    score: np.ndarray | float = 0.0
-    information: np.ndarray | float = 0.0
-    for f in fields:
-        if f.static is None or (scaling == "signal" and not f.lit):
-            continue
-        s = line_sums(f, f.static[None], axis, scaling, own=False)
-        if s.information.size < 2:
-            continue
-        score = score + np.sqrt(f.frames) * s.score[0]
-        information = information + f.frames * s.information
-    return LineSums(np.asarray(score), np.asarray(information)) if np.ndim(score) else None
+    if not fields:
+        return None
+    sums = shared_sums(fields, np.indices(fields[0].mean.shape)[0 if axis == "row" else 1], scaling)
+    if sums is None:
+        return None
+    total = max(float(np.sum(sums.information)), 1e-30)
+    return LineSums(sums.score, sums.information * (1 - sums.information / total))

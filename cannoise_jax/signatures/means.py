@@ -75,7 +75,7 @@ def step_score(fields: tuple[Fields, ...]) -> Score | None:
         sums = static_sums(dark, axis, "additive")
         if sums is None:
             continue
-        total = sums.information.sum()
+        total = max(float(sums.information.sum()), 1e-30)
         u, i = np.cumsum(sums.score[::-1])[::-1], np.cumsum(sums.information[::-1])[::-1]
         i = i * (1 - i / total)
         inside = np.arange(8, u.size - 8)

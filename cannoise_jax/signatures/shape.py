@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, special, stats
@@ -39,7 +40,9 @@ _HE4_SKEWNESS = 14.7
 """Third moment of the Hermite polynomial He4 of a normal value over the 3/2th power of its second: 1728 /
 24^1.5.
 """
-_EDGES = np.linspace(-40, 40, 4001)
+_EDGES = np.linspace(-8, 8, 1601)
+_BEYOND = 8
+"""Values of normal noise that lie beyond where its fourth moment is cut off."""
 
 
 def _rounded_enough(field: Fields) -> bool:
@@ -108,16 +111,46 @@ def kurtosis_doubt(field: Fields) -> float:
     return float(np.mean(field.gain) ** 3 * np.sqrt(values) / np.median(field.sigma) ** 3)
 
 
+class _Capped(NamedTuple):
+    """He4 of normal values cut off at `at` standard deviations: mean and variance, and how much of a small
+    excess kurtosis it shows."""
+
+    at: float
+    mean: float
+    variance: float
+    shown: float
+
+
+@lru_cache
+def _capped(number: int) -> _Capped:
+    """Cut off where of so many normal values a few lie beyond. A few pixels far out, such as those that a
+    cosmic ray hit, are no tails of the noise of all."""
+    at = float(stats.norm.isf(min(_BEYOND / (2 * number), 0.05)))
+    z = np.linspace(-9, 9, 18001)
+    p = stats.norm.pdf(z) * (z[1] - z[0])
+    he4 = z**4 - 6 * z**2 + 3
+    cut = np.clip(z, -at, at)
+    capped = cut**4 - 6 * cut**2 + 3
+    mean = float(np.sum(p * capped))
+    return _Capped(
+        at, mean, float(np.sum(p * (capped - mean) ** 2)), float(np.sum(p * (capped - mean) * he4) / 24)
+    )
+
+
 def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | None:
     """Fourth moment beyond Poisson and rounding (tails=-1: short of them), weighted by the share of read
     noise; gain of Student's t."""
-    doubt = u = squares = cubes = scatter = 0.0
+    doubt = u = squares = cubes = scatter = whole = 0.0
     pooled = []
+    used = []
     for f in fields:
         narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
         # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
         if f.static is None or np.median(f.sigma**2 * (1 - f.shot)) < narrow**2:
             continue
+        used.append(f)
+    cap = _capped(max(sum(f.frames * f.mean.size for f in used), 1))
+    for f in used:
         base, share = known_kurtosis(f)
         w = (share * f.usable * (np.abs(f.static) < 7)).astype(np.float64)
         squares += float(np.sum(w**2)) * f.frames
@@ -125,27 +158,34 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         doubt += (float(np.sum(w)) * f.frames * kurtosis_doubt(f)) ** 2 if f.kind in DARK else 0.0
         for values in each_frame(f):
             z2 = values**2
-            terms = w * (z2 * z2 - 6 * z2 + 3 - base)
+            whole += float(np.sum(w * (z2 * z2 - 6 * z2 + 3 - base)))
+            z2 = np.minimum(z2, cap.at**2)
+            terms = w * (z2 * z2 - 6 * z2 + 3 - cap.mean - cap.shown * base)
             u += float(np.sum(terms))
             scatter += float(np.sum(terms**2))
             if f.kind in DARK:
                 width = f.step / float(np.median(f.sigma))
-                pooled.append((np.histogram(np.clip(values[w > 0], -39.9, 39.9), _EDGES)[0], width))
+                counted = np.clip(values[w > 0], -cap.at, cap.at)
+                pooled.append((np.histogram(counted, _EDGES)[0], width))
     if squares < 1:
         return None
-    z, kappa = tails * u / np.sqrt(24 * squares + doubt), tails * u / squares
+    spread = np.sqrt(cap.variance * squares + cap.shown**2 * doubt)
+    z, kappa = tails * u / spread, tails * u / (cap.shown * squares)
+    # The moment is the definition, unless a few pixels far out make it.
+    if kappa < tails * whole / squares < 2 * kappa:
+        kappa = tails * whole / squares
     heavy = pooled and z > 0 and tails > 0
-    gain, nu = _student_gain(pooled) if heavy else (0.5 * max(z, 0) ** 2, np.inf)
-    # The moment is the definition; of very heavy tails it scatters too much to be used.
+    gain, nu = _student_gain(pooled, cap.at) if heavy else (0.5 * max(z, 0) ** 2, np.inf)
+    # Of very heavy tails the moment scatters too much to be used.
     amplitude = 6 / (nu - 4) if kappa > 1 and 4 < nu < np.inf else max(kappa, 0.0)
-    error = float(np.sqrt(max(24 * squares, scatter) + doubt) / squares)
+    error = float(np.sqrt(max(spread**2, scatter)) / (cap.shown * squares))
     return Score(
         log_p=skewed_log_p(z, _HE4_SKEWNESS * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
         gain=gain,
         penalty=0.5 * float(np.log(squares)),
         amplitude=float(amplitude),
         error=error,
-        shift=float(np.sqrt(24 * squares + doubt) / squares),
+        shift=float(spread / (cap.shown * squares)),
         power=1,
         parameters={"excess_kurtosis": (float(tails * amplitude), "1", error)},
         where={"axis": "signal", "range": [0.0, 0.0]},
@@ -153,10 +193,10 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
     )
 
 
-def _student_gain(pooled: list[tuple[np.ndarray, float]]) -> tuple[float, float]:
+def _student_gain(pooled: list[tuple[np.ndarray, float]], cap: float) -> tuple[float, float]:
     """Log-likelihood gain of the best scaled Student t over the best normal, and its freedoms. pooled: counts
     of standardised values in `_EDGES` with the code step in the same units: each value stands for the
-    interval that was rounded to it."""
+    interval that was rounded to it, those at the cap for all beyond."""
     middle = (_EDGES[1:] + _EDGES[:-1]) / 2
     merged: dict[float, np.ndarray] = {}
     for n, width in pooled:
@@ -164,10 +204,11 @@ def _student_gain(pooled: list[tuple[np.ndarray, float]]) -> tuple[float, float]
     counts = np.concatenate([n[n > 0] for n in merged.values()]).astype(float)
     centre = np.concatenate([-np.abs(middle[n > 0]) for n in merged.values()])
     half = np.concatenate([np.full(int((n > 0).sum()), width / 2) for width, n in merged.items()])
+    beyond = centre < -cap + (_EDGES[1] - _EDGES[0])
 
     def fit(cdf: Callable[[np.ndarray], np.ndarray]) -> float:
         def loss(scale: float) -> float:
-            inside = cdf((centre + half) / scale) - cdf((centre - half) / scale)
+            inside = cdf((centre + half) / scale) - np.where(beyond, 0.0, cdf((centre - half) / scale))
             return -float(np.sum(counts * np.log(np.maximum(inside, 1e-300))))
 
         return -float(

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import fft, optimize, special, stats
+from scipy import fft, ndimage, optimize, special, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.added import as_map, spectrum_values
@@ -33,6 +33,14 @@ from cannoise_jax.signatures.signature import (
 )
 
 _PAD = 2
+_LEAST_STAYING = 3
+"""Periods in the frame from which on what stays may be called a wave."""
+_WINDOW = 10 * _PAD + 1
+"""Points of the padded grid that tell the level about a frequency, a side: some 100 of them independent."""
+_OWN = 4 * _PAD + 1
+"""Points, a side, that a line itself takes."""
+_COLOURED = 1.5
+"""Level from which on noise is taken as coloured: three standard deviations of what white noise shows."""
 
 
 def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
@@ -79,8 +87,10 @@ def wave_score(
     power: np.ndarray = np.sum([plane_power(f, v) * (i / scale) for f, v, i in chosen], axis=0)
     h, w = fields[0].mean.shape
     power[0, 0] = 0
-    # Less than a period in the frame is a drift, not interference, and its two phases are not independent.
-    power[:_PAD, :_PAD] = power[1 - _PAD :, :_PAD] = 0
+    # Less than a period in the frame is a drift, not interference, and its two phases are not independent;
+    # of what stays, a few periods are a glow or shading of some shape.
+    least = _PAD * (1 if time == "redrawn" else _LEAST_STAYING)
+    power[:least, :least] = power[1 - least :, :least] = 0
     # Two pixels to a period, along an axis or both: that is what sites of the mosaic share, no interference.
     middle, last = _PAD * h // 2, power.shape[1] - 1
     for rows in (slice(0, _PAD + 1), slice(-_PAD, None), slice(middle - _PAD, middle + _PAD + 1)):
@@ -88,13 +98,15 @@ def wave_score(
     power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
     if near is not None:
         power[~_about(near, power.shape, (h, w))] = 0
-    where = np.unravel_index(np.argmax(power), power.shape)
+    around = _around(power)
+    where = np.unravel_index(np.argmax(power / around), power.shape)
+    power, level = power / around, float(around[where])
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
     y, x = np.arange(h)[:, None], np.arange(w)[None, :]
     turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
-    own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen])
-    weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen])
+    own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen]) / level
+    weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen]) / level
     fit = rician_fit(float(power[where]), own, weights)
     direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
     along = np.hypot(fx, fy)
@@ -114,6 +126,19 @@ def wave_score(
         where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
         payload=(fy, fx, time),
     )
+
+
+def _around(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Level of the power about every frequency where it is well above that of white noise, else 1: a line
+    stands out of what is about it, noise that is stronger at low frequencies does not."""
+
+    def sums(values: np.ndarray, side: int) -> np.ndarray:
+        return side**2 * ndimage.uniform_filter(values, side, mode=("wrap", "nearest"))
+
+    seen = (power > 0).astype(float)
+    number = sums(seen, _WINDOW) - sums(seen, _OWN)
+    level = (sums(power, _WINDOW) - sums(power, _OWN)) / np.maximum(number, 1.0)
+    return np.where(level > _COLOURED, level, 1.0)
 
 
 def _about(near: tuple[float, float], grid: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
@@ -187,18 +212,21 @@ def projected_out(values: Float[np.ndarray, "n h w"], q: Float[np.ndarray, "m p"
 
 
 def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Projects the wave out of every field, and its near neighbours on the frequency grid."""
+    """Projects the wave out of every field, and its near neighbours on the frequency grid; not the mean of a
+    field, which is no wave's."""
     fy, fx, _ = score.payload
     h, w = fields[0].mean.shape
     y, x = np.indices((h, w))
     out = []
     for f in fields:
         weight = f.weight.astype(np.float64)
+        total = max(float(np.sum(weight**2)), 1e-30)
         basis = []
         for dy in (-0.5 / h, 0.0, 0.5 / h):
             for dx in (-0.5 / w, 0.0, 0.5 / w):
                 phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
-                basis += [(np.cos(phase) * weight).ravel(), (np.sin(phase) * weight).ravel()]
+                for wave in (np.cos(phase), np.sin(phase)):
+                    basis.append(((wave - np.sum(wave * weight**2) / total) * weight).ravel())
         out.append(without(f, np.array(basis)))
     return tuple(out)
 

@@ -28,7 +28,7 @@ def wave(x, amplitude, rng):
 
 def test_weak_correlations_gain_half_their_squared_z_values():
     fields = with_contrasts(lambda x: x + 0.04 * np.roll(x, 1, 2) + 0.05 * np.roll(x, 1, 1))
-    score = any_score(fields)
+    score = any_score(fields, law="white")
     pairs = sum(f.contrasts.size for f in fields)
     squares = 0.5 * pairs * np.sum(np.square(score.where["correlations"]))
     assert score.gain == pytest.approx(squares, rel=0.1)
@@ -44,7 +44,7 @@ def test_a_wave_gains_no_more_than_the_likelihood_of_its_own_spectrum(amplitude)
     own[5, 9] = own[-5, -9] = True
     expected = np.where(own, power[own].mean(), power[~own].mean())
     exact = 0.5 * len(field.contrasts) * np.sum(power * (1 - 1 / expected) - np.log(expected))
-    assert 0 < any_score(fields).gain < exact
+    assert 0 < any_score(fields, law="white").gain < exact
 
 
 def herringbone(key, x, values, maps, context):
@@ -63,7 +63,7 @@ def test_a_mechanism_of_ones_own_explains_its_effect_better_than_no_name_does(am
     own = entry("herringbone", "Diagonal interference.", herringbone, over="pixel")
     (signature,) = generic.by_sampling(own.record, name="own", known={})(RECORDED)
     fields = with_contrasts(lambda x: wave(x, amplitude, _RNG(5)))
-    mine, anything = signature.score(fields), any_score(fields)
+    mine, anything = signature.score(fields), any_score(fields, law="white")
     assert mine.gain - mine.penalty > anything.gain - anything.penalty
     assert mine.parameters["sigma_dn"][0] == pytest.approx(
         3.0 * amplitude / np.sqrt(1 + amplitude**2), rel=0.15

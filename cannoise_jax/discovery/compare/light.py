@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from cannoise_jax.discovery.frames.contrasts import robust_line
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.signatures.fields import least_squares
 
 _CELL = 8
 _FEWEST = 16
@@ -108,7 +109,7 @@ def _fit(cells: Cells, degree: int) -> tuple[np.ndarray, float, int, int]:
     pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     basis = np.stack([np.outer(bases[0][i], bases[1][j]).ravel() for i, j in pairs], 1)
     values, root = cells.value.ravel(), np.sqrt(cells.weight.ravel())
-    beta = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
+    beta = least_squares(basis * root[:, None], values * root)
     rest = values - np.einsum("nk,k->n", basis, beta)
     table = np.zeros((degree + 1, degree + 1))
     for (i, j), b in zip(pairs, beta, strict=True):

@@ -59,10 +59,12 @@ class Tried(NamedTuple):
     @property
     def better(self) -> bool:
         """Whether one measure improved beyond its interval, and none became worse."""
-        return not self.worse and (
-            (self.score is not None and self.score.low > LEAST_GAIN)
-            or (self.area is not None and self.area.high < 0)
-        )
+        return not self.worse and ((self.score is not None and self.score.low > LEAST_GAIN) or self.nearer)
+
+    @property
+    def nearer(self) -> bool:
+        """Whether the two-sample area improved beyond its interval."""
+        return self.area is not None and self.area.high < 0
 
     @property
     def worse(self) -> bool:
@@ -128,8 +130,8 @@ def gate(
             break
     rest, spare = False, Gated(model, before, after, kept, tuple(all_tried), False)
     # Findings that describe badly what they describe keep the remainder from describing it: it is tried
-    # beside
-    # fewer of them, and beside the fitted baseline, which also has nothing too much.
+    # beside fewer of them, and beside the fitted baseline, which also has nothing too much. Findings are what
+    # can be understood: they are given up only where the recordings are told less well without them.
     for what, some, start, number in (
         ("remainder", kept, model, WITH_REST),
         ("remainder beside the confirmed findings", sure, None, SURE_WITH_REST),
@@ -145,8 +147,9 @@ def gate(
             continue
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, after, looked)
-        all_tried.append(tried._replace(entered=tried.better))
-        if tried.better:
+        enters = tried.better and (len(some) == len(kept) or tried.nearer)
+        all_tried.append(tried._replace(entered=enters))
+        if enters:
             model, after, kept, rest = candidate, looked, some, True
     return Gated(model, before, after, kept, tuple(all_tried), rest, spare if rest else None)
 
