@@ -21,7 +21,7 @@ from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
 from cannoise_jax.discovery.proof.adequacy import doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
-from cannoise_jax.discovery.proof.gate import Gated, gate
+from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
 from cannoise_jax.discovery.proof.prove import Proof, Proofs, prove, standing, unconfirmed, unproven
 from cannoise_jax.discovery.proof.quality import Quality, composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
@@ -30,7 +30,7 @@ from cannoise_jax.discovery.proof.verdict import Verdict, verdict_of
 from cannoise_jax.discovery.search import declare
 from cannoise_jax.discovery.search.fit import Fitted, Step, part_of, stepwise
 from cannoise_jax.discovery.search.locate import locate
-from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -187,13 +187,20 @@ def diagnose(
         fitted, proven = standing(fitted, prove(fitted, splits), tell)
     sides = judged.sides(first, fitted.steps, own)
     gated = remains = quality = panel = None
+    against: tuple[Doubt | None, ...] = (None,) * len(fitted.steps)
     model = sides.exported
     if compare and splits.can_prove:
         panel = open_panel(*judged_by(raw, fitted, sides, key))
-        if panel is not None:
-            tell("gate: draws of the simulator before and after")
-            rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
-            gated = gate(panel, sides, fitted.steps, proven, rest)
+    if panel is not None:
+        tell("gate: draws of the simulator before and after")
+        gated = gate(panel, sides, fitted.steps, proven)
+        if sides.model is not None:
+            chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
+            against = doubts(judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, tell)
+        tell("remainder: what is left, measured as it is")
+        rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
+        well = tuple(s for s, doubt in zip(fitted.steps, against, strict=True) if doubt is None)
+        gated = remaining(gated, panel, sides, well, rest)
     if compare:
         tell("check: what still differs")
         gated, remains, model = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
@@ -202,16 +209,6 @@ def diagnose(
         if not sides.likelihood:
             tell("prove: composite score without each finding")
             proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
-    if gated is not None and sides.model is not None:
-        against = doubts(
-            judged.capture,
-            splits.frames,
-            fitted.steps,
-            sides.of,
-            jax.random.fold_in(key, 5),
-            alpha * SHARED.layer,
-            tell,
-        )
         fitted, gated = withdrawn(fitted, gated, against)
     return Diagnosis(
         judged.capture,

@@ -93,6 +93,59 @@ def draw(
     return mean + np.sqrt(doubt) * rng.standard_normal(np.shape(score))
 
 
+_SHARED = 4.0
+"""Standard errors from which on pixels of a cell count as alike."""
+_OUTLYING = 4.0
+"""Standard deviations at which values are cut off where their correlation is measured."""
+
+
+def draw_pixels(
+    score: Float[np.ndarray, "h w"],
+    information: Float[np.ndarray, "h w"],
+    variance: float,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "h w"]:
+    """As `draw`, of a map of pixels; those of one cell of 2 x 2 may be alike, as pixels are that share a
+    photodiode's lens, a transistor or an amplifier: the doubt is drawn as alike as they are."""
+    out = draw(score, information, variance, rng)
+    h, w = (n // 2 * 2 for n in score.shape)
+    if not variance > 0:
+        return out
+
+    def cells(values: np.ndarray) -> np.ndarray:
+        return values[:h, :w].reshape(h // 2, 2, w // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
+
+    u, i = cells(np.asarray(score, np.float64)), cells(np.asarray(information, np.float64))
+    alike = likeness(u, i, variance)
+    if np.array_equal(alike, np.eye(4)):
+        return out
+    known = np.linalg.inv(variance * alike) + i[:, :, None] * np.eye(4)
+    doubt = np.linalg.inv(known)
+    drawn = np.einsum("nkl,nl->nk", doubt, u)
+    drawn += np.einsum("nkl,nl->nk", np.linalg.cholesky(doubt), rng.standard_normal(u.shape))
+    out[:h, :w] = drawn.reshape(h // 2, w // 2, 2, 2).transpose(0, 2, 1, 3).reshape(h, w)
+    return out
+
+
+def likeness(
+    score: Float[np.ndarray, "n 4"], information: Float[np.ndarray, "n 4"], variance: float
+) -> Float[np.ndarray, "4 4"]:
+    """Correlation of the pattern's values at the four sites of a cell, those that stand out of chance."""
+    mean = posterior(score, information, variance)[0]
+    limit = _OUTLYING * np.sqrt(variance)
+    mean = np.clip(mean, -limit, limit)
+    share = variance * information / (1 + variance * information)
+    out = np.eye(4)
+    for a in range(4):
+        for b in range(a):
+            product, expected = mean[:, a] * mean[:, b], variance * share[:, a] * share[:, b]
+            error = float(np.sqrt(np.sum(product**2)))
+            if expected.sum() > 0 and abs(product.sum()) > _SHARED * error:
+                out[a, b] = out[b, a] = product.sum() / expected.sum()
+    values, vectors = np.linalg.eigh(out)
+    return (vectors * np.clip(values, 0.02, None)) @ vectors.T if values[0] < 0.02 else out
+
+
 def posterior(
     score: np.ndarray, information: np.ndarray, variance: float
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:

@@ -20,6 +20,11 @@ few frames draw scatters about it."""
 _FAR = 4.0
 """Distance from which on a pixel stands out, in standard deviations of what most scatter by: normal noise
 loses one pixel in 16,000, and 1e-3 of its variance."""
+_FEWEST = 16
+"""Pixels from which on the median of a group is its own: of fewer one that stands out moves it along."""
+_MEDIANS = 4.0
+"""Variance of the medians of n values, in units of spread^2 / n, that counts as chance: 1.6 of normal values,
+more of skewed ones."""
 _MEDIAN_OFF = 0.6745
 """Median distance of a standard normal value from its mean."""
 
@@ -182,13 +187,25 @@ def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fie
 
 
 def outlying(values: np.ndarray, response: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Pixels far off the median of their group `[H, W]`, in units of what most scatter by: single pixels that
-    stand out, as hot ones do, tell nothing of what a group shares."""
+    """Pixels far off the others of their group `[H, W]`, in units of what most scatter by: single pixels that
+    stand out, as hot ones do, tell nothing of what a group shares.
+
+    The medians of the groups count as far as they differ by more than chance: a cut about medians that are
+    chance would let the means of skewed values follow them."""
     seen = response > 0
-    centre = ndimage.median(values, np.where(seen, groups, -1), np.arange(int(groups.max()) + 1))
-    off = np.abs(values - np.nan_to_num(np.asarray(centre))[groups])
-    spread = float(np.median(off[seen])) / _MEDIAN_OFF if seen.any() else 1.0
-    return seen & (off > _FAR * max(spread, 1.0))
+    if not seen.any():
+        return seen
+    flat, number = np.where(seen, groups, -1), int(groups.max()) + 1
+    count = np.bincount(groups[seen], minlength=number)
+    middle = float(np.median(values[seen]))
+    centre = np.asarray(ndimage.median(values, flat, np.arange(number)))
+    centre = np.where(count < _FEWEST, middle, centre)
+    spread = max(float(np.median(np.abs(values - centre[groups])[seen])) / _MEDIAN_OFF, 1.0)
+    many = count >= _FEWEST
+    chance = _MEDIANS * spread**2 * float(np.sum(1 / count[many]))
+    apart = float(np.sum((centre[many] - middle) ** 2))
+    centre = middle + max(1 - chance / max(apart, 1e-30), 0.0) * (centre - middle)
+    return seen & (np.abs(values - centre[groups]) > _FAR * spread)
 
 
 def shared_sums(fields: tuple[Fields, ...], groups: np.ndarray, scaling: str) -> LineSums | None:
@@ -215,11 +232,22 @@ def shared_sums(fields: tuple[Fields, ...], groups: np.ndarray, scaling: str) ->
     values, root = together(1.0)
     values, root = together(~outlying(values, root, groups))
     pixels = group_pixels(values[None], root, groups)
-    number = pixels.information.size
-    score = np.bincount(groups.ravel(), (values * root).ravel(), number)[None]
-    count = np.bincount(groups.ravel(), (root > 0).ravel(), number)
-    score, more = by_own_noise(score, pixels, count)
-    return LineSums(score[0], pixels.information * more)
+    score = np.bincount(groups.ravel(), (values * root).ravel(), pixels.information.size)
+    noise = _own_noise(pixels)
+    return LineSums(score / noise, pixels.information / noise)
+
+
+def _own_noise(pixels: Pixels) -> np.ndarray:
+    """Variance of the pixels of groups beside the groups' offsets, over the modelled one [groups]: the mean
+    over every other group, for every other line of a mosaic has colours of its own. Of a group's own pixels
+    alone it would depend on how their values are distributed."""
+    out = np.ones(pixels.information.shape)
+    for part in (slice(0, None, 2), slice(1, None, 2)):
+        i, q = pixels.information[part], pixels.fourth[part]
+        freedom = float(np.sum(i - q / np.maximum(i, 1e-30)))
+        if freedom > 0:
+            out[part] = max(float(np.sum(pixels.within[0, part])) / freedom, 1e-3)
+    return out
 
 
 def group_pixels(values: np.ndarray, response: np.ndarray, groups: np.ndarray) -> Pixels:

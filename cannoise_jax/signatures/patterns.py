@@ -9,7 +9,7 @@ from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import KINDS
-from cannoise_jax.signatures.added import draw, placed, posterior, strength
+from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.least import (
     frame_offsets,
@@ -238,9 +238,9 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
             return None
         variance = score.amplitude**2
         if not growing:
-            return draw(sums.score, sums.information, variance, rng)
+            return draw_pixels(sums.score, sums.information, variance, rng)
         seconds = max(f.exposure_s or 0.0 for f in fields)
-        return draw(sums.score, sums.information, variance / seconds**2, rng) * seconds
+        return draw_pixels(sums.score, sums.information, variance / seconds**2, rng) * seconds
 
     return Signature(
         name=name,

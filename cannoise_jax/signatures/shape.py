@@ -148,11 +148,11 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
         if f.static is None or np.median(f.sigma**2 * (1 - f.shot)) < narrow**2:
             continue
-        used.append(f)
-    cap = _capped(max(sum(f.frames * f.mean.size for f in used), 1))
-    for f in used:
+        used.append((f, f.static))
+    cap = _capped(max(sum(f.frames * f.mean.size for f, _ in used), 1))
+    for f, static in used:
         base, share = known_kurtosis(f)
-        w = (share * f.usable * (np.abs(f.static) < 7)).astype(np.float64)
+        w = (share * f.usable * (np.abs(static) < 7)).astype(np.float64)
         squares += float(np.sum(w**2)) * f.frames
         cubes += float(np.sum(w**3)) * f.frames
         doubt += (float(np.sum(w)) * f.frames * kurtosis_doubt(f)) ** 2 if f.kind in DARK else 0.0

@@ -63,18 +63,20 @@ class Bench:
         ({"given": 0.4, "ab": 0.1, "ab+": 0.1, "a+": 0.1, "given+": 0.1}, "ab", "ab", False),
         ({"given": 0.4, "ab": 0.2, "ab+": 0.1, "a+": 0.1, "given+": 0.1}, "ab+", "ab", True),
         ({"given": 0.4, "ab": 0.3, "ab+": 0.3, "a+": 0.3, "given+": 0.05}, "given+", "", True),
+        ({"given": 0.4, "ab": 0.3, "ab+": 0.2, "a+": 0.1, "given+": 0.1}, "a+", "a", True),
         ({"given": 0.2, "ab": 0.3, "a": 0.1, "a+": 0.2, "given+": 0.2}, "a", "a", False),
         ({"given": 0.2, "ab": 0.3, "a": 0.3, "given+": 0.3, "a+": 0.3}, "given", "", False),
     ],
 )
 def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_back, steps, rest):
-    """Findings a and b, of which a is confirmed; a plus sign: with the remainder."""
+    """Findings a and b, of which a is confirmed and well described; a plus sign: with the remainder."""
     proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True), SimpleNamespace(confirmed=False)))
 
     draws = gate_module.of_model("given")
     named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
     sides = SimpleNamespace(plain=draws, model="given", bare="given", of=named.get)
-    found = gate_module.gate(Bench(areas), sides, ("a", "b"), proofs, lambda model: model + "+")
+    found = gate_module.gate(Bench(areas), sides, ("a", "b"), proofs)
+    found = gate_module.remaining(found, Bench(areas), sides, ("a",), lambda model: model + "+")
     assert (found.model, "".join(found.steps), found.remainder) == (handed_back, steps, rest)
     assert areas[found.model] <= areas["given"]
 

@@ -89,3 +89,20 @@ def test_a_ramp_of_ones_own_is_no_noise_of_rows(amplitude):
     for other in ("row_slope", "row_additive_temporal", "tile_32_redrawn"):
         score = SIGNATURES[other].score(fields)
         assert mine.gain - mine.penalty > score.gain - score.penalty, other
+
+
+def test_correlated_read_noise_is_told_from_correlation_of_all_noise():
+    """Half of the variance of a lit recording is read noise: the correlation shows there by half."""
+    rng = _RNG(6)
+    fields = []
+    for f in white(rng, kinds=("dark", "dark", "flat"), frames=8, size=SIZE):
+        share = 1.0 - f.shot
+        read = rng.standard_normal(f.contrasts.shape)
+        read = (read - 0.15 * np.roll(read, 1, 2)) / np.sqrt(1 + 0.15**2)
+        x = np.sqrt(share) * read + np.sqrt(1 - share) * rng.standard_normal(f.contrasts.shape)
+        fields.append(f._replace(contrasts=x.astype(np.float32)))
+    own, every = (SIGNATURES[f"lags_{law}"].score(tuple(fields)) for law in ("read", "any"))
+    assert own.evidence > every.evidence + 3
+    assert own.parameters["correlation"][0] == pytest.approx(-0.15 / (1 + 0.15**2), abs=3 * own.error)
+    left = SIGNATURES["lags_read"].absorb(tuple(fields), own)
+    assert SIGNATURES["lags_any"].score(left).log_p > -7

@@ -2,9 +2,9 @@
 
 The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
 are tried alone. What no name explains enters, as the remainder, where it makes the draws better: beside
-all of these findings, beside those that are confirmed, or beside the fitted baseline alone. It goes again
-where the layer that knows no names then finds more that differs than before. So the simulator that is
-handed back is no worse than the one that was given, or the report says so first.
+all of these findings, in place of those that nothing describes well, or beside the fitted baseline alone. It
+goes again where the layer that knows no names then finds more that differs than before. So the simulator that
+is handed back is no worse than the one that was given, or the report says so first.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cannoise_jax.discovery.proof.quality import (
     PLAIN,
     REST_ALONE,
     SURE,
-    SURE_WITH_REST,
+    WELL_WITH_REST,
     WITH_REST,
     Looked,
     Panel,
@@ -97,14 +97,8 @@ class Gated(NamedTuple):
         return self.spare._replace(tried=(*self.spare.tried, *(t._replace(entered=False) for t in late)))
 
 
-def gate(
-    panel: Panel,
-    sides: Sides,
-    steps: tuple[Step, ...],
-    proofs: Proofs,
-    with_rest: Callable[[SensorModel], SensorModel],
-) -> Gated:
-    """What enters; with_rest: adds what the frames that look show beyond a camera model.
+def gate(panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs) -> Gated:
+    """Which findings enter.
 
     A simulator that is no camera model keeps its own draws, changed by all findings; the camera model that is
     handed back for it is not gated.
@@ -128,30 +122,45 @@ def gate(
         if not tried.worse:
             model, after, kept = candidate, looked, some
             break
-    rest, spare = False, Gated(model, before, after, kept, tuple(all_tried), False)
-    # Findings that describe badly what they describe keep the remainder from describing it: it is tried
-    # beside fewer of them, and beside the fitted baseline, which also has nothing too much. Findings are what
-    # can be understood: they are given up only where the recordings are told less well without them.
-    for what, some, start, number in (
-        ("remainder", kept, model, WITH_REST),
-        ("remainder beside the confirmed findings", sure, None, SURE_WITH_REST),
-        ("remainder beside the baseline", (), sides.bare, REST_ALONE),
+    return Gated(model, before, after, kept, tuple(all_tried), False)
+
+
+def remaining(
+    gated: Gated,
+    panel: Panel,
+    sides: Sides,
+    described: tuple[Step, ...],
+    with_rest: Callable[[SensorModel], SensorModel],
+) -> Gated:
+    """With the remainder where it helps. described: findings against which nothing speaks; with_rest: adds
+    what the frames that look show beyond a camera model."""
+    if sides.model is None:
+        return gated
+    spare, well = gated, tuple(s for s in gated.steps if any(s is d for d in described))
+    # Findings that describe badly what they describe keep the remainder from describing it: it is tried in
+    # their place too, and beside the fitted baseline, which also has nothing too much. Findings are what can
+    # be understood: they are given up only where the recordings are told less well without them.
+    for what, some, number in (
+        ("remainder", gated.steps, WITH_REST),
+        ("remainder in place of what nothing describes well", well, WELL_WITH_REST),
+        ("remainder beside the baseline", (), REST_ALONE),
     ):
-        if number != WITH_REST and len(some) == len(kept) and (some or start is model):
+        if number != WITH_REST and (
+            len(some) == len(gated.steps if number == WELL_WITH_REST else well)
+            or not _told(panel, gated.after)
+        ):
             continue
-        if number != WITH_REST and not _told(panel, after):
-            break
-        base = sides.of(some) if start is None else start
+        base = spare.model if number == WITH_REST else sides.of(some) if some else sides.bare
         candidate = with_rest(base)
         if candidate is base:
             continue
         looked = panel.look(of_model(candidate), number)
-        tried = _tried(what, some, panel, after, looked)
-        enters = tried.better and (len(some) == len(kept) or tried.nearer)
-        all_tried.append(tried._replace(entered=enters))
+        tried = _tried(what, some, panel, gated.after, looked)
+        enters = tried.better and (len(some) == len(gated.steps) or tried.nearer)
+        gated = gated._replace(tried=(*gated.tried, tried._replace(entered=enters)))
         if enters:
-            model, after, kept, rest = candidate, looked, some, True
-    return Gated(model, before, after, kept, tuple(all_tried), rest, spare if rest else None)
+            gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
+    return gated
 
 
 def _told(panel: Panel, looked: Looked) -> bool:

@@ -171,7 +171,7 @@ def open_panel(
     return dataclasses.replace(panel, patches=size, control=reached)
 
 
-PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST, SURE_WITH_REST, REST_ALONE = range(8)
+PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST, WELL_WITH_REST, REST_ALONE = range(8)
 """Numbers of the simulators that are drawn, for their random numbers."""
 
 

@@ -1,0 +1,117 @@
+"""Single pixels that stand out are no pattern of groups, no tails of all pixels and no likeness."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cannoise_jax.signatures.added import draw_pixels, likeness
+from cannoise_jax.signatures.line_sums import outlying, shared_sums
+from cannoise_jax.signatures.shape import kurtosis_score
+from tests.discovery.looks import SIGNATURES, white
+
+SIZE = (64, 96)
+_RNG = np.random.default_rng
+PATTERNS = (
+    "tile_8_frozen",
+    "tile_32_frozen",
+    "diagonal_frozen",
+    "row_additive_static",
+    "column_additive_static",
+)
+
+
+def with_static(seed, change, **more):
+    fields = white(_RNG(seed), size=SIZE, **more)
+    return tuple(f._replace(static=change(f).astype(np.float32)) for f in fields)
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+@pytest.mark.parametrize("share, height", [(0.02, 100.0), (0.05, 8.0), (1.0, 2.0)])
+def test_patterns_of_single_pixels_are_none_of_groups(name, share, height):
+    """Hot pixels, weak and strong, and a white map of all of them: p stays uniform."""
+    p = []
+    for seed in range(30):
+        heat = _RNG(900 + seed)
+        hot = (heat.random(SIZE) < share) * heat.exponential(height, SIZE)
+        values = with_static(seed, lambda f, hot=hot: f.static + hot, kinds=("dark", "dark"))
+        score = SIGNATURES[name].score(values)
+        p.append(np.exp(score.log_p))
+    assert stats.kstest(p, "uniform", alternative="greater").pvalue > 1e-3
+    assert min(p) > 1e-4
+
+
+@pytest.mark.parametrize("name, axis", [("row_additive_static", 0), ("column_additive_static", 1)])
+def test_lines_are_as_strong_with_hot_pixels_as_without(name, axis):
+    lines = 0.4 * _RNG(1).standard_normal(SIZE[axis])
+    lines = lines[:, None] if axis == 0 else lines[None, :]
+    hot = (_RNG(2).random(SIZE) < 0.02) * 300.0
+    told = [
+        SIGNATURES[name].score(
+            with_static(3, lambda f, more=more: f.static + lines + more, kinds=("dark",) * 2)
+        )
+        for more in (0.0, hot)
+    ]
+    assert told[0].log_p < -20 and told[1].log_p < -20
+    assert told[1].amplitude == pytest.approx(told[0].amplitude, abs=2 * told[0].error)
+
+
+def test_sums_of_normal_noise_are_those_of_all_pixels():
+    (field,) = white(_RNG(4), kinds=("dark",), size=SIZE)
+    rows = np.indices(SIZE)[0]
+    sums = shared_sums((field,), rows, "additive")
+    plain = (field.static - field.static.mean()).sum(1)
+    normal = sums.score / np.sqrt(sums.information)
+    assert normal == pytest.approx(plain / np.sqrt(SIZE[1]), abs=0.6)
+    assert np.corrcoef(normal, plain)[0, 1] > 0.98
+    assert outlying(field.static, np.ones(SIZE), rows).mean() < 1e-3
+
+
+def test_a_few_pixels_far_out_are_no_tails_of_all():
+    fields = white(_RNG(5), kinds=("dark",) * 3, frames=6, size=SIZE)
+    before = kurtosis_score(fields)
+    hit = fields[1].contrasts.copy()
+    hit[2].flat[:: SIZE[0] * SIZE[1] // 5] = 60.0
+    after = kurtosis_score((fields[0], fields[1]._replace(contrasts=hit), fields[2]))
+    assert after.log_p > -12 and after.gain < before.gain + 30
+    assert after.amplitude < 0.1
+
+
+@pytest.mark.parametrize("kurtosis", [0.1, 0.5])
+def test_tails_of_all_pixels_keep_their_size(kurtosis):
+    """Student's t of excess kurtosis 6 / (nu - 4), of unit variance."""
+    nu = 4 + 6 / kurtosis
+    fields = white(_RNG(6), kinds=("dark",) * 3, frames=2, size=(160, 192))
+    scale = np.sqrt((nu - 2) / nu)
+    drawn = []
+    for f in fields:
+        frames = scale * _RNG(60 + f.number).standard_t(nu, (2, 160, 192))
+        contrast, mean = (frames[1] - frames[0]) / np.sqrt(2), (frames[1] + frames[0]) / np.sqrt(2)
+        drawn.append(f._replace(contrasts=contrast[None].astype(np.float32), static=mean.astype(np.float32)))
+    score = kurtosis_score(tuple(drawn))
+    assert score.amplitude == pytest.approx(kurtosis, abs=max(4 * score.error, 0.2 * kurtosis))
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.3])
+def test_pixels_of_a_cell_are_drawn_as_alike_as_they_are(shared):
+    rng = _RNG(7)
+    cells = np.kron(rng.standard_normal((80, 100)), np.ones((2, 2)))
+    truth = np.sqrt(1 - shared) * rng.standard_normal((160, 200)) + np.sqrt(shared) * cells
+    information = np.full(truth.shape, 0.8)
+    score = information * truth + np.sqrt(information) * rng.standard_normal(truth.shape)
+    drawn = draw_pixels(score, information, 1.0, rng)
+    within = np.mean(drawn[:, 0::2] * drawn[:, 1::2]) / drawn.var()
+    across = np.mean(drawn[:, 1:-1:2] * drawn[:, 2::2]) / drawn.var()
+    assert within == pytest.approx(shared, abs=0.03) and abs(across) < 0.03
+    assert drawn.var() == pytest.approx(truth.var(), rel=0.05)
+    assert np.corrcoef(drawn.ravel(), truth.ravel())[0, 1] > 0.35
+
+
+def test_chance_likeness_and_a_few_far_pixels_count_as_none():
+    rng = _RNG(8)
+    information = np.full((4000, 4), 2.0)
+    values = rng.standard_normal((4000, 4))
+    values[:3] = 400.0
+    noise = np.sqrt(information) * rng.standard_normal((4000, 4))
+    assert np.array_equal(likeness(information * values + noise, information, 1.0), np.eye(4))

@@ -1,0 +1,57 @@
+"""Lines of the spectrum beside coloured noise, and what taking one out leaves alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.signatures.waves import wave_absorb, wave_score
+from tests.discovery.looks import SIGNATURES, white
+
+SIZE = (64, 96)
+_RNG = np.random.default_rng
+
+
+def coloured(rng, count, exponent):
+    """Noise of power 1 / f ** exponent over white noise of unit power."""
+    f = np.hypot(np.fft.fftfreq(SIZE[0])[:, None], np.fft.fftfreq(SIZE[1]))
+    f[0, 0] = 1.0
+    gain = np.sqrt(1 + (0.08 / f) ** exponent)
+    gain[0, 0] = 1.0
+    spectrum = np.fft.fft2(rng.standard_normal((count, *SIZE)))
+    return np.real(np.fft.ifft2(gain * spectrum)).astype(np.float32)
+
+
+@pytest.mark.parametrize("time", ["redrawn", "frozen"])
+def test_noise_stronger_at_low_frequencies_is_no_line(time):
+    p = []
+    for seed in range(12):
+        fields = tuple(
+            f._replace(contrasts=coloured(_RNG(seed), 5, 1.0), static=coloured(_RNG(50 + seed), 1, 1.0)[0])
+            for f in white(_RNG(seed), kinds=("dark",), frames=6, size=SIZE)
+        )
+        p.append(wave_score(fields, time=time).log_p)
+    assert np.median(p) > -4 and min(p) > -12
+
+
+def test_a_line_stands_out_of_coloured_noise():
+    (field,) = white(_RNG(1), kinds=("dark",), frames=6, size=SIZE)
+    y, x = np.indices(SIZE)
+    phase = 2 * np.pi * _RNG(2).random((5, 1, 1))
+    line = 0.5 * np.cos(2 * np.pi * (7 * y / 64 + 3 * x / 96) + phase) / 3.0
+    field = field._replace(contrasts=(coloured(_RNG(3), 5, 1.0) + line).astype(np.float32))
+    score = wave_score((field,), time="redrawn")
+    assert score.log_p < -7
+    assert score.parameters["amplitude"][0] == pytest.approx(0.5, abs=4 * score.parameters["amplitude"][2])
+
+
+def test_taking_a_wave_out_leaves_the_offsets_of_frames():
+    (field,) = white(_RNG(4), kinds=("dark",), frames=6, size=SIZE)
+    x = np.indices(SIZE)[1]
+    wave = 0.6 * np.cos(2 * np.pi * x / SIZE[1])
+    field = field._replace(contrasts=(field.contrasts + 0.3 + wave).astype(np.float32))
+    score = wave_score((field,), time="redrawn")
+    (left,) = wave_absorb((field,), score)
+    assert left.contrasts.mean((1, 2)) == pytest.approx(field.contrasts.mean((1, 2)), abs=1e-3)
+    told = [SIGNATURES["frame_additive"].score((f, f)).amplitude for f in (field, left)]
+    assert told[1] == pytest.approx(told[0], rel=0.02)
