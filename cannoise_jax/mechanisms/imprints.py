@@ -7,6 +7,8 @@ _PLACES = ("tile_8", "tile_16", "tile_32", "tile_64", "diagonal", "antidiagonal"
 _PLACES_THAT_STAY = ("tile_8", "tile_16", "tile_32", "tile_64", "diagonal", "antidiagonal")
 _LINES = tuple(f"{axis}_{law}" for axis in ("row", "column") for law in ("additive", "relative"))
 _TEMPLATES = ("crosstalk", "brighter_fatter", "in_camera_denoising", "in_camera_denoising_8", "demosaicing")
+BLENDS = ("lags_in_camera_denoising", "lags_in_camera_denoising_8", "lags_demosaicing")
+"""Correlations of the noise of darks as well as of light, by their proportions."""
 IN_FRAMES = (
     *(f"{name}_redrawn" for name in (*_PLACES, "column_parity", "wave", "site_relative")),
     *(f"{name}_temporal" for name in _LINES),

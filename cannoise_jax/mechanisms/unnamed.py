@@ -5,7 +5,7 @@ What is found here is reported as unknown, with its place.
 
 from __future__ import annotations
 
-from cannoise_jax.mechanisms import looks
+from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.signature import Signature
 
@@ -19,6 +19,7 @@ _ALWAYS: tuple[Signature, ...] = (
         for axis in ("row", "column")
     ),
     looks.lines.frozen("row", "signal", name="row_relative_static", covers=looks.LIGHT_LEVELS),
+    *(looks.lines.frozen(axis, "exposure", name=f"{axis}_thermal_static") for axis in ("row", "column")),
     *(
         looks.groups.shared(f"{layout}_{time}", layout, time, covers=looks.DARK_LEVELS)
         for layout in (*TILES, *SITES)
@@ -27,8 +28,8 @@ _ALWAYS: tuple[Signature, ...] = (
     ),
     # A lamp that drifts in colour.
     looks.groups.shared("site_relative_redrawn", "site", "redrawn", scaling="signal", covers=looks.SCALES),
-    looks.covariance.any_lag("white", name="lags_any"),
-    looks.covariance.any_lag("read", name="lags_read"),
+    looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
+    looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),
     looks.shape.skewed(name="skewness"),
 )

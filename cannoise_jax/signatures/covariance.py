@@ -304,8 +304,9 @@ def neighbour_kernel(lags, correlations, reach: int = 4) -> tuple[tuple[float, .
     return tuple((window / np.linalg.norm(window)).round(6).ravel().tolist()), share
 
 
-def any_lag(law: Literal["white", "read"], *, name: str) -> Signature:
-    """The largest correlation with any neighbour, of all noise or of the read noise alone."""
+def any_lag(law: Literal["white", "read"], *, name: str, covers: tuple[str, ...]) -> Signature:
+    """The largest correlation with any neighbour, of all noise or of the read noise alone. covers: templates
+    of the noise of darks too, which have nothing left to see but what was taken out badly."""
 
     def place(found: Found) -> Addition:
         kernel, share = neighbour_kernel(found.score.where["lags"], found.score.where["correlations"])
@@ -318,6 +319,7 @@ def any_lag(law: Literal["white", "read"], *, name: str) -> Signature:
         reads=_READS if law == "white" else _READS | {"shot"},
         score=partial(any_score, law=law),
         absorb=absorb,
+        covers=covers,
         predict=NO_LAW,
         pattern=NO_PATTERN,
         simulate=NOT_SIMULATED,

@@ -219,10 +219,18 @@ def _charge(fields: tuple[Fields, ...], found: list[Spikes]) -> float:
     return total / events if events else 0.0
 
 
+def _twice(spikes: Spikes) -> np.ndarray:
+    """Noisy pixels `[h, w]`, where there are no more of them than are hit twice by chance."""
+    rate = float(spikes.up.mean())
+    chance = spikes.noisy.size * rate**2 * spikes.frames * (spikes.frames - 1) / 2
+    few = spikes.noisy.sum() <= stats.poisson.isf(1e-3, chance)
+    return spikes.noisy if few else np.zeros_like(spikes.noisy)
+
+
 def without_spikes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """The fields without the pixels that were hit, and those beside them, in the recording where they were:
-    the faint ends of a track lie beside its bright pixels."""
-    hit = {s.number: ndimage.binary_dilation(s.up.any(0), _CELL) for s in find(fields)}
+    the faint ends of a track lie beside its bright pixels. Of many hits a few meet the same pixel twice."""
+    hit = {s.number: ndimage.binary_dilation(s.up.any(0) | _twice(s), _CELL) for s in find(fields)}
     out = []
     for f in fields:
         mask = hit.get(f.number)

@@ -37,8 +37,17 @@ class LineSums(NamedTuple):
 
 
 def response(field: Fields, scaling: str) -> np.ndarray:
-    """What the standardised field answers to a unit effect: 1/sigma (DN) or signal/sigma (fraction)."""
+    """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s) or
+    signal/sigma (fraction)."""
+    if scaling == "exposure":
+        return field.weight * np.float32(field.exposure_s or 0.0)
     return field.weight if scaling == "additive" else field.relative
+
+
+def shows(field: Fields, scaling: str) -> bool:
+    """Whether what stays in a recording tells of an effect that scales so."""
+    told = {"signal": field.lit, "exposure": bool(field.exposure_s)}.get(scaling, True)
+    return told and field.static is not None
 
 
 class Pixels(NamedTuple):
@@ -215,7 +224,7 @@ def shared_sums(fields: tuple[Fields, ...], groups: np.ndarray, scaling: str) ->
     Pixels that stand out are left out, and the noise is what the pixels of a group show: patterns of single
     pixels, such as hot ones, are none of groups.
     """
-    shown = [(f, f.static) for f in fields if f.static is not None and (f.lit or scaling == "additive")]
+    shown = [(f, f.static) for f in fields if f.static is not None and shows(f, scaling)]
     if not shown or groups.max() < 1:
         return None
 

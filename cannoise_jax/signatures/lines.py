@@ -13,11 +13,19 @@ from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import (
     random_offsets,
 )
-from cannoise_jax.signatures.line_sums import component_score, line_sums, response, static_sums, whiten_lines
+from cannoise_jax.signatures.line_sums import (
+    component_score,
+    line_sums,
+    response,
+    shows,
+    static_sums,
+    whiten_lines,
+)
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
+    NO_CLOSED_FORM,
     NO_LAW,
     NO_PATTERN,
     NOT_SIMULATED,
@@ -63,6 +71,11 @@ def temporal_absorb(
     )
 
 
+def _seconds(fields: tuple[Fields, ...], scaling: str) -> float:
+    """The exposure at which a strength is quoted: of what grows with it the longest, fitted per second."""
+    return max(f.exposure_s or 0.0 for f in fields) if scaling == "exposure" else 1.0
+
+
 def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score | None:
     """Frozen white pattern of lines, the same in every recording."""
     sums = static_sums(fields, axis, scaling)
@@ -71,7 +84,14 @@ def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Scor
     power = sums.score**2 / np.maximum(sums.information, 1e-30)
     largest = np.argsort(-power)[:8]
     where = {"axis": axis, "index": sorted(int(i) for i in largest)}
-    return component_score(power, sums.information, np.ones(power.shape), scaling=scaling, where=where)
+    score = component_score(power, sums.information, np.ones(power.shape), scaling=scaling, where=where)
+    if scaling != "exposure":
+        return score
+    seconds = _seconds(fields, scaling)
+    sigma, error = score.amplitude * seconds, score.error * seconds
+    return score.replace(
+        amplitude=sigma, error=error, shift=score.shift * seconds, parameters={"sigma": (sigma, "DN", error)}
+    )
 
 
 def static_absorb(fields: tuple[Fields, ...], score: Score, *, axis: str, scaling: str) -> tuple[Fields, ...]:
@@ -83,11 +103,9 @@ def static_absorb(fields: tuple[Fields, ...], score: Score, *, axis: str, scalin
     pattern = sums.score * (1 - 1 / np.sqrt(1 + tau)) / np.maximum(sums.information, 1e-30)
     spread = pattern[:, None] if axis == "row" else pattern[None, :]
     return tuple(
-        f
-        if f.static is None or (scaling == "signal" and not f.lit)
-        else f._replace(
-            static=(f.static - np.sqrt(f.frames) * spread * response(f, scaling)).astype(np.float32)
-        )
+        f._replace(static=(f.static - np.sqrt(f.frames) * spread * response(f, scaling)).astype(np.float32))
+        if f.static is not None and shows(f, scaling)
+        else f
         for f in fields
     )
 
@@ -180,28 +198,29 @@ def frozen(
     parameter: str | None = None,
     covers: tuple[str, ...] = (),
 ) -> Signature:
-    """White offsets (or gains) of lines that stay. parameter: the mechanism's strength."""
+    """White offsets (or gains, or offsets that grow with the exposure) of lines that stay. parameter: the
+    mechanism's strength."""
+    growing = scaling == "exposure"
     point = (
-        Point("readout", "signal", axis, "frozen")  # type: ignore[arg-type]
-        if scaling == "additive"
-        else Point("photons", "mean", axis, "frozen", "multiply")  # type: ignore[arg-type]
+        Point("photons", "mean", axis, "frozen", "multiply")  # type: ignore[arg-type]
+        if scaling == "signal"
+        else Point("readout", "signal", axis, "frozen")  # type: ignore[arg-type]
     )
     shape = (-1, 1) if axis == "row" else (1, -1)
 
     def predict(fields: Many, score: Score) -> Predicted | None:
-        sums = static_sums(fields, axis, scaling)
-        if sums is None:
+        sums, seconds = static_sums(fields, axis, scaling), _seconds(fields, scaling)
+        if sums is None or not seconds:
             return None
-        mean, doubt = posterior(sums.score, sums.information, score.amplitude**2)
+        mean, doubt = posterior(sums.score, sums.information, (score.amplitude / seconds) ** 2)
         return Predicted(mean.reshape(shape), doubt.reshape(shape), scaling)
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
-        sums = static_sums(fields, axis, scaling)
-        return (
-            None
-            if sums is None
-            else draw(sums.score, sums.information, score.amplitude**2, rng).reshape(shape)
-        )
+        sums, seconds = static_sums(fields, axis, scaling), _seconds(fields, scaling)
+        if sums is None or not seconds:
+            return None
+        variance = (score.amplitude / seconds) ** 2
+        return draw(sums.score, sums.information, variance, rng).reshape(shape) * seconds
 
     return Signature(
         name=name,
@@ -214,7 +233,7 @@ def frozen(
         predict=predict,
         pattern=pattern,
         simulate=strength(parameter) if parameter else NOT_SIMULATED,
-        place=placed(point),
+        place=placed(point, by_exposure=growing),
         detectable=BY_SHIFT,
-        least=random_offsets(axis, scaling, frozen=True),
+        least=NO_CLOSED_FORM if growing else random_offsets(axis, scaling, frozen=True),
     )

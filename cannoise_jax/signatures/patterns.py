@@ -42,6 +42,9 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
+_STANDS_OUT = 8.0
+"""Standard deviations of a map and its noise from which on a pixel is no part of the map."""
+
 
 def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
     """One random offset (or gain) per frame."""
@@ -161,12 +164,15 @@ def noise_tails(field: Fields) -> tuple[float, float]:
 
 
 def pixel_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:
-    """Takes the whitening part of the estimated shared map out of every static field."""
+    """Takes the whitening part of the estimated shared map out of every static field. Pixels that stand far
+    out of the map are left as they are: they are no part of it, and what they are has to see all of them."""
     sums = pixel_sums(fields, scaling, KINDS)
     if sums is None:  # no recording of the kind that shows it
         return fields
     tau = score.payload * sums.information
     pattern = sums.score * (1 - 1 / np.sqrt(1 + tau)) / np.maximum(sums.information, 1e-30)
+    of_it = sums.score**2 < _STANDS_OUT**2 * sums.information * (1 + tau)
+    pattern = np.where(of_it, pattern, 0.0)
     out = []
     for f in fields:
         if f.static is None or (scaling == "exposure" and not f.exposure_s):
