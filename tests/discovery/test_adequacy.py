@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,7 +13,8 @@ from scipy import ndimage
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
-from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, own_part
+from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt
+from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import SITES
@@ -40,16 +42,34 @@ def both(alter):
 
 def test_a_mechanism_that_is_there_is_not_doubted():
     full, less = both(row_offsets(SIGMA))
-    part = own_part(full, less)
+    part = own_part(borne_by(full, less))
     assert part.before > 500 and part.after < 0.1 * part.before
-    assert doubt(full, less) is None
+    assert doubt(full, borne_by(full, less)) is None
 
 
 def test_one_that_only_resembles_what_is_there_is_doubted_and_why_is_said():
     full, less = both(parts_of_rows)
-    found = doubt(full, less)
+    found = doubt(full, borne_by(full, less))
     assert found is not None and found.left > LEFT
     assert any("rows" in line for line in found.against)
+
+
+def test_what_another_mechanism_bears_on_far_more_speaks_of_that_one():
+    judged = SimpleNamespace(family="mean", where="dark", z=np.full(4, 9.0), passing=4.0)
+
+    def moved(before, after):
+        before, after = np.array(before, float), np.array(after, float)
+        own = np.abs(before - after) > 4
+        return Borne(judged, before, after, own, np.zeros(4, bool))
+
+    weak, strong = moved([900, 60, 9, 80], [850, 2, 9, 30]), moved([9000, 2, 9, 150], [850, 2, 9, 30])
+    most = most_of([[weak], [strong]])
+    (own,) = owned([weak], most)
+    assert own.own.tolist() == [False, True, False, True]  # the first is the other's, the last of both
+    (all_of_it,) = owned([strong], most)
+    assert all_of_it.own.tolist() == [True, False, False, True]
+    (kept,) = owned([weak._replace(claimed=np.ones(4, bool))], most)
+    assert kept.own.tolist() == weak.own.tolist()
 
 
 def test_a_withdrawn_name_hands_its_probability_to_the_unknown():
@@ -97,4 +117,5 @@ def test_a_reference_that_is_shifted_or_soft_is_told_from_light_from_further_awa
         compare_bank(capture, source, sets=2, alpha=0.002)
         for source in (beside(plain, [off], capture), plain)
     )
-    assert (doubt(full, less, frozenset({"scene"})) is None) == fits
+    scenes = frozenset({"scene"})
+    assert (doubt(full, borne_by(full, less, scenes), scenes) is None) == fits

@@ -1,0 +1,143 @@
+"""The part of the mismatch that a mechanism bears on, statistic by statistic, in nats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import stats
+
+from cannoise_jax.discovery.compare.judge import Judgement
+from cannoise_jax.discovery.compare.measure import STATIC, Family
+from cannoise_jax.discovery.compare.run import Compared
+from cannoise_jax.signatures import bank
+
+_BEARS = 4.0
+"""Nats by which a statistic must change with a mechanism to be of its part: 2.8 standard deviations."""
+_CLEAR = 0.1
+"""Share of the larger mismatch by which it must change, beside what the draws scatter."""
+_OWNED = 1 / 3
+"""Share of the largest change that any accepted mechanism makes to a statistic, from which on it is of
+the part of another one too."""
+_CHANCE = 1e-4
+"""Probability that all statistics of the part leave as much by chance."""
+
+
+class Borne(NamedTuple):
+    """What a mechanism does to the statistics of one family in one place: their mismatch without and with it,
+    nats, those that are of its part, and those of them that it speaks for whatever others do."""
+
+    judged: Judgement
+    before: Float[np.ndarray, "k"]
+    after: Float[np.ndarray, "k"]
+    own: Bool[np.ndarray, "k"]
+    claimed: Bool[np.ndarray, "k"]
+
+    @property
+    def at(self) -> tuple[str, str]:
+        """Family and place."""
+        return self.judged.family, self.judged.where
+
+    @property
+    def change(self) -> Float[np.ndarray, "k"]:
+        """Nats by which it changes the mismatch."""
+        return np.abs(self.before - self.after)
+
+
+class Part(NamedTuple):
+    """A mechanism's own part of the mismatch: nats without and with it beyond what chance leaves, of how many
+    statistics, those that still differ, and whether all together leave more than chance."""
+
+    before: float
+    after: float
+    number: int
+    left: list[tuple[Judgement, np.ndarray]]
+    more: bool
+
+
+def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset()) -> list[Borne]:
+    """The statistics that a mechanism moves, of a simulator with it and one without, and all that stays and
+    differs in recordings of the kinds that it speaks for."""
+    without = {(j.family, j.where): j for j in less.judgements}
+    out = []
+    for j in full.judgements:
+        other = without.get((j.family, j.where))
+        if other is None or j.where not in full.seen or other.z.shape != j.z.shape:
+            continue
+        one = mismatch(other, less.recorded[j.where].families[j.family])
+        two = mismatch(j, full.recorded[j.where].families[j.family])
+        # Where the simulator's own units scatter more than independent ones, the nats weigh less.
+        weight = np.clip(0.5 * j.z**2 / np.maximum(two, 1e-9), 0.0, 1.0) * (two > 1) + (two <= 1)
+        one, two = weight * one, weight * two
+        own, claimed = _moved(one, two), np.zeros(one.shape, bool)
+        if full.seen[j.where].kind in speaks_for and j.family.startswith(STATIC):
+            claimed = one > _BEARS
+        if j.family.endswith("structure"):
+            own |= _broken(own, full.seen[j.where].size)
+        out.append(Borne(j, one, two, own | claimed, claimed))
+    return out
+
+
+def most_of(each: Sequence[list[Borne]]) -> dict[tuple[str, str], Float[np.ndarray, "k"]]:
+    """The largest change that any mechanism makes to every statistic."""
+    out: dict[tuple[str, str], np.ndarray] = {}
+    for borne in each:
+        for b in borne:
+            known = out.get(b.at)
+            if known is None or known.shape == b.change.shape:
+                out[b.at] = b.change if known is None else np.maximum(known, b.change)
+    return out
+
+
+def owned(each: list[Borne], most: dict[tuple[str, str], Float[np.ndarray, "k"]]) -> list[Borne]:
+    """Without the statistics on which another mechanism bears far more."""
+    return [
+        b._replace(own=b.own & (b.claimed | (np.maximum(b.change, _BEARS) >= _OWNED * most[b.at])))
+        if most[b.at].shape == b.change.shape
+        else b
+        for b in each
+    ]
+
+
+def own_part(each: list[Borne]) -> Part:
+    """A mechanism's part, summed."""
+    before = sum(float(b.before[b.own].sum()) for b in each)
+    after = sum(float(b.after[b.own].sum()) for b in each)
+    number = sum(int(b.own.sum()) for b in each)
+    left = [
+        (b.judged, found)
+        for b in each
+        if (found := np.flatnonzero(b.own & (np.abs(b.judged.z) > b.judged.passing))).size
+    ]
+    # Twice the nats of two equal normal laws are chi-squared.
+    more = number > 0 and float(stats.chi2.sf(2 * after, number)) < _CHANCE
+    return Part(max(before - 0.5 * number, 0.0), max(after - 0.5 * number, 0.0), number, left, more)
+
+
+def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
+    change = np.abs(one - two)
+    return (change > _BEARS) & (change > _CLEAR * np.maximum(one, two))
+
+
+def _broken(own: Bool[np.ndarray, "k"], size: tuple[int, int]) -> Bool[np.ndarray, "k"]:
+    """Parts of the lines, from an eighth of the frame on, whose means over the whole frame are among these
+    energies: a name for whole lines has to say why they are not whole."""
+    cells = own.reshape(bank.counts(size).shape)
+    rows, columns = ([s.length >= n / 8 for s in bank.scales(bank.cropped_side(n) // 2)] for n in size)
+    out = np.zeros_like(cells)
+    out[:, :, columns] |= cells[:, :, -1:]
+    out[:, rows, :] |= cells[:, -1:, :]
+    return out.ravel()
+
+
+def mismatch(j: Judgement, family: Family) -> Float[np.ndarray, "k"]:
+    """Nats between the recorded and the simulated value of every statistic, see `compare.table`."""
+    a, b, units = j.recorded, j.simulated, len(family.values)
+    if family.law == "energy":
+        ratio = np.where(family.size > 0, np.maximum(a, 1e-9) / np.maximum(b, 1e-9), 1.0)
+        return units * family.size / 2 * (ratio - 1 - np.log(ratio))
+    if family.law == "count":
+        return a * np.log(np.maximum(a, 0.5) / np.maximum(b, 0.5)) - a + b
+    return np.minimum(units * (a - b) ** 2 / np.maximum(family.size, 1e-30), 2 * 38.0**2) / 2
