@@ -55,6 +55,20 @@ def occurrences(stacks, fields: tuple[Fields, ...], chosen, step: float) -> Occu
     return Occurred(index, expected[index], counts[index] == 0, step)
 
 
+def _wider(code: np.ndarray, missing: np.ndarray) -> float:
+    """log p that the gaps between codes that occur are no wider the brighter (Kendall's tau): of few codes
+    far apart most are missing everywhere."""
+    order = np.argsort(code)
+    code, number = code[order], np.arange(code.size)
+    there = np.flatnonzero(~missing[order])
+    # Across codes that were not to be expected a gap says nothing.
+    known = np.diff(code[there]) == np.diff(number[there])
+    gaps = np.diff(code[there])[known]
+    if gaps.size < 8 or np.ptp(gaps) == 0:
+        return 0.0
+    return float(np.log(max(stats.kendalltau(np.arange(gaps.size), gaps, alternative="greater")[1], 1e-300)))
+
+
 def compression_score(fields, *, codes: Occurred, black: float, span: float) -> Score | None:
     """Codes that never occur, the more of them the brighter. Amplitude: spacing at the white level, DN."""
     if codes.code.size < 100:
@@ -72,7 +86,8 @@ def compression_score(fields, *, codes: Occurred, black: float, span: float) -> 
     level = np.array([float(np.mean(signal[k])) for k in parts])
     low, high = np.concatenate(parts[:2]), np.concatenate(parts[2:])
     table = [[missing[high].sum(), (~missing[high]).sum()], [missing[low].sum(), (~missing[low]).sum()]]
-    grows = float(np.log(max(stats.fisher_exact(table, alternative="greater")[1], 1e-300)))
+    rarer = float(np.log(max(stats.fisher_exact(table, alternative="greater")[1], 1e-300)))
+    grows = min(rarer, _wider(codes.code[lit], codes.missing[lit])) + np.log(2)
     sure = spacing > 1.02
     if sure.sum() >= 2 and spacing[sure].max() > 1.15 * spacing.min():
         exponent = float(np.polyfit(np.log(level[sure]), np.log(spacing[sure]), 1)[0])

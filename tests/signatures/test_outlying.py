@@ -7,6 +7,8 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.signatures.added import draw_pixels, likeness
+from cannoise_jax.signatures.code_spacing import _wider
+from cannoise_jax.signatures.fields import helmert
 from cannoise_jax.signatures.line_sums import outlying, shared_sums
 from cannoise_jax.signatures.shape import kurtosis_score
 from tests.discovery.looks import SIGNATURES, white
@@ -115,3 +117,46 @@ def test_chance_likeness_and_a_few_far_pixels_count_as_none():
     values[:3] = 400.0
     noise = np.sqrt(information) * rng.standard_normal((4000, 4))
     assert np.array_equal(likeness(information * values + noise, information, 1.0), np.eye(4))
+
+
+def test_a_map_of_all_pixels_leaves_those_in_sight_that_are_no_part_of_it():
+    rng = _RNG(9)
+    (field,) = white(rng, kinds=("flat",), frames=6, size=SIZE, signal=900.0, sigma=30.0)
+    response = 0.01 * rng.standard_normal(SIZE)
+    dim = np.zeros(SIZE, bool)
+    dim.flat[100::1500] = True
+    change = np.where(dim, -0.9, response) * np.sqrt(6) * field.signal / field.sigma
+    field = field._replace(static=(field.static + change).astype(np.float32))
+    prnu = SIGNATURES["pixel_relative_static"]
+    score = prnu.score((field,))
+    (left,) = prnu.absorb((field,), score)
+    assert score.amplitude == pytest.approx(0.01, rel=0.1)
+    assert np.array_equal(left.static[dim], field.static[dim])
+    assert left.static[~dim].std() == pytest.approx(1.0, abs=0.05)
+
+
+def test_pixels_that_two_hits_met_by_chance_go_with_the_hits():
+    rng = _RNG(10)
+    frames = rng.standard_normal((8, *SIZE))
+    frames += 15.0 * (rng.random(frames.shape) < 0.01)
+    (field,) = white(rng, kinds=("dark",), frames=8, size=SIZE)
+    field = field._replace(
+        contrasts=np.einsum("nt,tij->nij", helmert(8), frames).astype(np.float32),
+        static=(frames.mean(0) * np.sqrt(8)).astype(np.float32),
+    )
+    clocking = SIGNATURES["clocking"]
+    (left,) = clocking.absorb((field,), clocking.score((field,)))
+    assert SIGNATURES["telegraph"].score((field,)).log_p < -100 < SIGNATURES["telegraph"].score((left,)).log_p
+    assert SIGNATURES["telegraph"].score((left,)).log_p > -7
+
+
+@pytest.mark.parametrize("growth, told", [(0.0, False), (0.5, True)])
+def test_codes_far_apart_are_told_to_grow_farther_apart(growth, told):
+    """Three flats, each over some eight codes of a lattice that widens with the signal, or does not."""
+    there = [100]
+    while there[-1] < 3000:
+        there.append(there[-1] + round(20 * (there[-1] / 500) ** growth))
+    code = np.concatenate(
+        [np.arange(low, low + width) for low, width in ((700, 150), (1400, 250), (2500, 350))]
+    )
+    assert (_wider(code, ~np.isin(code, there)) < -10) == told
