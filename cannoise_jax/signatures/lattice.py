@@ -13,11 +13,11 @@ from functools import partial
 import numpy as np
 
 from cannoise_jax.signatures.defects import KERNELS, MONO_KERNELS
-from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
-from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature, unchanged
+from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature
 
 _ROWS, _COLUMNS = np.indices((4, 4))
 _SITES: np.ndarray = 2 * (_ROWS % 2) + _COLUMNS % 2
@@ -42,6 +42,8 @@ LATTICES: dict[str, np.ndarray] = {
 _NAMES = ("four", "row", "column", "next_four", "next_row", "next_column", "eight", "next_eight")
 _LEAST = 0.03
 """Relative difference of what is left on and off the lattice that gains of pixels may make."""
+_MOSTLY = 0.5
+"""Weight of the neighbours from which on an interpolated pixel is set aside."""
 _SHARED = 0.99
 """What is left of a pixel over what would be if its neighbours were independent of it, at most."""
 
@@ -88,7 +90,7 @@ def _left(fields: tuple[Fields, ...], kernel: tuple[tuple[int, int], ...]):
 
 def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
     """Pixels of a lattice that follow their neighbours. Amplitude: weight of the interpolated value."""
-    best: tuple[float, float, str, str, float, float] | None = None
+    best: tuple[float, float, str, str, float, float, np.ndarray] | None = None
     tried = 0
     for name in _NAMES:
         kernel = {**KERNELS, **MONO_KERNELS}[name]
@@ -119,10 +121,10 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
                                 )
                             )
                         )
-                        best = (both, z**2 + z_shared**2, label, name, weight, error)
+                        best = (both, z**2 + z_shared**2, label, name, weight, error, on)
     if best is None:
         return _nothing(fields)
-    z, power, label, kernel_name, weight, error = best
+    z, power, label, kernel_name, weight, error, on = best
     return Score(
         log_p=sidak(normal_log_p(z, 1), tried),
         gain=0.5 * power if z > 0 else 0.0,
@@ -133,6 +135,7 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
         power=1,
         parameters={"weight": (weight, "1", error)},
         where={"axis": "pixel", "lattice": label, "from": kernel_name},
+        payload=on,
     )
 
 
@@ -161,6 +164,15 @@ def _nothing(fields: tuple[Fields, ...]) -> Score:
     )
 
 
+def without_interpolated(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+    """The fields without the pixels that are mostly others' mean, which tell nothing of their own and make
+    sums over places vary by more."""
+    if score.payload is None or score.amplitude < _MOSTLY:
+        return fields
+    rows, columns = np.indices(fields[0].mean.shape)
+    return without_pixels(fields, score.payload[rows % 4, columns % 4])
+
+
 def interpolated(
     recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
 ) -> Signature:
@@ -170,7 +182,7 @@ def interpolated(
         axes=Axes("digital", "pixel", "redrawn", "all noise", "lattice"),
         reads=CONTRASTS,
         score=partial(lattice_score, mono=recorded.mono),
-        absorb=unchanged,
+        absorb=without_interpolated,
         simulate=carried(lambda s: {"weight": s.amplitude}),
         covers=covers,
         lifted_by=lifted_by,
