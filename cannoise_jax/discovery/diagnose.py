@@ -239,8 +239,10 @@ def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
 def _searchable(entry: Entry) -> Entry:
     if entry.looked_for:
         return entry
-    by_sampling = generic.by_sampling(entry.record, name=f"sampled_{entry.id}", known={})
-    return dataclasses.replace(entry, signatures=by_sampling)
+    looks = generic.by_sampling(
+        entry.record, name=f"sampled_{entry.id}", known={}, simulated=entry.term.kind == "sensor"
+    )
+    return dataclasses.replace(entry, signatures=looks)
 
 
 @dataclass(frozen=True, eq=False)

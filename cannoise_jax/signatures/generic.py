@@ -39,6 +39,7 @@ from cannoise_jax.signatures.signature import (
     NO_LAW,
     NO_PATTERN,
     NO_PLACE,
+    NOT_SIMULATED,
     STATIC,
     Addition,
     Axes,
@@ -249,10 +250,10 @@ def _drawn(
 
 
 def by_sampling(
-    record: Mechanism, *, name: str, known: dict[tuple, Template | None]
+    record: Mechanism, *, name: str, known: dict[tuple, Template | None], simulated: bool
 ) -> Callable[[Recorded], tuple[Signature, ...]]:
     """The signature of a mechanism by its sampler. known: templates by what they were learned at, for all
-    splits of one run."""
+    splits of one run. simulated: whether it is the camera's, so that a camera model holds it."""
     point, fitted = record.point, strength_of(record)
     thermal = record.scaling.exposure or fitted.unit.endswith("/s")
     scales: Scales = "signal" if point.combine == "multiply" else "exposure" if thermal else "additive"
@@ -288,7 +289,7 @@ def by_sampling(
                 absorb=absorb,
                 predict=NO_LAW,
                 pattern=NO_PATTERN,
-                simulate=simulate,
+                simulate=simulate if simulated else NOT_SIMULATED,
                 place=NO_PLACE,
                 detectable=BY_SHIFT,
                 least=NO_CLOSED_FORM,

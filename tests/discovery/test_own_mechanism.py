@@ -105,6 +105,15 @@ def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):
     assert np.std(np.asarray(drawn, float) - np.asarray(less, float)) > 0
 
 
+def test_one_of_the_capture_is_found_and_is_not_in_the_camera_model():
+    lamp = dataclasses.replace(THIRD, term=dataclasses.replace(THIRD.term, kind="capture"))
+    found = diagnose(capture_set(71, sampled(THIRD, 1.5), kinds="d"), mechanisms=(lamp,), compare=False)
+    assert found.findings == [lamp.id] and found.proofs[0].confirmed
+    (told,) = document(found, key=0, version="")["findings"]
+    assert told["class"] == "capture"
+    assert lamp.id not in {f.mechanism for f in found.model.mechanisms}
+
+
 def test_where_it_is_not_it_is_not_found_and_told_what_would_be():
     found = diagnose(capture_set(72, kinds="df"), mechanisms=(THIRD, "row_noise"), compare=False)
     assert found.findings == []
@@ -119,7 +128,7 @@ def test_the_name_of_one_of_the_package_is_refused():
 
 @pytest.mark.parametrize("own", [THIRD, BLOCKS], ids=["third rows", "blocks"])
 def test_p_is_uniform_without_an_effect(own):
-    (signature,) = generic.by_sampling(own.record, name=own.id, known={})(RECORDED)
+    (signature,) = generic.by_sampling(own.record, name=own.id, known={}, simulated=True)(RECORDED)
     p = np.exp([signature.score(white(np.random.default_rng(s), size=(48, 64))).log_p for s in range(200)])
     for level in (0.5, 0.1):
         assert np.mean(p < level) == pytest.approx(level, abs=3.5 * np.sqrt(level / 200))

@@ -61,7 +61,7 @@ def herringbone(key, x, values, maps, context):
 @pytest.mark.parametrize("amplitude", [0.1, 0.3, 1.0])
 def test_a_mechanism_of_ones_own_explains_its_effect_better_than_no_name_does(amplitude):
     own = entry("herringbone", "Diagonal interference.", herringbone, over="pixel")
-    (signature,) = generic.by_sampling(own.record, name="own", known={})(RECORDED)
+    (signature,) = generic.by_sampling(own.record, name="own", known={}, simulated=True)(RECORDED)
     fields = with_contrasts(lambda x: wave(x, amplitude, _RNG(5)))
     mine, anything = signature.score(fields), any_score(fields, law="white")
     assert mine.gain - mine.penalty > anything.gain - anything.penalty
@@ -82,7 +82,7 @@ def ramp(key, x, values, maps, context):
 @pytest.mark.parametrize("amplitude", [0.1, 0.5, 1.0])
 def test_a_ramp_of_ones_own_is_no_noise_of_rows(amplitude):
     own = entry("ramp", "The level falls along the rows.", ramp)
-    (signature,) = generic.by_sampling(own.record, name="own", known={})(RECORDED)
+    (signature,) = generic.by_sampling(own.record, name="own", known={}, simulated=True)(RECORDED)
     rng, along = _RNG(6), np.linspace(-(3**0.5), 3**0.5, SIZE[0])[:, None]
     fields = with_contrasts(lambda x: x + amplitude * rng.standard_normal((len(x), 1, 1)) * along)
     mine = signature.score(fields)

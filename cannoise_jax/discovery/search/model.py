@@ -61,8 +61,8 @@ def extended_model(
 
     steps: the accepted findings. start: the camera model that was judged; what was found is added to it.
     seed: of the part of frozen maps that the frames leave open. silent: a step that is added at strength
-    zero, so that all else is as with it. Capture and bookkeeping errors are not the camera's: they are not in
-    it.
+    zero, so that all else is as with it. Errors of the reference and its description, and what is of the
+    capture by a mechanism from outside, are not the camera's: they are not in it.
     """
     bare = baseline_model(capture, prepared)
     model = bare if start is None else start
