@@ -311,7 +311,7 @@ def by_sampling(
             shift=float(np.sqrt(fit.shift)) * quoted,
             power=2,
             parameters={fitted.name: (sigma, fitted.unit, error)},
-            where={"axis": point.over if point.over in ("row", "column") else "pixel"},
+            where={"axis": point.over},
             payload=fit.variance,
         )
 

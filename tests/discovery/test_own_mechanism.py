@@ -11,9 +11,10 @@ import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.report.document import document
+from cannoise_jax.discovery.report.page import place
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.mechanisms.entry import Entry
-from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.grammar import SITES, Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.signatures import generic
@@ -112,6 +113,14 @@ def test_one_of_the_capture_is_found_and_is_not_in_the_camera_model():
     (told,) = document(found, key=0, version="")["findings"]
     assert told["class"] == "capture"
     assert lamp.id not in {f.mechanism for f in found.model.mechanisms}
+
+
+@pytest.mark.parametrize("over", SITES)
+def test_it_is_reported_where_it_varies(over):
+    record = mechanism_from_grammar(Point("readout", "signal", over, "redrawn"), id="own", default=1.0)
+    (signature,) = generic.by_sampling(record, name="own", known={}, simulated=True)(RECORDED)
+    where = signature.score(white(np.random.default_rng(6), size=(48, 64))).where
+    assert where["axis"] == over == signature.axes.varies_over and place(where)
 
 
 def test_where_it_is_not_it_is_not_found_and_told_what_would_be():

@@ -29,13 +29,15 @@ _PLACES: dict[str, tuple[str, ...]] = {
     "channel": ("channel",),
     "block": ("bbox",),
     "frame": ("index",),
+    "raster": (),
+    "diagonal": (),
+    "antidiagonal": (),
     "signal": ("range",),
     "frequency": ("period_px", "direction"),
     "code": ("period",),
     "edge": ("edge",),
 }
 """What `where` says by axis."""
-_AXES = tuple(_PLACES)
 
 
 def plain(value: Any) -> Any:
@@ -283,7 +285,4 @@ def _unit(score: Score) -> str:
 
 
 def _where(score: Score) -> dict[str, Any]:
-    where = dict(score.where)
-    if where.get("axis") not in _AXES:
-        where["axis"] = "pixel"
-    return {**dict.fromkeys(_PLACES[where["axis"]]), **where}
+    return {**dict.fromkeys(_PLACES[score.where["axis"]]), **score.where}

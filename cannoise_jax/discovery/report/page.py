@@ -63,6 +63,9 @@ def place(where: dict[str, Any]) -> str:
         "channel": "between the colour channels",
         "block": "between regions of the frame",
         "frame": "from frame to frame",
+        "raster": "along the readout",
+        "diagonal": "from diagonal to diagonal",
+        "antidiagonal": "from antidiagonal to antidiagonal",
         "signal": "over the range of signals",
         "frequency": "at one spatial frequency",
         "code": "in the stored codes",
@@ -192,7 +195,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     pictures = []
     for n in listed_steps(diagnosis):
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
-        axis = steps[n].named.score.where.get("axis", "pixel")
+        axis = steps[n].named.score.where["axis"]
         redrawn = steps[n].named.signature.axes.time == "redrawn"
         pictures.append(where_pictures(steps[n].before, after, axis, redrawn))
     size = partial(strength, diagnosis.terms)
