@@ -39,11 +39,9 @@ from cannoise_jax.recordings.usable import LeftOutWarning, usable
 from cannoise_jax.signatures import generic
 from cannoise_jax.signatures.fields import refit
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.signatures.signature import NO_STRENGTH, Asked, Axes
+from cannoise_jax.signatures.signature import NO_STRENGTH, Asked
 from cannoise_jax.vocabulary import Term
 
-ROWS = Axes("readout", "row", "redrawn", "additive", "white")
-"""Offsets of rows, of which some are added to draws for the control of the two-sample test."""
 CALIBRATED, STATED = "poisson-gaussian", "nlf"
 """Simulators by name: calibrated from the recordings, or as the files state it."""
 AFTER = "the simulator handed back"
@@ -290,7 +288,7 @@ def judged_by(
     """What draws of simulators are measured with: frames that looked and frames held back, and the row
     noise (DN) of the control of the two-sample test."""
     seen, unseen = raw.looking, raw.held_back
-    row = fitted.first.scores.get(next((s.name for s in seen.signatures if s.axes == ROWS), ""))
+    row = fitted.first.scores.get(next((s.name for s in seen.signatures if s.control), ""))
     # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
     share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
     return jax.random.fold_in(key, 2), seen, unseen, sides, 2 * row.mde * share**0.25 if row else None

@@ -223,7 +223,8 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=looks.always(
             looks.pixels.own_noise(name="pixel_spread", parameter="spread", covers=looks.NOISY),
         ),
-        estimator=Estimator(maps.pixel_read_noise_map, least=0.03, law="spread", maps=measured.read_noise),
+        estimator=Estimator(maps.pixel_read_noise_map, least=0.03, law="spread",
+                            maps=measured.read_noise, spares=maps.pixel_read_noise_map),
         examples=Examples("spread", shown={"spread": 0.8}, dim=True, cases=(Case({"spread": 0.2}, DARK),
                           Case({"spread": 0.8}, DARK, note="strong"))),
     ),

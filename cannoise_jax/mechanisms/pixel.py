@@ -234,7 +234,8 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=looks.always(
             looks.pixels.jumping(name="telegraph", covers=looks.NOISY),
         ),
-        estimator=Estimator(noise.rts, law="telegraph", maps=measured.telegraph),
+        estimator=Estimator(noise.rts, law="telegraph", loud=noise.telegraph_sites,
+                            maps=measured.telegraph),
         examples=Examples("spread", shown={"jump_dn": 12.0, "fraction": 0.05}, dim=True,
                           strong={"jump_dn": 12.0, "fraction": 0.3},
                           cases=(Case({"jump_dn": 40.0, "fraction": 0.03, "rate": 0.2},

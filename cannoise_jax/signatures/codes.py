@@ -89,6 +89,7 @@ def comb_score(fields, *, codes: Codes) -> Score | None:
             "shortfall": (shortfall, "1", float(np.sqrt(distance / total))),
         },
         where={"axis": "code", "period": distance, "phase": phase},
+        spot={"period": (distance, 0.0)},
     )
 
 
@@ -138,6 +139,7 @@ def step_score(fields, *, codes: Codes) -> Score | None:
         power=1,
         parameters={"step": (codes.detected, "DN", 0.0)},
         where={"axis": "code", "period": codes.detected},
+        spot={"period": (codes.detected, 0.0)},
     )
 
 

@@ -66,6 +66,7 @@ def stated_score(
         power=1,
         parameters={"relative_error": (amplitude, "1", spread)},
         where={"axis": "signal", "range": [0.0, 1.0]},
+        too_much=amplitude < 0,
     )
 
 

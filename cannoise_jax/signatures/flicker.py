@@ -69,7 +69,7 @@ def flicker_score(fields: tuple[Fields, ...]) -> Score | None:
     k, h = int(np.argmax(power)), fields[0].mean.shape[0]
     trials = 2 * h  # every point of the padded grid
     fit = rician_fit(float(power[k]), own[:, k], weights)
-    frequency = k / (4 * h)
+    frequency, doubt = k / (4 * h), 0.3 / h
     strong = _with_remainder(seen, frequency)
     if strong is not None and strong.gain < fit.gain + _PLAIN:
         strong = None
@@ -82,9 +82,10 @@ def flicker_score(fields: tuple[Fields, ...]) -> Score | None:
         error=error,
         shift=fit.shift,
         power=2,
-        parameters={"amplitude": (amplitude, "1", error), "frequency": (frequency, "1/row", 0.3 / h)},
+        parameters={"amplitude": (amplitude, "1", error), "frequency": (frequency, "1/row", doubt)},
         where={"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
         payload=(frequency, strong is not None),
+        spot={"frequency": (frequency, 2.5 * doubt)},
     )
 
 

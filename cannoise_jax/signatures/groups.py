@@ -210,4 +210,5 @@ def shared(
         place=placed(point),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
+        drawn_once=time == "frozen",
     )

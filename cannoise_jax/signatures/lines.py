@@ -143,6 +143,7 @@ def redrawn(
         place=placed(point),
         detectable=BY_SHIFT,
         least=random_offsets(axis, scaling, frozen=False),
+        control=additive and axis == "row",
     )
 
 
@@ -236,4 +237,5 @@ def frozen(
         place=placed(point, by_exposure=growing),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM if growing else random_offsets(axis, scaling, frozen=True),
+        drawn_once=True,
     )

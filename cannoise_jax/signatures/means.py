@@ -105,6 +105,7 @@ def step_score(fields: tuple[Fields, ...]) -> Score | None:
         parameters={"step": (step, "DN", error), "boundary": (at, "px", 1.0)},
         where=where,
         payload=(axis_best, at, step),
+        spot={"boundary": (at, 4.0)},
     )
 
 

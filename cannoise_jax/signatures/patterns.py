@@ -222,6 +222,7 @@ def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         ),
         detectable=BY_SHIFT,
         least=frame_offsets if additive else NO_CLOSED_FORM,
+        of_frames=additive,
     )
 
 
@@ -262,6 +263,7 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         place=placed(point, by_exposure=growing),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM if growing else random_offsets("pixel", scaling, frozen=True),
+        drawn_once=True,
     )
 
 
@@ -280,6 +282,7 @@ def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
         place=NO_PLACE,
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
+        drawn_once=True,
         off=white_error,
         speaks_for=frozenset({"scene"}),
     )

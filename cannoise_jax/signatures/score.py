@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -18,7 +19,9 @@ class Score:
     log_p: natural log of the p-value, the search inside the family (frequencies, templates) accounted for.
     gain: log-likelihood gain of the best fit over the baseline, nats; penalty: nats that its free parameters
     and its search cost. amplitude, error: in the mechanism's unit. shift: amplitude that moves the statistic
-    by one null standard deviation; power: the statistic grows as amplitude ** power.
+    by one null standard deviation; power: the statistic grows as amplitude ** power. spot: what it says of
+    where in the frames it is (a frequency, a boundary), and how far two fits of one effect may lie apart.
+    too_much: whether the simulator has too much of it, not too little.
     """
 
     log_p: float
@@ -31,6 +34,8 @@ class Score:
     parameters: dict[str, tuple[float, str, float]]
     where: dict[str, Any]
     payload: Any = None
+    spot: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    too_much: bool = False
 
     def replace(self, **changes: Any) -> Self:
         """The score with some of its fields changed."""
@@ -40,6 +45,11 @@ class Score:
     def evidence(self) -> float:
         """Penalised log-likelihood gain, nats."""
         return self.gain - self.penalty
+
+    def same_spot(self, other: Score) -> bool:
+        """Whether both put the effect at the same frequency, boundary or period."""
+        both = ((a, other.spot[name]) for name, a in self.spot.items() if name in other.spot)
+        return not any(abs(a - b) > max(reach, other_reach) for (a, reach), (b, other_reach) in both)
 
     @property
     def mde(self) -> float:

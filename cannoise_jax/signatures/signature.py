@@ -153,8 +153,11 @@ class Signature:
       all frames can show.
     quoted(score, mechanism) -> the score in that mechanism's unit. at(score, amplitude) -> the score of the
       same finding at another strength. moves_frames(score, size) -> how far, DN, it moves the means of
-      frames. says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is
-      about pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
+      frames; of_frames: whether it is what the means of frames move by, DN, which may be a part of such.
+      drawn_once: whether it is one draw of a random pattern that stays, which all frames tell better
+      together. control: whether some of it is added to draws for the control of the two-sample test.
+    says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is about
+      pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
@@ -189,6 +192,9 @@ class Signature:
         default=lambda score, amplitude: score.replace(amplitude=amplitude)
     )
     moves_frames: Callable[[Score, tuple[int, int]], float] | None = None
+    of_frames: bool = False
+    drawn_once: bool = False
+    control: bool = False
     says: Callable[[dict[str, Any]], tuple[str, tuple[float, float]]] | None = None
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None

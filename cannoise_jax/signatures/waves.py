@@ -109,7 +109,7 @@ def wave_score(
     weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen]) / level
     fit = rician_fit(float(power[where]), own, weights)
     direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
-    along = np.hypot(fx, fy)
+    along, doubt = np.hypot(fx, fy), (0.2 / h, 0.2 / w)
     return Score(
         log_p=sidak(fit.log_p, trials),
         gain=fit.gain,
@@ -120,11 +120,12 @@ def wave_score(
         power=2,
         parameters={
             "amplitude": (fit.amplitude, "DN", fit.error),
-            "frequency_y": (fy, "1/px", 0.2 / h),
-            "frequency_x": (fx, "1/px", 0.2 / w),
+            "frequency_y": (fy, "1/px", doubt[0]),
+            "frequency_x": (fx, "1/px", doubt[1]),
         },
         where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
         payload=(fy, fx, time),
+        spot={"frequency_y": (fy, 2.5 * doubt[0]), "frequency_x": (fx, 2.5 * doubt[1])},
     )
 
 

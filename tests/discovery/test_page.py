@@ -6,13 +6,14 @@ import math
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
-from cannoise_jax.discovery.diagnose import ROWS
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.page import place, verdict
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
 from cannoise_jax.signatures.signature import Axes
+
+ROWS = Axes("readout", "row", "redrawn", "additive", "white")
 
 
 def test_codes_that_are_only_rarer_are_not_said_never_to_occur():

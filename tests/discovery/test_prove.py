@@ -191,6 +191,15 @@ def test_a_wave_is_proved_at_the_frequency_that_it_was_found_at():
     assert np.mean(there) == pytest.approx(amplitude, rel=0.2)
 
 
+@pytest.mark.parametrize("other, gains", [((0.104, 0.002), True), ((0.11, 0.002), False)])
+def test_what_is_found_elsewhere_is_no_gain(other, gains):
+    found = Score(
+        log_p=-20.0, gain=25.0, penalty=3.0, amplitude=1.0, error=0.2, shift=0.3, power=2,
+        parameters={}, where={"axis": "frequency"}, spot={"frequency": (0.1, 0.005)},
+    )  # fmt: skip
+    assert (held_out_gain(found, found.replace(spot={"frequency": other})) > 0) == gains
+
+
 @pytest.mark.parametrize(
     ("again", "gain", "gone"),
     [

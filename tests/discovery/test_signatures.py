@@ -315,6 +315,12 @@ def test_words_card_and_limits_are_complete(signature):
     assert dataclasses.replace(signature, mechanism="x").mechanism == "x"
 
 
+def test_one_signature_is_of_the_rows_that_the_control_adds():
+    (rows,) = (s for s in ALL if s.control)
+    _, amplitude = planted(rows, 100.0)
+    assert rows in SHARED and rows.predict(drawn(7), rows.score(drawn(7)).replace(amplitude=amplitude)).row
+
+
 def test_files_are_judged_whatever_is_taken_out():
     assert {s.axes.enters for s in OF_FILES} <= {"converter", "photons", "pixel", "readout"}
     fields = drawn(8)

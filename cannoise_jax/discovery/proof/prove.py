@@ -141,12 +141,12 @@ def prove(
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
     out: list[Proof] = []
     complete_model: dict[tuple[bool, bool, bool], Scored] = {}
-    together = splits.together if any(_pattern(step.named.signature) for step in steps) else None
+    together = splits.together if any(step.named.signature.drawn_once for step in steps) else None
     for n, step in enumerate(steps):
         fields = beside(steps, n, second.fields)
         signature = signatures.get(step.named.signature.name)
         score = signature.score_again(fields, step.named.score) if signature is not None else None
-        if together is not None and score is not None and _pattern(step.named.signature):
+        if together is not None and score is not None and step.named.signature.drawn_once:
             looked, both = (step.named.signature.score(beside(steps, n, p.fields)) for p in (first, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
@@ -192,11 +192,6 @@ def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple
     for other in others:
         fields = refit(other.named.signature.absorb(fields, other.named.score))
     return fields
-
-
-def _pattern(signature: Signature) -> bool:
-    """Whether a signature looks for a random pattern that stays."""
-    return signature.frozen and signature.axes.law == "white"
 
 
 def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
@@ -255,7 +250,7 @@ def held_out_gain(found: Score, again: Score) -> float:
     """Log-likelihood gain on the frames held back at the parameters of the others, nats."""
     power = found.power
     a, b = found.amplitude**power, again.amplitude**power
-    if not same_place(found, again):
+    if not found.same_spot(again):
         return 0.0
     if not again.error > 0:  # a shape without a strength: less what its free parameters gain by chance
         return float(again.gain - again.penalty)
@@ -286,19 +281,3 @@ def jackknife_interval(
     g = gains.size
     half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
     return gain - half, gain + half
-
-
-def same_place(found: Score, again: Score) -> bool:
-    """Whether both halves put the effect at the same frequency, boundary, edge or period."""
-    for name, tolerance in (
-        ("frequency", 2.5),
-        ("frequency_x", 2.5),
-        ("frequency_y", 2.5),
-        ("boundary", 4.0),
-    ):
-        if name in found.parameters and name in again.parameters:
-            a, b = found.parameters[name], again.parameters[name]
-            if abs(a[0] - b[0]) > tolerance * max(a[2], b[2]):
-                return False
-    same = all(found.where.get(k) == again.where.get(k) for k in ("period",) if k in found.where)
-    return same

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.discovery.diagnose import Diagnosis, absorbed_by, detectable
-from cannoise_jax.discovery.proof.prove import Proof, same_place
+from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import outcome
 from cannoise_jax.discovery.report.card import card
 from cannoise_jax.discovery.report.wording import sentence
@@ -223,7 +223,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     # Nor are the numbers of one wave joined to the place of another.
     # And what gains there at the strength that was found is no finding of strength zero.
     found, again = step.named.score, proof.score
-    elsewhere = again is None or not again.error > 0 or not same_place(found, again)
+    elsewhere = again is None or not again.error > 0 or not found.same_spot(again)
     if again is None or elsewhere or (proof.confirmed and not again.amplitude > 0):
         again = found
     score = step.named.signature.quoted(again, mechanism)
@@ -261,7 +261,7 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         "heldout_pixels": proof.pixels or None,
         "heldout_gain_nats_per_pixel": per_pixel,
         "confirmed": proof.confirmed,
-        "sign": _sign(step, score),
+        "sign": "too much" if score.too_much else "too little",
     }
     moved = [n for n, slope in part_of(steps).items() if steps[slope] is step]
     for part in (steps[n].named.score for n in moved):
@@ -271,13 +271,6 @@ def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof, term)
     return out
-
-
-def _sign(step: Step, score: Score) -> str:
-    """Which way the simulator is wrong: it lacks what was found, but for gain or read noise stated too
-    high."""
-    less = step.named.signature.restates and score.parameters.get("relative_error", (0.0,))[0] < 0
-    return "too much" if less else "too little"
 
 
 def _unit(score: Score) -> str:

@@ -204,8 +204,8 @@ def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
     frame moves them, and the step with that noise."""
     out = {}
     for n, step in enumerate(steps):
-        score, axes = step.named.score, step.named.signature.axes
-        if (axes.varies_over, axes.time, axes.scales) != ("frame", "redrawn", "additive"):
+        score = step.named.score
+        if not step.named.signature.of_frames:
             continue
         for m, other in enumerate(steps):
             moved = other.named.signature.moves_frames

@@ -43,7 +43,9 @@ class Estimator:
       measured on. in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
     gives_way_to: ids beside which it does not enter. against(estimates, statistics) -> why not to believe it,
       or nothing.
-    law: what it makes of the values of one pixel, for `estimators.loudness`. placed(estimates, dark) -> its
+    law: what it makes of the values of one pixel, for `estimators.loudness`. loud(dark, **values) -> 1 at the
+      pixels that it alone makes loud; spares(statistics, without=pixels) -> its estimates without those that
+      another does, where they hold whatever the other laws are. placed(estimates, dark) -> its
       place, where that is not the usual one. beside(estimates, point, dark) -> whether a mechanism at that
       place makes what it sees. maps(parameters, seen) -> frozen maps of the unit that was recorded.
     """
@@ -59,6 +61,8 @@ class Estimator:
     gives_way_to: tuple[str, ...] = ()
     against: Callable[[Measured, Statistics], str] | None = None
     law: Law | None = None
+    loud: Callable[..., np.ndarray] | None = None
+    spares: Callable[..., Estimates] | None = None
     placed: Callable[[Measured, FrameStatistics], Placed | None] | None = None
     beside: Callable[[Measured, Point, FrameStatistics], bool] | None = None
     maps: Callable[..., dict[str, np.ndarray]] | None = None

@@ -27,8 +27,6 @@ from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE, Estimator, Measurable
 from cannoise_jax.physics.transfer.estimators.loudness import explanation
-from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
-from cannoise_jax.physics.transfer.estimators.noise import telegraph_sites
 from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
@@ -111,17 +109,19 @@ def _causes(
         return {}
     cause = explanation(dark, {law: f.measured or {} for law, f in rivals.items()})
     together = " and ".join(rivals[law].mechanism for law in cause.laws)
+    loud = [
+        sites(dark, **{name: e.value for name, e in cause.estimates[law].items()}) > 0
+        for law in cause.laws
+        if (sites := rivals[law].estimator.loud)
+    ]
     out = {}
     for law, finding in rivals.items():
         if law not in cause.laws:
             out[finding.mechanism] = finding._replace(verdict="explained by", because=together)
         elif len(cause.laws) > 1:
             estimates: Estimates = cause.estimates[law]
-            if law == "spread":  # measured whatever the tails, but not over telegraph pixels
-                estimates = finding.estimates
-                if "telegraph" in cause.laws:
-                    jumps = {name: e.value for name, e in cause.estimates["telegraph"].items()}
-                    estimates = pixel_read_noise_map(statistics, without=telegraph_sites(dark, **jumps) > 0)
+            if spares := finding.estimator.spares:
+                estimates = spares(statistics, without=np.any(loud, axis=0)) if loud else finding.estimates
             out[finding.mechanism] = finding._replace(estimates=estimates, because=f"({together} together)")
     return out
 
