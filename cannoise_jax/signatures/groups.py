@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.places import PlaceName
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index, map_contrasts
 from cannoise_jax.signatures.line_sums import (
@@ -184,7 +185,8 @@ def shared(
     covers: tuple[str, ...] = (),
 ) -> Signature:
     """Offsets (or factors of the light) shared by the pixels of each group of a layout."""
-    over = "block" if "tile" in layout_name else "diagonal" if "diagonal" in layout_name else "channel"
+    over: PlaceName = "diagonal" if "diagonal" in layout_name else "channel"
+    over = "block" if "tile" in layout_name else over
 
     def point(found: Found) -> Point:
         if scaling != "additive":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +37,8 @@ from cannoise_jax.signatures.signature import (
     Scales,
     Signature,
 )
+
+Line = Literal["row", "column"]
 
 
 def temporal_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score | None:
@@ -115,7 +118,7 @@ def _light(scaling: str) -> frozenset[str]:
 
 
 def redrawn(
-    axis: str,
+    axis: Line,
     scaling: Scales,
     *,
     name: str,
@@ -125,9 +128,9 @@ def redrawn(
     """White offsets (or factors) of lines, new in every frame. parameter: the mechanism's strength."""
     additive = scaling == "additive"
     point = (
-        Point("readout", "signal", axis, "redrawn")  # type: ignore[arg-type]
+        Point("readout", "signal", axis, "redrawn")
         if additive
-        else Point("photons", "mean", axis, "redrawn", "multiply")  # type: ignore[arg-type]
+        else Point("photons", "mean", axis, "redrawn", "multiply")
     )
     return Signature(
         name=name,
@@ -192,7 +195,7 @@ def _shared_by_line(axis: str):
 
 
 def frozen(
-    axis: str,
+    axis: Line,
     scaling: Scales,
     *,
     name: str,
@@ -203,9 +206,9 @@ def frozen(
     mechanism's strength."""
     growing = scaling == "exposure"
     point = (
-        Point("photons", "mean", axis, "frozen", "multiply")  # type: ignore[arg-type]
+        Point("photons", "mean", axis, "frozen", "multiply")
         if scaling == "signal"
-        else Point("readout", "signal", axis, "frozen")  # type: ignore[arg-type]
+        else Point("readout", "signal", axis, "frozen")
     )
     shape = (-1, 1) if axis == "row" else (1, -1)
 

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from scipy import optimize, special, stats
 
+from cannoise_jax.physics.core.places import place
+
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
@@ -21,7 +23,8 @@ class Score:
     and its search cost. amplitude, error: in the mechanism's unit. shift: amplitude that moves the statistic
     by one null standard deviation; power: the statistic grows as amplitude ** power. spot: what it says of
     where in the frames it is (a frequency, a boundary), and how far two fits of one effect may lie apart.
-    too_much: whether the simulator has too much of it, not too little.
+    too_much: whether the simulator has too much of it, not too little. where: the place (`axis`, of
+    `physics.core.places`) and what is known of it. Raises ValueError for a place that there is not.
     """
 
     log_p: float
@@ -36,6 +39,9 @@ class Score:
     payload: Any = None
     spot: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     too_much: bool = False
+
+    def __post_init__(self):
+        place(self.where.get("axis"))
 
     def replace(self, **changes: Any) -> Self:
         """The score with some of its fields changed."""

@@ -17,6 +17,7 @@ from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Mechanism, Scaling
+from cannoise_jax.physics.core.places import PlaceName, place
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.least import Law, Seen
 from cannoise_jax.signatures.multiplicity import SHARED
@@ -26,15 +27,26 @@ Many = tuple[Fields, ...]
 Scales = Literal["additive", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
 
 
-class Axes(NamedTuple):
-    """Where an effect enters, what it varies over, how it behaves in time, how its strength scales and the
-    law of one number of it: one spelling for report, card and wording."""
+@dataclass(frozen=True)
+class Axes:
+    """Where an effect enters, what it varies over (a place of `physics.core.places`), how it behaves in time,
+    how its strength scales and the law of one number of it: one spelling for report, card and wording.
+    Raises ValueError for a place that there is not."""
 
     enters: str
-    varies_over: str
+    varies_over: PlaceName
     time: str
     scales: Scales
     law: str
+
+    def __post_init__(self):
+        place(self.varies_over)
+
+    @property
+    def in_bands(self) -> bool:
+        """Whether chance in it is independent from one band of rows to the next."""
+        over = place(self.varies_over)
+        return over.within_rows and not (over.whole and self.time == "redrawn")
 
 
 CONTRASTS = frozenset({"contrasts", "usable", "sigma"})

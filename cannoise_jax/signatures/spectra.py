@@ -270,7 +270,7 @@ def slope(
 
     return Signature(
         name=name,
-        axes=Axes("readout", "row" if rows else "raster time", "redrawn", "additive", "1/f"),
+        axes=Axes("readout", "row" if rows else "raster", "redrawn", "additive", "1/f"),
         reads=CONTRASTS,
         score=partial(slope_score, scan=scan),
         absorb=partial(slope_absorb, scan=scan),

@@ -297,7 +297,7 @@ def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: st
     return Signature(
         name=name,
         kin="wave",
-        axes=Axes("readout", "raster time", time, "additive", "sinusoid"),
+        axes=Axes("readout", "raster", time, "additive", "sinusoid"),
         # Of two frames their mean tells of what is new in each as well.
         reads=CONTRASTS | STATIC if redrawn_too else STATIC,
         score=score,

@@ -190,7 +190,7 @@ def test_every_finding_of_the_camera_has_a_place_in_its_model():
         shift=0.1,
         power=1,
         parameters=values,
-        where={},
+        where={"axis": "row"},
     )
     for name in BEYOND:
         signature = SIGNATURES[name]

@@ -176,7 +176,7 @@ def strong(amplitude, gain=1e9, payload=None):
     """A score beyond doubt."""
     return Score(
         log_p=-500.0, gain=gain, penalty=1.0, amplitude=amplitude, error=0.1, shift=0.1, power=2,
-        parameters={}, where={}, payload=payload,
+        parameters={}, where={"axis": "row"}, payload=payload,
     )  # fmt: skip
 
 

@@ -14,8 +14,9 @@ from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import place
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.mechanisms.entry import Entry
-from cannoise_jax.physics.core.grammar import SITES, Point, mechanism_from_grammar
+from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
+from cannoise_jax.physics.core.places import SITES
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.signatures import generic
 from cannoise_jax.vocabulary import RMS, Term

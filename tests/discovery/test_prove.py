@@ -155,7 +155,7 @@ def test_too_few_frames_confirm_nothing():
 def test_held_out_gain_is_never_more_than_the_best_and_never_absurd(found, error):
     again = Score(
         log_p=-20.0, gain=40.0, penalty=7.0, amplitude=1.0, error=error, shift=0.5, power=2,
-        parameters={}, where={},
+        parameters={}, where={"axis": "row"},
     )  # fmt: skip
     gain = held_out_gain(again.replace(amplitude=found), again)
     assert 40.0 - 0.5 * 50**2 <= gain <= 40.0
@@ -212,7 +212,7 @@ def test_what_is_found_elsewhere_is_no_gain(other, gains):
 def test_what_the_frames_held_back_exclude_is_no_finding(again, gain, gone):
     found = Score(
         log_p=-20.0, gain=25.0, penalty=3.0, amplitude=1.0, error=0.2, shift=0.3, power=2,
-        parameters={}, where={},
+        parameters={}, where={"axis": "row"},
     )  # fmt: skip
     rows = SIGNATURES["row_additive_temporal"]
     step = Step(Named(found, rows, "row_noise", (("row_noise", 1.0),), False), (), -20.0)

@@ -286,7 +286,7 @@ def test_the_simulator_gets_the_strength_that_was_found(signature):
 def test_words_card_and_limits_are_complete(signature):
     fields = drawn(7)
     score = signature.score(fields)
-    assert all(isinstance(axis, str) and axis for axis in signature.axes)
+    assert all(isinstance(axis, str) and axis for axis in dataclasses.astuple(signature.axes))
     assert signature.axes.scales != "relative" and signature.axes.scales != "thermal"
     if score is None:
         return

@@ -55,7 +55,7 @@ def test_means_of_frames_of_one_long_series_stay_below_the_bound(direction, size
     for _ in range(200):
         frames = coloured(rng, 25 * length).reshape(25, length)
         within = np.mean(np.var(frames, axis=1))
-        where = {"direction": direction}
+        where = {"axis": "frequency", "direction": direction}
         score = Score(
             log_p=0.0, gain=0.0, penalty=0.0, amplitude=1.0, error=0.1, shift=0.1, power=2,
             parameters={}, where=where, payload=(float(within), 1.0),

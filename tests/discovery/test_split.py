@@ -72,7 +72,7 @@ def variance_score(total: float, frames: int, number: int) -> Score:
     spread = error / (2 * max(amplitude, shift))
     return Score(
         log_p=0.0, gain=0.0, penalty=0.0, amplitude=amplitude, error=spread, shift=shift, power=2,
-        parameters={"amplitude": (amplitude, "DN", spread)}, where={},
+        parameters={"amplitude": (amplitude, "DN", spread)}, where={"axis": "row"},
     )  # fmt: skip
 
 
@@ -104,7 +104,7 @@ def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
     def signature(name, log_p, rare=False):
         score = Score(
             log_p=log_p, gain=1.0, penalty=0.0, amplitude=1.0, error=1.0, shift=1.0, power=1,
-            parameters={}, where={},
+            parameters={}, where={"axis": "row"},
         )  # fmt: skip
         like = SIGNATURES["frame_additive"]
         return dataclasses.replace(like, name=name, score=lambda fields: score, rare=rare)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.core.grammar import (
-    SITES,
     TIMES,
     Distribution,
     Point,
@@ -19,6 +18,7 @@ from cannoise_jax.physics.core.grammar import (
     contradiction,
     mechanism_from_grammar,
 )
+from cannoise_jax.physics.core.places import SITES
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of
 

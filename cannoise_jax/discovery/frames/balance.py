@@ -13,6 +13,7 @@ from cannoise_jax.discovery.frames.calibrate import own_variance
 from cannoise_jax.discovery.frames.contrasts import FLICKER
 from cannoise_jax.physics.core.chain import closed_form
 from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
 from cannoise_jax.signatures.fields import channel_index
@@ -20,7 +21,7 @@ from cannoise_jax.signatures.fields import channel_index
 
 def _of_frames(record: Mechanism) -> bool:
     """Whether it is what a whole frame, or channel of it, shares."""
-    return record.point.over in ("frame", "channel") and record.point.time != "frozen"
+    return place(record.point.over).whole and record.point.time != "frozen"
 
 
 def _of_lit_rows(record: Mechanism) -> bool:

@@ -33,8 +33,6 @@ _BLOCKS = 6
 """Blocks of a jackknife."""
 _LARGE = 5_000_000
 """Values from which a jackknife takes fewer blocks: statistics of large sets take seconds each."""
-_WITHIN_ROWS = ("pixel", "signal", "channel", "amplifier", "block", "edge")
-"""What varies within a row: chance in it is independent from one band of rows to the next."""
 _NUISANCES = 12
 """Black level, gain and read noise of four channels, fitted on the frames that are scored: half a nat each.
 """
@@ -267,8 +265,7 @@ def jackknife_interval(
     shares what is new in it; nan for fewer than two blocks."""
     size = sum(f.contrasts.size for f in fields)
     most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
-    frame_wide = signature.axes.varies_over == "channel" and signature.axes.time == "redrawn"
-    if signature.axes.varies_over in _WITHIN_ROWS and not frame_wide:
+    if signature.axes.in_bands:
         parts = [without_pixels(fields, band) for band in bands(fields[0].mean.shape, most)]
     else:
         parts = [leave_out(fields, block) for block in frame_blocks(fields, most)]

@@ -8,6 +8,7 @@ was found in; and the named mechanism that comes nearest.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -53,7 +54,7 @@ def card(
     if step.named.doubt is not None:
         nearest, why = step.named.doubt.nearest, said_against(step.named.doubt)
     return {
-        "axes": signature.axes._asdict(),
+        "axes": dataclasses.asdict(signature.axes),
         "signature": signature.name,
         "static_or_temporal": signature.axes.time,
         "static_share": static_share(fields, signature, score, signatures),

@@ -17,27 +17,12 @@ from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.search.declare import kinds
 from cannoise_jax.discovery.search.fit import Step, part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.score import Score
 
 SCHEMA = "cannoise/diagnosis/2"
-_PLACES: dict[str, tuple[str, ...]] = {
-    "row": ("index",),
-    "column": ("index",),
-    "pixel": ("index",),
-    "channel": ("channel",),
-    "block": ("bbox",),
-    "frame": ("index",),
-    "raster": (),
-    "diagonal": (),
-    "antidiagonal": (),
-    "signal": ("range",),
-    "frequency": ("period_px", "direction"),
-    "code": ("period",),
-    "edge": ("edge",),
-}
-"""What `where` says by axis."""
 
 
 def plain(value: Any) -> Any:
@@ -278,4 +263,4 @@ def _unit(score: Score) -> str:
 
 
 def _where(score: Score) -> dict[str, Any]:
-    return {**dict.fromkeys(_PLACES[score.where["axis"]]), **score.where}
+    return {**dict.fromkeys(place(score.where["axis"]).says), **score.where}

@@ -19,6 +19,7 @@ from cannoise_jax.discovery.report.pictures import quality_pictures, where_pictu
 from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats
 from cannoise_jax.discovery.search.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.physics.core import places
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.vocabulary import Term
 
@@ -56,21 +57,6 @@ def unit(text: str | None) -> str:
 
 def place(where: dict[str, Any]) -> str:
     """`where` in words."""
-    words = {
-        "row": "from row to row",
-        "column": "from column to column",
-        "pixel": "pixel by pixel",
-        "channel": "between the colour channels",
-        "block": "between regions of the frame",
-        "frame": "from frame to frame",
-        "raster": "along the readout",
-        "diagonal": "from diagonal to diagonal",
-        "antidiagonal": "from antidiagonal to antidiagonal",
-        "signal": "over the range of signals",
-        "frequency": "at one spatial frequency",
-        "code": "in the stored codes",
-        "edge": "at edges",
-    }
     more = []
     for name, value in where.items():
         if name == "axis" or value in (None, [], ""):
@@ -78,10 +64,9 @@ def place(where: dict[str, Any]) -> str:
         if name == "recordings":  # by their names: where they lie is in the table of recordings
             value = [Path(str(path)).name for path in value] if isinstance(value, list) else value
         more.append(f"{name.replace('_', ' ')}: {_listed(value)}")
-    axis = words[where["axis"]]
-    if where["axis"] == "frequency" and not where.get("period_px"):
-        axis = "by spatial frequency"
-    return axis + (f" ({'; '.join(more)})" if more else "")
+    axis = places.place(where["axis"])
+    spectrum = where["axis"] == "frequency" and not where.get("period_px")
+    return (axis.over if spectrum else axis.at) + (f" ({'; '.join(more)})" if more else "")
 
 
 def _listed(value: Any) -> str:

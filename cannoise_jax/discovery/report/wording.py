@@ -10,6 +10,7 @@ from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.card import said_against
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.physics.core.places import place
 from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term
 
@@ -17,17 +18,6 @@ _PLAIN = 1e6
 """Numbers from which on are written with an exponent."""
 CERTAIN = 10.0
 """Nats a pixel from which on more of them say nothing more: e^-10 a pixel is never met."""
-_OVER = {
-    "raster time": "along the readout",
-    "frame": "over whole frames",
-    "pixel": "from pixel to pixel",
-    "signal": "over the range of signals",
-    "edge": "at edges",
-    "code": "over the stored codes",
-    "block": "between regions of the frame",
-    "channel": "between colours",
-    "amplifier": "between amplifiers",
-}
 _TIME = {"frozen": "the same in every frame", "redrawn": "new in every frame"}
 _SCALES = {
     "additive": "whatever the signal",
@@ -107,8 +97,11 @@ def _sized(value: float, unit: str | None, meaning: str) -> str:
 
 def _placed(axes: Axes) -> str:
     """The place of a structure in the grammar in words."""
-    over = _OVER.get(axes.varies_over, f"from {axes.varies_over} to {axes.varies_over}")
-    parts = (over, _TIME.get(axes.time, axes.time), _SCALES.get(axes.scales, axes.scales))
+    parts = (
+        place(axes.varies_over).over,
+        _TIME.get(axes.time, axes.time),
+        _SCALES[axes.scales],
+    )
     return f"{', '.join(p for p in parts if p)} (law: {axes.law})"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.core.poisson_gaussian import centred_uniform, sample_normal
 
 excess_kurtosis = tukey_lambda.excess_kurtosis
@@ -21,49 +22,20 @@ def group_of(point, size: tuple[int, int]) -> np.ndarray:
 def site_shape(point, size: tuple[int, int]) -> tuple[int, ...]:
     """Shape of one number per site of a `grammar.Point`: rows (H,), raster (H*W,), pixels (H, W), channels
     (2, 2), blocks, or the groups of rows or columns."""
-    height, width = size
     if not point.plain:
         return ((int(group_of(point, size)[-1]) + 1) * point.interleave,)
-    return {
-        "pixel": (height, width),
-        "row": (height,),
-        "column": (width,),
-        "raster": (height * width,),
-        "channel": (2, 2),
-        "block": point.blocks,
-        "diagonal": (height + width - 1,),
-        "antidiagonal": (height + width - 1,),
-        "frame": (),
-    }[point.over]
+    return place(point.over).sites(size, point.blocks)
 
 
 def spread(drawn: Float[Array, "t ..."], point, size: tuple[int, int]) -> Float[Array, "t ..."]:
     """Site numbers [T, sites...] in a shape that broadcasts against [T, H, W]."""
-    height, width = size
-    frames, over = drawn.shape[0], point.over
-    if not point.plain:
-        lines = drawn.reshape(frames, -1, point.interleave)[:, group_of(point, size)]
-        if over == "column":
-            lines = lines.transpose(0, 2, 1)
-            return lines[:, np.arange(height) % point.interleave]
-        return lines[:, :, np.arange(width) % point.interleave]
-    if over == "row":
-        return drawn.reshape(frames, height, 1)
-    if over == "column":
-        return drawn.reshape(frames, 1, width)
-    if over == "frame":
-        return drawn.reshape(frames, 1, 1)
-    if over in ("diagonal", "antidiagonal"):
-        y, x = np.indices(size)
-        return drawn[:, y + x if over == "antidiagonal" else y - x + width - 1]
-    if over in ("channel", "block"):
-        rows, columns = drawn.shape[1:]
-        if over == "channel":
-            i, j = jnp.arange(height) % 2, jnp.arange(width) % 2
-        else:
-            i, j = jnp.arange(height) * rows // height, jnp.arange(width) * columns // width
-        return drawn[:, i[:, None], j[None, :]]
-    return drawn.reshape(frames, height, width)
+    if point.plain:
+        return place(point.over).spread(drawn, size)
+    lines = drawn.reshape(drawn.shape[0], -1, point.interleave)[:, group_of(point, size)]
+    if point.over == "column":
+        lines = lines.transpose(0, 2, 1)
+        return lines[:, np.arange(size[0]) % point.interleave]
+    return lines[:, :, np.arange(size[1]) % point.interleave]
 
 
 def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Array]:
@@ -194,7 +166,7 @@ def power_law_correlation(exponent, length: int) -> Float[Array, "n"]:
 
 def correlations(exponent, over: str, size: tuple[int, int]) -> dict[int, Array]:
     """Correlation of a power-law field at small steps along its axis."""
-    length = {"row": size[0], "column": size[1], "raster": size[0] * size[1]}[over]
+    (length,) = place(over).sites(size, (1, 1))
     correlation = power_law_correlation(exponent, length)
     return {k: correlation[k] for k in lag_steps(over, size)}
 
@@ -206,9 +178,7 @@ def lag_steps(over: str, size: tuple[int, int]) -> tuple[int, ...]:
 
 def lag(over: str, step: int, width: int) -> tuple[int, int]:
     """A step along the axis as a pixel lag (dy, dx)."""
-    if over == "raster":
-        return divmod(step, width)
-    return (step, 0) if over == "row" else (0, step)
+    return place(over).lag(step, width)
 
 
 def sinusoid(key: Key[Array, ""], frames: int, sites: tuple[int, ...], frequency, *, redrawn: bool):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from jaxtyping import Array
 
@@ -23,12 +23,11 @@ from cannoise_jax.physics.core.mechanism import (
     Stage,
     Values,
 )
+from cannoise_jax.physics.core.places import NO_LINE, Site, place
 
-Site = Literal["pixel", "row", "column", "block", "channel", "raster", "diagonal", "antidiagonal", "frame"]
 Time = Literal["frozen", "redrawn", "telegraph", "drifting"]
 Spectrum = Literal["white", "power_law", "sinusoid", "kernel"]
 Distribution = Literal["gaussian", "tukey_lambda", "sparse"]
-SITES: tuple[Site, ...] = get_args(Site)
 TIMES: tuple[Time, ...] = ("frozen", "redrawn", "telegraph", "drifting")
 
 
@@ -76,7 +75,7 @@ def contradiction(point: Point) -> str | None:
     spectrum, over, time, distribution = point.spectrum, point.over, point.time, point.distribution
     if not point.plain and (over not in ("row", "column") or spectrum != "white"):
         return "only rows and columns with a white spectrum come in groups"
-    if spectrum in ("power_law", "sinusoid") and over not in ("row", "column", "raster"):
+    if spectrum in ("power_law", "sinusoid") and place(over).lag is NO_LINE:
         return f"a {spectrum} spectrum runs over rows, columns or the raster, not over {over}"
     if spectrum == "kernel" and over != "pixel":
         return f"a kernel filters pixels, not {over}"

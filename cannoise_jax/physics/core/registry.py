@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 
-from cannoise_jax.physics.core.grammar import SITES, TIMES
+from cannoise_jax.physics.core.grammar import TIMES
 from cannoise_jax.physics.core.mechanism import STAGES, Mechanism
+from cannoise_jax.physics.core.places import SITES
 
 _ACTS_ON = ("mean", "charge", "signal", "code")
 
