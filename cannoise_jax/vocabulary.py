@@ -39,7 +39,8 @@ class Term:
 
     entry: number of the effect in the catalogue of noise mechanisms; None: not in it.
     unit: of the amplitude; "1" for a dimensionless number.
-    within: ids that contain this one as a special case. listed: its place in lists.
+    within: ids that contain this one as a special case. listed: its place in lists. says_exposure: whether
+    the definition says what the exposure does to it, which the sentence of a finding says otherwise.
     Raises ValueError for a class that there is not.
     """
 
@@ -51,6 +52,7 @@ class Term:
     amplitude: str
     within: tuple[str, ...] = ()
     listed: int = 1000
+    says_exposure: bool = False
 
     def __post_init__(self):
         if self.kind not in CLASSES:

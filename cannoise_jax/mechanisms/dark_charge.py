@@ -192,7 +192,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dark_current",
              "Thermal charge grows with the exposure and brings its own shot noise.",
-             19, "sensor", "e-/s", "mean dark current, e-/s", listed=9),
+             19, "sensor", "e-/s", "mean dark current, e-/s", listed=9, says_exposure=True),
         DARK_CURRENT,
         needs="darks at two exposures or more, exposure_s stated",
         signatures=lambda recorded: (
@@ -234,7 +234,8 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("clock_induced_charge",
              "Spurious charge of the clocking, the same in every exposure time.",
-             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=32),
+             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=32,
+             says_exposure=True),
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",
         signatures=looks.always(

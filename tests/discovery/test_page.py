@@ -65,6 +65,14 @@ def test_a_structure_without_a_name_is_described_in_words():
     )
 
 
+def test_growth_with_the_exposure_is_said_once():
+    axes, proof = Axes("pixel", "pixel", "frozen", "exposure", "sparse"), Proof(None, 9.0, 1.0, 20.0, 99)
+    assert "(growing with the exposure)" in said_of(finding("hot_pixels", 2.0, 0.1), proof, axes)
+    assert "(growing" not in said_of(finding("hot_pixels", 2.0, 0.1), proof)
+    said = said_of(finding("dark_current", 2.0, 0.1), proof, axes)
+    assert said.count("exposure") == 1 and "(growing" not in said
+
+
 def test_names_that_cannot_be_told_apart_are_listed():
     candidates = [{"mechanism": m, "probability": 0.3} for m in ("row_noise", "banding", "unknown", "rts")]
     entry = finding("row_noise", 1.0, 0.1, "AMBIGUOUS", candidates=candidates)

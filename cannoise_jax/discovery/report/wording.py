@@ -74,7 +74,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
         together = " and ".join([", ".join(others[:-1]), *others[-1:]] if len(others) > 1 else others)
         start = f"These recordings cannot tell {together} apart; as {name}: {size}"
     else:
-        told = "exposure" in term.definition or step.named.signature.axes.scales != "exposure"
+        told = term.says_exposure or step.named.signature.axes.scales != "exposure"
         grows = "" if told else " (growing with the exposure)"
         start = f"{term.definition.removesuffix('.')}{grows}: {size}"
         if step.named.signature.says:
