@@ -160,7 +160,7 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
         level = (used[0] + lowest) * codes.step - black
         gain = max(first * np.log(max(2 * first / (first + second), 1e-9)), 0.0) if log_p < 0 else 0.0
         gain = first * 1.0 if log_p < -30 else gain
-        score = Score(
+        score: Score = Score(
             log_p=max(log_p, -700.0),
             gain=float(gain),
             penalty=5.0,

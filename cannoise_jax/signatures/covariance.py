@@ -114,7 +114,7 @@ def lag_sums(fields: tuple[Fields, ...], law: str) -> tuple[np.ndarray, np.ndarr
     return score, information
 
 
-def template_score(fields: tuple[Fields, ...], *, law: str, template: Template) -> Score | None:
+def template_score(fields: tuple[Fields, ...], *, law: str, template: Template) -> Score[Correlated] | None:
     """Correlation at the lags of one template, in its proportions."""
     score, information = lag_sums(fields, law)
     if not information.max() > 0:
@@ -155,7 +155,7 @@ def _blend_weight(first_order: float, neighbours: int) -> float:
     return float(np.interp(first_order, rho[: np.argmax(rho) + 1], grid[: np.argmax(rho) + 1]))
 
 
-def any_score(fields: tuple[Fields, ...], *, law: str) -> Score | None:
+def any_score(fields: tuple[Fields, ...], *, law: str) -> Score[Correlated] | None:
     """The largest correlation at any lag, of either sign, in all of the noise or in the read noise."""
     score, information = lag_sums(fields, law)
     if not information.max() > 0:
@@ -210,7 +210,7 @@ def _spectrum(lags, correlations, side: int = 32) -> Float[np.ndarray, "side sid
     return np.real(np.fft.fft2(covariance))
 
 
-def absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def absorb(fields: tuple[Fields, ...], score: Score[Correlated]) -> tuple[Fields, ...]:
     """Whitens the fields by the inverse square root of the measured spectrum of neighbour correlations."""
     law = score.payload.law
     u, i = lag_sums(fields, law)

@@ -81,7 +81,7 @@ def _common_curve(moments: list[_Moments]) -> tuple[float, float, float, int]:
     return float(theta[8]), float(np.sqrt(inverse[8, 8])), own - float(theta @ right), rank - used
 
 
-def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score | None:
+def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score[float] | None:
     """Mean of scenes and flats of known light against the square of that light. Offset and slope are common
     to all recordings where these agree; where they do not, each scene has its own, and flats say nothing."""
     scenes = [f for f in fields if f.kind == "scene" and f.static is not None and f.clean is not None]
@@ -122,7 +122,7 @@ def min_exposure(fields: tuple[Fields, ...]) -> float | None:
     return min(known) if known else None
 
 
-def curvature_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def curvature_absorb(fields: tuple[Fields, ...], score: Score[float]) -> tuple[Fields, ...]:
     """Subtracts the fitted curvature from the scenes: what a line in the reference leaves of it from the
     residuals, the line itself, which would pass for a wrong scale, from the mean."""
     value, span = score.parameters["curvature"][0], score.payload

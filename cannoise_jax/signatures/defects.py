@@ -172,7 +172,7 @@ def find_corrected(fields: tuple[Fields, ...], mono: bool) -> tuple[str, float, 
     return best
 
 
-def corrected_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
+def corrected_score(fields: tuple[Fields, ...], *, mono: bool) -> Score[str] | None:
     """A few listed pixels that hold the mean of their neighbours. Amplitude: their share."""
     best = find_corrected(fields, mono)
     if best is None:
@@ -205,7 +205,7 @@ def corrected_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
     )
 
 
-def without_corrected(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def without_corrected(fields: tuple[Fields, ...], score: Score[str]) -> tuple[Fields, ...]:
     """The fields without the pixels that were painted over."""
     ratio = _likelihood(fields, score.payload)
     return fields if ratio is None else without_pixels(fields, ratio > 2.0)
@@ -218,7 +218,7 @@ _SURELY = 5.0
 def dead(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
     """Pixels that miss half of the light or more."""
 
-    def pattern(fields: tuple[Fields, ...], score: Score, rng: np.random.Generator) -> np.ndarray | None:
+    def pattern(fields: tuple[Fields, ...], score: Score[str], rng: np.random.Generator) -> np.ndarray | None:
         found = find_dead(fields)
         return None if found is None else found.astype(np.float32)
 
@@ -238,7 +238,7 @@ def dead(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
 def corrected(recorded: Recorded, *, name: str, lifted_by: tuple[str, ...]) -> Signature:
     """Pixels that are the mean of their neighbours."""
 
-    def pattern(fields: tuple[Fields, ...], score: Score, rng: np.random.Generator) -> np.ndarray | None:
+    def pattern(fields: tuple[Fields, ...], score: Score[str], rng: np.random.Generator) -> np.ndarray | None:
         ratio = _likelihood(fields, score.payload)
         return None if ratio is None else (ratio > _SURELY).astype(np.float32)
 

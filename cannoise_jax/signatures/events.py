@@ -199,7 +199,6 @@ def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
         power=1,
         parameters={"charge_e": (charge, "e-", charge / np.sqrt(max(events, 1)))},
         where=where,
-        payload=seen,
     )
 
 

@@ -46,7 +46,7 @@ def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
     return chi2 / 2
 
 
-def flicker_score(fields: tuple[Fields, ...]) -> Score | None:
+def flicker_score(fields: tuple[Fields, ...]) -> Score[tuple[float, bool]] | None:
     """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings, counted
     by their information."""
     powers, information, seen = [], [], []
@@ -153,7 +153,7 @@ def _white(rows: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return variance_component(power, np.concatenate([i for _, i in rows]), freedom).gain
 
 
-def flicker_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def flicker_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, bool]]) -> tuple[Fields, ...]:
     """Projects the row sinusoid, times the signal, out of every lit field; with its harmonic, and out of each
     colour by itself, where it is far above the noise. What rows of light then still share is no noise of
     the camera: lamps flicker in no perfect sinusoid."""

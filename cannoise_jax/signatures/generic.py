@@ -268,12 +268,12 @@ def by_sampling(
                 known[key] = learned(record, fields, recorded)
             return found or known[key]
 
-        def score(fields: Many) -> Score | None:
+        def score(fields: Many) -> Score[float] | None:
             seen = template(fields)
             sums = None if seen is None else _powers(fields, seen)
             return None if seen is None or sums is None else _scored(seen, *sums)
 
-        def absorb(fields: Many, found: Score) -> Many:
+        def absorb(fields: Many, found: Score[float]) -> Many:
             seen = template(fields)
             return fields if seen is None else _whitened(fields, seen, found.payload)
 
@@ -297,7 +297,7 @@ def by_sampling(
             ),
         )
 
-    def _scored(seen: Template, power: np.ndarray, information: np.ndarray, dof: np.ndarray) -> Score:
+    def _scored(seen: Template, power: np.ndarray, information: np.ndarray, dof: np.ndarray) -> Score[float]:
         fit = variance_component(power, information, dof)
         sigma = float(np.sqrt(fit.variance))
         error = fit.error / (2 * sigma) if sigma > 0 else float(np.sqrt(fit.error))

@@ -121,7 +121,7 @@ def _strength(u: np.ndarray, i: np.ndarray, weights: np.ndarray) -> tuple[float,
     return mean, float(np.sqrt(share @ (1 / i + (u / i - mean) ** 2)))
 
 
-def glow_score(fields: tuple[Fields, ...]) -> Score | None:
+def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     """Light from a corner or edge in the darks, growing with the exposure where several are known."""
     sums = _sums(fields)
     if sums is None:
@@ -145,7 +145,7 @@ def glow_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def glow_again(looked: Score, second: tuple[Fields, ...]) -> Score | None:
+def glow_again(looked: Score[Glow], second: tuple[Fields, ...]) -> Score[Glow] | None:
     """The strength on other frames; place and reach are known from those that looked as far as both tell."""
     sums = _sums(second)
     if sums is None:
@@ -159,7 +159,7 @@ def glow_again(looked: Score, second: tuple[Fields, ...]) -> Score | None:
     return looked.replace(gain=gain, amplitude=amplitude, error=error, parameters=parameters)
 
 
-def glow_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields, ...]:
     """Subtracts the glow from the darks, in proportion to the exposure."""
     glow = score.payload
     level = _level(fields, glow)

@@ -87,7 +87,7 @@ def _left(sums: LineSums) -> np.ndarray:
 
 def group_score(
     fields: tuple[Fields, ...], *, name: str, time: str, scaling: str = "additive"
-) -> Score | None:
+) -> Score[float] | None:
     """White offsets of groups of pixels, new in every frame, or of darks and scenes and staying; relative:
     factors of their light, new in every frame."""
     powers, informations, freedoms = [], [], []
@@ -115,7 +115,7 @@ def group_score(
 
 
 def group_absorb(
-    fields: tuple[Fields, ...], score: Score, *, name: str, time: str, scaling: str = "additive"
+    fields: tuple[Fields, ...], score: Score[float], *, name: str, time: str, scaling: str = "additive"
 ) -> tuple[Fields, ...]:
     """Whitens what was drawn anew; takes the whitening part of a pattern that stays out of all fields."""
     groups = layout(name, fields[0].mean.shape)

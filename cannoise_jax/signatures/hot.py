@@ -122,7 +122,9 @@ def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     return Known(np.round(chance) if heat.beside_map else chance, centre, shape, 1 / safe)
 
 
-def heat_again(looked: Score, first: tuple[Fields, ...], second: tuple[Fields, ...]) -> Score | None:
+def heat_again(
+    looked: Score[Heat], first: tuple[Fields, ...], second: tuple[Fields, ...]
+) -> Score[Heat] | None:
     """The strength of hot pixels on other frames: the heat that the frames that found them expect of every
     pixel, times how much of it shows again. None where nothing shows it."""
     known = known_heat(first, looked.payload)
@@ -179,7 +181,7 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
     return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
 
 
-def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
+def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None:
     """A few pixels far above the others in the darks, at the same places in every frame."""
     sums = pixel_sums(fields, scaling, DARK)
     if sums is None:
@@ -218,7 +220,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
     )
 
 
-def mask_hot(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def mask_hot(fields: tuple[Fields, ...], score: Score[Heat]) -> tuple[Fields, ...]:
     """Takes the pixels whose level stands out in the darks out of every field."""
     if score.payload.beside_map:
         known = known_heat(fields, score.payload)
@@ -231,7 +233,7 @@ def mask_hot(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return without_pixels(fields, out)
 
 
-def hot_map(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
+def hot_map(fields: Many, score: Score[Heat], rng: np.random.Generator) -> np.ndarray | None:
     """A draw of the heat of every pixel `[H, W]`, DN (at the longest exposure where it grows with it)."""
     known = known_heat(fields, score.payload)
     if known is None:
@@ -265,7 +267,7 @@ def standing_out(
     judged once the pixels that stand out from them are gone."""
     growing = scaling == "exposure"
 
-    def predict(fields: Many, score: Score) -> Predicted | None:
+    def predict(fields: Many, score: Score[Heat]) -> Predicted | None:
         known = known_heat(fields, score.payload)
         return None if known is None else Predicted(known.mean, known.variance, scaling)
 
@@ -279,7 +281,7 @@ def standing_out(
         own = None if growing else Scaling(reference_exposure_s=found.seconds)
         return Addition(values, {"heat": as_map(heat / mean)}, own)
 
-    def at(score: Score, amplitude: float) -> Score:
+    def at(score: Score[Heat], amplitude: float) -> Score[Heat]:
         """The mean heat goes with the strength."""
         heat = score.payload
         if score.amplitude > 0:

@@ -143,7 +143,6 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: s
         power=1,
         parameters={quantity: (slope / gain, "e-/s", error)},
         where={"axis": "frame", "recordings": [f.name for f, _, _ in levels]},
-        payload=slope,
     )
 
 
@@ -174,7 +173,7 @@ def black_of_channels(
 ) -> Signature:
     """Black levels that differ between the channels."""
 
-    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
+    def pattern(fields: Many, score: Score[np.ndarray], rng: np.random.Generator) -> np.ndarray:
         return mosaic_map(np.asarray(score.payload, np.float64), fields[0].mean.shape)
 
     def simulate(found: Found) -> Addition | None:

@@ -34,7 +34,7 @@ from cannoise_jax.signatures.signature import (
 )
 
 
-def green_score(fields: tuple[Fields, ...], *, greens: tuple[int, int] | None) -> Score | None:
+def green_score(fields: tuple[Fields, ...], *, greens: tuple[int, int] | None) -> Score[float] | None:
     """Relative difference of the two green channels."""
     if greens is None:
         return None
@@ -110,7 +110,7 @@ def fall_off(size: tuple[int, int]) -> np.ndarray:
     return ((y - (h - 1) / 2) ** 2 + (x - (w - 1) / 2) ** 2) / (((h - 1) / 2) ** 2 + ((w - 1) / 2) ** 2)
 
 
-def shading_score(fields: tuple[Fields, ...], *, span: float) -> Score | None:
+def shading_score(fields: tuple[Fields, ...], *, span: float) -> Score[tuple[float, float]] | None:
     """Fall-off towards the corners of flats and scenes whose light is known."""
     u = i = 0.0
     for f in fields:
@@ -151,7 +151,7 @@ def shading_score(fields: tuple[Fields, ...], *, span: float) -> Score | None:
     )
 
 
-def shading_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def shading_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float]]) -> tuple[Fields, ...]:
     """Takes the fall-off out of the scenes; the smooth mean of a flat holds it already."""
     value, span = score.payload
     return tuple(

@@ -155,7 +155,7 @@ def component_score(
     scaling: str,
     where: dict[str, Any],
     scale_variance: float = 0.0,
-) -> Score:
+) -> Score[float]:
     """The score of one variance component of offsets (DN) or factors, see `variance_component`."""
     fit = variance_component(power, information, dof, scale_variance)
     sigma = np.sqrt(fit.variance)

@@ -41,7 +41,7 @@ from cannoise_jax.signatures.signature import (
 Line = Literal["row", "column"]
 
 
-def temporal_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score | None:
+def temporal_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score[float] | None:
     """White random offset (or gain) of every line, new in every frame."""
     sums = [
         line_sums(f, f.contrasts, axis, scaling)
@@ -66,7 +66,7 @@ def temporal_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Sc
 
 
 def temporal_absorb(
-    fields: tuple[Fields, ...], score: Score, *, axis: str, scaling: str
+    fields: tuple[Fields, ...], score: Score[float], *, axis: str, scaling: str
 ) -> tuple[Fields, ...]:
     """Whitens every line: the symmetric inverse root of 1 + v r r^T."""
     return tuple(
@@ -79,7 +79,7 @@ def _seconds(fields: tuple[Fields, ...], scaling: str) -> float:
     return max(f.exposure_s or 0.0 for f in fields) if scaling == "exposure" else 1.0
 
 
-def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score | None:
+def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score[float] | None:
     """Frozen white pattern of lines, the same in every recording."""
     sums = static_sums(fields, axis, scaling)
     if sums is None:
@@ -97,7 +97,9 @@ def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Scor
     )
 
 
-def static_absorb(fields: tuple[Fields, ...], score: Score, *, axis: str, scaling: str) -> tuple[Fields, ...]:
+def static_absorb(
+    fields: tuple[Fields, ...], score: Score[float], *, axis: str, scaling: str
+) -> tuple[Fields, ...]:
     """Takes the whitening part of the estimated shared pattern out of every recording's static field."""
     sums = static_sums(fields, axis, scaling)
     if sums is None:  # no recording of the kind that shows it

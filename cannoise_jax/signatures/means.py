@@ -63,7 +63,7 @@ def minus(field: Fields, standardised: np.ndarray) -> Fields:
     return field._replace(static=(field.static - np.sqrt(field.frames) * standardised).astype(np.float32))
 
 
-def step_score(fields: tuple[Fields, ...]) -> Score | None:
+def step_score(fields: tuple[Fields, ...]) -> Score[tuple[str, float, float]] | None:
     """A step in offset between two regions: the boundary is looked for along rows and along columns."""
     dark = tuple(f for f in fields if f.kind in DARK and f.static is not None)
     if not dark:
@@ -109,11 +109,11 @@ def step_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def step_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def step_absorb(fields: tuple[Fields, ...], score: Score[tuple[str, float, float]]) -> tuple[Fields, ...]:
     """Subtracts the step from every static field."""
     axis, at, step = score.payload
     rows, columns = np.indices(fields[0].mean.shape)
-    template = ((rows if axis == "row" else columns) >= at) * step
+    template = np.where((rows if axis == "row" else columns) >= at, step, 0.0)
     return tuple(f if f.static is None else minus(f, project(f, template)) for f in fields)
 
 

@@ -46,7 +46,7 @@ _STANDS_OUT = 8.0
 """Standard deviations of a map and its noise from which on a pixel is no part of the map."""
 
 
-def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
+def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | None:
     """One random offset (or gain) per frame."""
     power, information, dof = [], [], []
     for f in fields:
@@ -72,7 +72,7 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
     )
 
 
-def frame_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:
+def frame_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: str) -> tuple[Fields, ...]:
     """Whitens the frame offsets."""
     out = []
     for f in fields:
@@ -102,7 +102,7 @@ def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...])
     return LineSums(np.asarray(score), np.asarray(information)) if np.ndim(score) else None
 
 
-def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score | None:
+def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | None:
     """Frozen white pattern of pixels, the same in every recording."""
     sums = pixel_sums(fields, scaling, KINDS)
     if sums is None or (scaling == "signal" and not any(f.lit and f.static is not None for f in fields)):
@@ -163,7 +163,7 @@ def noise_tails(field: Fields) -> tuple[float, float]:
     return max(float(np.mean(values**4)) / second**2 - 3, 0.0) / shared, shared
 
 
-def pixel_absorb(fields: tuple[Fields, ...], score: Score, *, scaling: str) -> tuple[Fields, ...]:
+def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: str) -> tuple[Fields, ...]:
     """Takes the whitening part of the estimated shared map out of every static field. Pixels that stand far
     out of the map are left as they are: they are no part of it, and what they are has to see all of them."""
     sums = pixel_sums(fields, scaling, KINDS)

@@ -123,7 +123,6 @@ def spread_score(fields: tuple[Fields, ...]) -> Score | None:
         power=2,
         parameters={"spread": (at, "1", float(error))},
         where={"axis": "pixel", "z": z},
-        payload=at,
     )
 
 
@@ -179,7 +178,6 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
             "jump": (at * sigma, "DN", at * sigma / np.sqrt(max(share * squares.size, 1.0))),
         },
         where={"axis": "pixel", "pixels": number},
-        payload=(share, at),
     )
 
 

@@ -116,7 +116,7 @@ def reference_templates(clean: np.ndarray, span: float, kind: str) -> list[np.nd
     ]
 
 
-def reference_score(fields: tuple[Fields, ...], *, kind: str, span: float, edge: str) -> Score | None:
+def reference_score(fields: tuple[Fields, ...], *, kind: str, span: float, edge: str) -> Score[float] | None:
     """Scenes against the derivatives of their references: a shift or blur per scene, crosstalk common
     to all."""
     chosen = [f for f in fields if f.kind == "scene" and f.static is not None and f.clean is not None]
@@ -280,7 +280,7 @@ def blurred(
             out.append((camera, score.evidence + z * shift - 0.5 * shift**2))
         return tuple(out)
 
-    def quoted(score: Score, mechanism: str) -> Score:
+    def quoted(score: Score[float], mechanism: str) -> Score[float]:
         """As an error of the reference in the unit of that: rms change of the reference, DN. As a blur by the
         camera its amplitude is the share that is given away."""
         if mechanism != error:

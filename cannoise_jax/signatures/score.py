@@ -6,16 +6,18 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Self
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from scipy import optimize, special, stats
 
 from cannoise_jax.physics.core.places import place
 
+P = TypeVar("P")
+
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class Score(Generic[P]):
     """One mechanism against the data.
 
     log_p: natural log of the p-value, the search inside the family (frequencies, templates) accounted for.
@@ -23,6 +25,7 @@ class Score:
     and its search cost. amplitude, error: in the mechanism's unit. shift: amplitude that moves the statistic
     by one null standard deviation; power: the statistic grows as amplitude ** power. spot: what it says of
     where in the frames it is (a frequency, a boundary), and how far two fits of one effect may lie apart.
+    payload: what the functions of its own family need again, of a type that they alone know.
     too_much: whether the simulator has too much of it, not too little. where: the place (`axis`, of
     `physics.core.places`) and what is known of it. Raises ValueError for a place that there is not.
     """
@@ -36,7 +39,7 @@ class Score:
     power: int
     parameters: dict[str, tuple[float, str, float]]
     where: dict[str, Any]
-    payload: Any = None
+    payload: P = None  # type: ignore[assignment]
     spot: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     too_much: bool = False
 

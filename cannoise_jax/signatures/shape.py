@@ -189,7 +189,6 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         power=1,
         parameters={"excess_kurtosis": (float(tails * amplitude), "1", error)},
         where={"axis": "signal", "range": [0.0, 0.0]},
-        payload=tails * kappa,
     )
 
 

@@ -44,7 +44,7 @@ def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.concatenate(values), np.concatenate(templates), np.concatenate(weights)
 
 
-def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score | None:
+def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score[float] | None:
     """Means of columns against the light of the column. Amplitude: share of the column's mean signal."""
     slopes, errors = [], []
     for f in fields:
@@ -85,7 +85,7 @@ def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score | None:
     )
 
 
-def without_smear(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def without_smear(fields: tuple[Fields, ...], score: Score[float]) -> tuple[Fields, ...]:
     """Scenes without the share of each column that was found."""
     out = []
     for f in fields:

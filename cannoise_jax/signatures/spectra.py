@@ -101,7 +101,7 @@ def white_levels(power: np.ndarray, dof: np.ndarray, tau: np.ndarray) -> np.ndar
     return level
 
 
-def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score | None:
+def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, float]] | None:
     """1/f^a noise along the raster scan, or from row to row."""
     spectra = [
         (raster_modes(f) if scan == "raster" else row_modes(f, "additive"))
@@ -162,7 +162,7 @@ def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score | None:
     )
 
 
-def below_frame(score: Score, size: tuple[int, int]) -> float:
+def below_frame(score: Score[tuple[float, float]], size: tuple[int, int]) -> float:
     """Standard deviation, DN, that 1/f noise as found gives the means of frames of this size at most, if it
     goes on through a few tens of them: in n frames its power rises to 2 ln(n / 2) times that of the first
     mode, here n of about 25."""
@@ -195,7 +195,9 @@ def _whittle(tau: np.ndarray, power: np.ndarray, dof: np.ndarray, level) -> floa
     return float(np.sum(dof * (power / none - power / model + np.log(none / model))))
 
 
-def slope_absorb(fields: tuple[Fields, ...], score: Score, *, scan: str) -> tuple[Fields, ...]:
+def slope_absorb(
+    fields: tuple[Fields, ...], score: Score[tuple[float, float]], *, scan: str
+) -> tuple[Fields, ...]:
     """Whitens the low frequencies of every contrast."""
     v, exponent = score.payload
     return tuple(_whiten_slope(f, v, exponent, scan) for f in fields)

@@ -65,7 +65,7 @@ def _explained(score: np.ndarray, information: np.ndarray, shapes: np.ndarray) -
     return float(u @ np.linalg.pinv(i) @ u - u[0] ** 2 / max(float(i[0, 0]), 1e-30))
 
 
-def tap_score(fields: tuple[Fields, ...]) -> Score | None:
+def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
     """Offsets of regions of equal size in the darks, where they explain more than as many smooth shapes."""
     dark = [f for f in fields if f.kind in DARK and f.static is not None]
     if not dark:
@@ -125,7 +125,7 @@ def tap_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def tap_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def tap_absorb(fields: tuple[Fields, ...], score: Score[Taps]) -> tuple[Fields, ...]:
     """Subtracts the offsets of the regions from every static field."""
     image = score.payload.image(fields[0].mean.shape)
     return tuple(f if f.static is None else minus(f, project(f, image)) for f in fields)

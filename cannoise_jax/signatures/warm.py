@@ -146,7 +146,7 @@ def _best(power: np.ndarray, doubt: np.ndarray, unit: np.ndarray) -> tuple[float
     return max(thermal[k], both), max(additive), float(np.sqrt(grid[k])) / float(unit.max())
 
 
-def warm_score(fields: tuple[Fields, ...]) -> Score | None:
+def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
     """Dark current that moves from frame to frame: its map in the contrasts between frames, and offsets that
     grow with the exposure. Amplitude: rms change of the temperature, K."""
     heat = dark_map(fields)
@@ -203,7 +203,7 @@ def _dark_current(fields: tuple[Fields, ...]) -> float:
     return float(np.polyfit(x, y, 1)[0])
 
 
-def without_warmth(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def without_warmth(fields: tuple[Fields, ...], score: Score[Heat | None]) -> tuple[Fields, ...]:
     """Dark contrasts without the map, and without their own mean."""
     heat = score.payload
     out = []

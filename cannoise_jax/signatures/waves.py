@@ -71,7 +71,7 @@ def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
 
 def wave_score(
     fields: tuple[Fields, ...], *, time: str, near: tuple[float, float] | None = None
-) -> Score | None:
+) -> Score[tuple[float, float, str]] | None:
     """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
     (frozen). Fields count by their information, which is the score for a small amplitude. near: frequency
     that other frames tell, as well as they resolve it."""
@@ -212,7 +212,7 @@ def projected_out(values: Float[np.ndarray, "n h w"], q: Float[np.ndarray, "m p"
     return values - ((flat @ q.T) @ q).reshape(values.shape)
 
 
-def wave_absorb(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
+def wave_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float, str]]) -> tuple[Fields, ...]:
     """Projects the wave out of every field, and its near neighbours on the frequency grid; not the mean of a
     field, which is no wave's."""
     fy, fx, _ = score.payload
