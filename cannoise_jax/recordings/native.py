@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 
 from cannoise_jax.recordings.atomic import remove_leftovers
+from cannoise_jax.recordings.hdf5 import sound_file
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording, reading
 from cannoise_jax.recordings.opened import Opened, check_claim
@@ -41,7 +42,7 @@ def open_native(path: str | Path) -> Opened:
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    with reading(path, "not a readable HDF5 file"), h5py.File(path, "r") as file:
+    with reading(path, "not a readable HDF5 file"), sound_file(path) as file:
         if not isinstance(file.get("frames"), h5py.Dataset):
             raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
         for name in ("frames", "clean"):

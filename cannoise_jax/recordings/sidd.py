@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 import scipy.io
 
+from cannoise_jax.recordings.hdf5 import check_returns
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
 from cannoise_jax.recordings.recording import (
@@ -95,6 +96,9 @@ def read_sidd(folder: str | Path, **overrides: Any) -> Recording:
     truth = _files(folder, "GT")
     if truth and len(truth) != len(noisy):
         raise BadInput(f"{folder}: holds {len(noisy)} noisy images but {len(truth)} noise-free ones")
+    for path in (*noisy, *truth):
+        with reading(path, "not a readable MATLAB v7.3 image"):
+            check_returns(path)
     about = _metadata(folder)
     cfa = overrides.get("cfa") or _colour_order(folder, about, match[3])
     shot, read = _noise_profile(about, cfa)
