@@ -183,7 +183,7 @@ def _shot(path: Path, name: str) -> Shot:
 
 
 def _step(frame: np.ndarray) -> int:
-    values = np.unique(frame.ravel()[:_SAMPLE])
+    values = np.flatnonzero(np.bincount(frame.ravel()[:_SAMPLE]))
     return max(int(np.gcd.reduce(values)), 1)
 
 

@@ -127,8 +127,9 @@ def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) ->
         parts.append(_lean(make_recording(shot.path, opened.frames, {**known, **settings}, {}, scan=False)))
     recording = join_recordings(parts)
     white = recording.white_level
-    name = _called([str(s.path) for s in group.shots])
-    warn_saturation(name, count_above(recording.frames, white), recording.frames.shape, white)
+    if max(s.top for s in group.shots) > white:  # else they need not be read for it
+        name = _called([str(s.path) for s in group.shots])
+        warn_saturation(name, count_above(recording.frames, white), recording.frames.shape, white)
     return recording
 
 
