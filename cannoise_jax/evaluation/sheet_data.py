@@ -22,6 +22,8 @@ from cannoise_jax.recordings.recording import DARK
 
 _RANGE = (0.05, 0.95)
 """Share of saturation between which linearity is judged (EMVA 1288, section 6.7)."""
+_OTHER_LIGHT = 10.0
+"""Mean deviation, %, from which flats are not of one light rather than of a bent response."""
 _ROWS = (
     ("system gain", "DN/e-", "K, overall system gain"),
     ("inverse gain", "e-/DN", "1/K, inverse of the gain"),
@@ -102,7 +104,8 @@ def _points(lit: Sequence[FrameStatistics], black: Sequence[float]) -> dict[str,
 
 def _linearity(lit: Sequence[FrameStatistics], black: Sequence[float], white: float) -> dict[str, Any] | None:
     """Signal over exposure of flats under one light, with a line of least relative deviations, by channel;
-    None for fewer than three exposures. error: mean absolute deviation, %, between `_RANGE` of saturation."""
+    None for fewer than three exposures, and for flats that lie far off any line. error: mean absolute
+    deviation, %, between `_RANGE` of saturation."""
     flats = [s for s in lit if s.recording.kind == "flat" and s.recording.exposure_s]
     if len({s.recording.exposure_s for s in flats}) < 3:
         return None
@@ -123,7 +126,7 @@ def _linearity(lit: Sequence[FrameStatistics], black: Sequence[float], white: fl
         out["deviation"].append([float(v) if np.isfinite(v) else None for v in shown])
         out["fit"].append([float(v) for v in line])
         out["error"].append(float(np.nanmean(np.abs(deviation[judged]))))
-    return out
+    return out if max(out["error"]) < _OTHER_LIGHT else None
 
 
 def _dark_points(dark: Sequence[FrameStatistics]) -> dict[str, Any]:

@@ -99,3 +99,29 @@ def test_unknown_exposures_leave_the_dark_as_it_is():
     (s,) = gathered(dark)
     assert black_at([s], None).level == per_channel(s.frame_means.mean(0))
     assert not isinstance(MECHANISMS["bookkeeping"].estimator.measure([s]), NotMeasurable)
+
+
+@pytest.mark.parametrize("rates", [(1.0, 0.44, 0.15), (1.0, 1.11, 1.25)], ids=["filters", "equal levels"])
+def test_flats_of_several_lights_show_no_nonlinearity(rates):
+    """As through filters, exposed until each is bright enough."""
+    seconds = (1.0, 2.5, 6.0) if rates[1] < 1 else (1.0, 0.9, 0.8)
+    lit = [
+        shot(n, "flat", 5000.0 * rate * t, t) for n, (rate, t) in enumerate(zip(rates, seconds, strict=True))
+    ]
+    darks = [shot(20 + n, "dark", 0.0, t) for n, t in enumerate((0.01, 1.0, 6.0))]
+    statistics = gathered(*lit, *darks)
+    found = MECHANISMS["nonlinearity"].estimator.measure(statistics)
+    assert isinstance(found, NotMeasurable) and "one light" in found.record
+
+
+def test_quiet_darks_of_8_bits_leave_the_gain_alone():
+    """Darks of 0.4 codes round to less than their variance and a twelfth of a code; flats do not."""
+    rng = np.random.default_rng(8)
+    made = []
+    for n, electrons in enumerate((0.0, 1000.0, 2000.0, 4000.0)):
+        values = 0.02 * (rng.poisson(electrons, (8, 96, 128)) + 20 * rng.standard_normal((8, 96, 128))) + 4
+        frames = np.clip(np.rint(values), 0, 255).astype(np.uint16)
+        kind = "flat" if electrons else "dark"
+        made.append(Recording(frames, "MONO", (4.0,) * 4, 255.0, kind=kind, exposure_s=0.001 * max(n, 1)))
+    gain = transfer_at(gathered(*made)).baseline.gain
+    assert np.mean(gain) == pytest.approx(0.02, rel=0.01)

@@ -12,6 +12,7 @@ import pytest
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.mechanisms.coverage import assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.transfer.dark import Series, dark_currents
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.estimators.charge import hot_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -125,3 +126,17 @@ def test_hot_pixels_are_measured_among_pixels_that_move_both_ways():
         assert found["fraction"].value == pytest.approx(hot.mean(), rel=0.12)
         seen = hot_map(statistics, assumed_baseline(), 40.0, 0.03) > 0
         assert np.mean(seen[hot & (heat > 100)]) > 0.95 and np.mean(seen[~hot]) < 0.005
+
+
+@pytest.mark.parametrize("times", [(0.0005, 0.001, 0.002, 0.004), (1.0, 5.0, 10.0)])
+def test_a_few_darks_that_agree_are_not_said_to_disagree(times):
+    """Few points lie on a line by luck, which is no measure of their errors."""
+    rng, seconds = np.random.default_rng(0), np.array(times)
+    mean, error = 0.5 * seconds, np.full(len(times), 0.05)
+    variance, share = 36 + 0.5 * seconds, np.sqrt(2 / (3072 * 5))
+    agreed = 0
+    for _ in range(300):
+        drawn = mean + error * rng.standard_normal(len(times))
+        squares = variance * (1 + share * rng.standard_normal(len(times)))
+        agreed += dark_currents(Series(seconds, drawn, error, squares, variance * np.hypot(share, 0.02)))[2]
+    assert agreed >= 298

@@ -72,10 +72,12 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
     gain, the variance by its square.
     """
     even = np.ones(len(series.seconds))
-    by_mean = _slope(series.seconds, series.mean, even, series.mean_error, gain_error)
-    by_variance = _slope(series.seconds, series.variance, 1 / series.error, series.error, 2 * gain_error)
+    by_mean, first = _slope(series.seconds, series.mean, even, series.mean_error, gain_error)
+    by_variance, second = _slope(
+        series.seconds, series.variance, 1 / series.error, series.error, 2 * gain_error
+    )
     apart = by_mean.value - by_variance.value
-    error = float(np.hypot(by_mean.stderr, by_variance.stderr))
+    error = float(np.hypot(first, second))
     if abs(apart) < max(3 * error, 0.25 * abs(by_variance.value)):
         return by_mean, by_variance, True, "agrees with the variance"
     note = "disagrees with the variance: black is clamped on the chip, so the mean cannot be used"
@@ -86,10 +88,10 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
 
 def _slope(
     times: np.ndarray, values: np.ndarray, weight: np.ndarray, errors: np.ndarray, relative: float
-) -> Estimate:
+) -> tuple[Estimate, float]:
     """Weighted straight line; the error of its slope comes from the scatter about the line, and from the
-    relative error of the unit of the values. Few points may lie on a line by luck: against a slope of zero
-    the errors of the values count too."""
+    relative error of the unit of the values. Few points may lie on a line by luck: against a slope of zero,
+    and in the error that is returned beside it, the errors of the values count too."""
     design = np.stack([np.ones_like(times), times], -1) * weight[:, None]
     solve = np.linalg.pinv(design) * weight
     offset, slope = solve @ values
@@ -101,4 +103,5 @@ def _slope(
     error = float(np.hypot(line.stderr, relative * line.value))
     known = float(np.sqrt(np.sum((solve[1] * errors) ** 2)))
     chance = normal_estimate(line.value, max(line.stderr, known)).by_chance
-    return Estimate(line.value, error, (line.value - half, line.value + half), chance)
+    found = Estimate(line.value, error, (line.value - half, line.value + half), chance)
+    return found, max(error, known)

@@ -25,6 +25,7 @@ from cannoise_jax.physics.transfer.quantities import (
     Quantity,
     dark_current_quantities,
     line_noise_quantity,
+    noise_below_a_code,
     noise_quantities,
     pattern_quantities,
     saturation_quantities,
@@ -131,7 +132,7 @@ def _table_order(quantities: list[Quantity]):
 
 
 def _levels(
-    lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, c: int
+    lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, step: float, c: int
 ) -> list[ChannelMaps]:
     levels = []
     within = [
@@ -145,10 +146,11 @@ def _levels(
         # Charge that a longer dark holds beyond black has shot noise like any other.
         charge = max(float(dark.frame_means[:, c].mean()) - black[c], 0.0)
         zero = np.full(site(dark.mean, c).shape, charge)
-        usable = ~site(dark.clipped, c)
-        levels.append(
-            ChannelMaps(zero, pixel_variance(dark, c), usable, dark.recording.count, dark.dof, True)
-        )
+        usable, variance = ~site(dark.clipped, c), pixel_variance(dark, c)
+        if quiet := noise_below_a_code(dark, step, c):
+            # Rounding adds step^2 / 12 to flats, and something else to noise of less than a code.
+            variance = variance + (quiet.read.value**2 + step**2 / 12 - quiet.square)
+        levels.append(ChannelMaps(zero, variance, usable, dark.recording.count, dark.dof, True))
     return levels
 
 
@@ -157,7 +159,7 @@ def _line(
 ) -> Line | NotMeasurable:
     if not any(s.variance is not None for s in lit):
         return NotMeasurable(RECORD_FLATS)
-    line = fit_line(_levels(lit, dark, black, c), step**2 / 12)
+    line = fit_line(_levels(lit, dark, black, step, c), step**2 / 12)
     if line is None or not line.sure:
         reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}; {RECORD_FLATS}"
         return NotMeasurable(reason)

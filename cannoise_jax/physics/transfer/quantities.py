@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -102,32 +103,52 @@ def _read_noise(
 ) -> Estimate | NotMeasurable:
     """Temporal dark noise in DN: the line's offset, or from darks alone when there is no line or when they
     are quieter than about a code."""
-    seen = dark is not None and dark.variance is not None
-    if dark is not None and seen:
-        variance = pixel_variance(dark, c)
-        square, keep = robust_mean_square(variance, dark.dof)
-        stderr = float(variance[keep].std() / np.sqrt(keep.sum()))
-        cut_off = np.isfinite(dark.low[c]) and float(np.mean(site(dark.clipped, c))) > 0.01
-        if not cut_off and 0 < square < (COARSE**2 + 1 / 12) * step**2:
-            return _unrounded(dark, square, stderr, step, c)
+    quiet = None if dark is None else noise_below_a_code(dark, step, c)
+    if quiet is not None:
+        return quiet.read
     if isinstance(line, Line) and line.offset.ci90[0] > 0:
         return root(line.offset)
-    if not seen:
+    if dark is None or dark.variance is None:
         return NotMeasurable(RECORD_DARKS)
-    if cut_off:
+    if _cut_off(dark, c):
         return NotMeasurable("darks are cut off at black: raise the camera's offset and record darks again")
+    square, stderr = _mean_square(dark, c)
     return root(normal_estimate(square - step**2 / 12, stderr))
 
 
-def _unrounded(dark: FrameStatistics, square: float, stderr: float, step: float, c: int) -> Estimate:
-    """Noise of less than a code: what rounds to this variance, DN^2, at the levels of these pixels; its
-    variance less step^2 / 12 is something else."""
+class QuietNoise(NamedTuple):
+    """read: temporal noise before rounding, DN. square: the temporal variance of what is stored, DN^2."""
+
+    read: Estimate
+    square: float
+
+
+def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise | None:
+    """The noise of darks that are quieter than about a code, None of others: what rounds to their variance at
+    the levels of these pixels; that variance less step^2 / 12 is something else."""
+    if dark.variance is None or _cut_off(dark, c):
+        return None
+    square, stderr = _mean_square(dark, c)
+    if not 0 < square < (COARSE**2 + 1 / 12) * step**2:
+        return None
     level, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
     read, low, high = (
         before_rounding(level, max(v, 1e-6 * step**2), step, spread)[1]
         for v in (square, square - stderr, square + stderr)
     )
-    return normal_estimate(read, 0.5 * abs(high - low))
+    return QuietNoise(normal_estimate(read, 0.5 * abs(high - low)), square)
+
+
+def _mean_square(dark: FrameStatistics, c: int) -> tuple[float, float]:
+    """Temporal variance of one channel, DN^2, and its error."""
+    variance = pixel_variance(dark, c)
+    square, keep = robust_mean_square(variance, dark.dof)
+    return square, float(variance[keep].std() / np.sqrt(keep.sum()))
+
+
+def _cut_off(dark: FrameStatistics, c: int) -> bool:
+    """Whether values pile up at the lower end."""
+    return bool(np.isfinite(dark.low[c])) and float(np.mean(site(dark.clipped, c))) > 0.01
 
 
 def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:

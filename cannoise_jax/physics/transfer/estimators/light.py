@@ -29,6 +29,12 @@ from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import Recording
 
 _LEVELS = NotMeasurable("record flats of one steady light at three or more exposure times up to saturation")
+_OTHER_LIGHT = NotMeasurable(
+    "the flats do not grow with their exposure as under one light (other lamps, or filters): record flats of "
+    "one steady light at three or more exposure times"
+)
+_OFF = 0.02
+"""Share of the signal by which a flat may miss the curve: lamps and shutters are steadier."""
 _HIGHEST = 0.48  # cycles per row: at 0.5 sine and cosine are one
 _REFERENCE = NotMeasurable("record repeated frames of a scene together with an independent reference")
 
@@ -79,6 +85,7 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     """loss: share of the signal missing at the white level, from the means of flats whose relative exposure
     is known (exposure time of one light, or their references).
 
+    Flats of several lights follow no such curve, or one that has its top among them: nothing is said of them.
     Every flat is taken above the black level at its own exposure (`transfer_black`), whose error all share.
     """
     flats = [s for s in statistics if s.recording.kind == "flat" and _exposure(s.recording) is not None]
@@ -104,6 +111,10 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
         precision = np.linalg.inv(np.diag(error[use] ** 2) + np.outer(doubt[use], doubt[use]))
         covariance = np.linalg.inv(design.T @ precision @ design)
         g, a = covariance @ (design.T @ precision @ signal)
+        off = np.abs(signal - design @ (g, a))
+        slack = np.sqrt((_OFF * signal) ** 2 + 9 * (error[use] ** 2 + doubt[use] ** 2))
+        if (off > slack).any() or 2 * a >= g:
+            return _OTHER_LIGHT
         span = white - float(black[use].mean())
         slope = np.array([-2 * a / g**3, 1 / g**2]) * span
         values.append(a / g**2 * span)
