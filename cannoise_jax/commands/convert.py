@@ -171,8 +171,8 @@ def _parser() -> argparse.ArgumentParser:
         "setting become one recording, in the order given. A folder is sorted by what headers and names say, "
         "into one recording for each kind, exposure, gain, temperature, filter and size.",
         epilog="Formats: FITS (.fits .fit .fts .fz .fits.gz), camera raw (DNG NEF CR2 CR3 ARW ...), TIFF, "
-        "NPY, NPZ, PGM, grey PNG, HDF5, and scene folders of SIDD. Names that tell the kind of a file "
-        "or its folder: bias, zero, offset; dark; flat; light.",
+        "NPY, NPZ, PGM, grey PNG and BMP, HDF5, and scene folders of SIDD. Names that tell the kind of a "
+        "file or its folder: bias, zero, offset; dark; flat; light.",
     )
     parser.add_argument("paths", nargs="+", type=place, metavar="PATH", help="inputs, and the output last")
     parser.add_argument("--dry-run", action="store_true", help="print the plan of a folder and write nothing")

@@ -27,7 +27,7 @@ from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
-from cannoise_jax.recordings.opened import Opened
+from cannoise_jax.recordings.opened import HEADERLESS, Opened
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 from cannoise_jax.recordings.tiff_chain import check_chain
 
@@ -186,7 +186,12 @@ def _read_frame(number: int, *, path: str) -> np.ndarray:
 
 def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
     _check_directories(path, directories)
-    with reading(path, "not a readable camera raw file"), _off_the_screen(), rawpy.imread(str(path)) as raw:
+    other = f", perhaps {HEADERLESS}" if Path(path).suffix.lower() == ".raw" else ""
+    with (
+        reading(path, f"not a readable camera raw file{other}"),
+        _off_the_screen(),
+        rawpy.imread(str(path)) as raw,
+    ):
         cfa, colours = _mosaic(path, raw)
         sizes = raw.sizes
         even = (lambda n: n) if cfa == "MONO" else (lambda n: n - n % 2)

@@ -22,6 +22,11 @@ BROKEN_ARRAYS = (
     *(zlib.error, zipfile.BadZipFile),
 )
 """What NumPy raises over NPY and NPZ files that are damaged or no such files."""
+HEADERLESS = (
+    "values without a header: read them with numpy.fromfile, unpack 10 or 12 packed bits, and numpy.save "
+    "them as uint16 frames x rows x columns (.npy)"
+)
+"""What files are that some programs call .raw, and what to do with them."""
 _NARROW = 8
 """Rows and columns of the least picture."""
 _SPARE_FRAME, _SPARE_STACK = 64 << 20, 4 << 30

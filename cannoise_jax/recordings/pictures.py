@@ -1,4 +1,4 @@
-"""Single mosaics in picture formats: PGM (one or more, 8 or 16 bits, binary or text) and grey PNG."""
+"""Single mosaics in picture formats: PGM (one or more, 8 or 16 bits, binary or text), grey PNG and BMP."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.stacks import side_car
 
-SUFFIXES = (".pgm", ".png")
+SUFFIXES = (".pgm", ".png", ".bmp")
 _HEADER = re.compile(rb"(P[25])(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s")
 
 
 def read_picture(path: str | Path, **overrides: Any) -> Recording:
-    """A recording from a PGM or PNG file with a side-car like that of other stacks. Raises BadInput."""
+    """A recording from a PGM, PNG or BMP file with a side-car like that of other stacks. Raises BadInput."""
     check_overrides(overrides)
     opened = open_picture(path)
     return make_recording(path, opened.frames, opened.known, overrides)
 
 
 def open_picture(path: str | Path) -> Opened:
-    """The mosaics of a PGM or PNG file; a PGM states its white level. Raises BadInput."""
+    """The mosaics of a PGM, PNG or BMP file; a PGM states its white level. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    if Path(path).suffix.lower() == ".png":
-        values, deep = _png(path)
+    if Path(path).suffix.lower() != ".pgm":
+        values, deep = _pillow(path, Path(path).suffix[1:].upper())
         return Opened(values[None], side_car(path), {} if deep else {"bits": 8})
     with reading(path, "not a readable PGM file"):
         frames, white = _pgm(path, Path(path).read_bytes())
@@ -69,11 +69,11 @@ def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
     return np.stack(images), white
 
 
-def _png(path: str | Path) -> tuple[np.ndarray, bool]:
+def _pillow(path: str | Path, kind: str) -> tuple[np.ndarray, bool]:
     """The mosaic, and whether the file has more than 8 bits."""
-    with reading(path, "not a readable PNG file"), warnings.catch_warnings():
+    with reading(path, f"not a readable {kind} file"), warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        with Image.open(path, formats=("PNG",)) as image:
+        with Image.open(path, formats=(kind,)) as image:
             check_claim(path, (image.height, image.width), 1)
             if image.mode not in ("L", "I", "I;16", "I;16B"):
                 raise BadInput(

@@ -47,6 +47,17 @@ def test_grey_png_with_a_side_car(tmp_path):
     assert recording.kind == "flat"
 
 
+def test_grey_bmp_is_a_mosaic_of_8_bits(tmp_path):
+    values = (FRAME // 4).astype(np.uint8)
+    Image.fromarray(values).save(tmp_path / "a.bmp")
+    np.testing.assert_array_equal(
+        load_recording(tmp_path / "a.bmp", white_level=255, **LEVELS).frames[0], values
+    )
+    Image.fromarray(np.stack([values] * 3, -1)).save(tmp_path / "b.bmp")
+    with pytest.raises(BadInput, match="colours or a palette"):
+        load_recording(tmp_path / "b.bmp", white_level=255, **LEVELS)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -56,6 +67,7 @@ def test_grey_png_with_a_side_car(tmp_path):
         ("a.pgm", pgm(FRAME, 100), "truncated, or values above"),
         ("a.pgm", pgm(FRAME, 1023) + pgm(FRAME[:4], 1023), "several sizes"),
         ("a.png", b"nonsense", "not a readable PNG"),
+        ("a.bmp", b"nonsense", "not a readable BMP"),
     ],
 )
 def test_broken_pictures(tmp_path, name, content, said):

@@ -81,9 +81,8 @@ def dark_lines(statistics: Sequence[FrameStatistics]) -> list[list[str]]:
 def lamp_notes(statistics: Sequence[FrameStatistics]) -> list[str]:
     """How the light of every flat moved: the first frame against the rest, and the spread of the others."""
     notes = []
-    for s in statistics:
-        if s.recording.kind != "flat" or s.recording.count < 3:
-            continue
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.recording.count >= 3]
+    for s in sorted(flats, key=lambda s: float(s.mean.mean())):
         level = np.mean(s.frame_means - np.asarray(s.recording.black_level), axis=1)
         first, rest = level[0] / level[1:].mean() - 1, level[1:].std(ddof=1) / level[1:].mean()
         notes.append(

@@ -10,7 +10,8 @@ from typing import Any
 
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.levels import Levels, levels
-from cannoise_jax.recordings.folders.shots import DEVELOPED, PACKED, Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.folders.shots import DEVELOPED, DUMPS, PACKED, Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.opened import HEADERLESS
 from cannoise_jax.recordings.recording import BadInput
 
 _MOST_NAMED = 3
@@ -99,14 +100,23 @@ def text(plan: Plan) -> str:
         lines.append(
             f"{where}{first.mode[0]}, {size}, {_cfa(one)}{f': apart, {one.reason}' if one.reason else ''}"
         )
-        for group in one.groups:
-            names = [s.name for s in group.shots]
-            from_ = names[0] + (f" to {names[-1]}" if len(names) > 1 else "")
-            words = f"{group.frames} frame{'s' * (group.frames > 1)}"
-            lines.append(f"  {group.label + '.h5':<28} {words:<10} {_settings(group):<26} {from_}")
+        rows = [_row(group) for group in one.groups]
+        wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines += [
+            "  ".join(["", *(w.ljust(n) for w, n in zip(row, wide, strict=True))]).rstrip() for row in rows
+        ]
     lines += [f"note: {note}" for note in plan.notes]
     lines += [f"missing or contradictory: {problem}" for problem in plan.problems]
     return "\n".join(" ".join(line.splitlines()) for line in lines)
+
+
+def _row(group: Group) -> tuple[str, str, str, str]:
+    names = [s.name for s in group.shots]
+    frames = f"{group.frames} frame{'s' * (group.frames > 1)}"
+    return (
+        f"{group.label}.h5", frames, _settings(group),
+        names[0] + (f" to {names[-1]}" if len(names) > 1 else ""),
+    )  # fmt: skip
 
 
 def _cfa(one: CaptureGroups) -> str:
@@ -143,6 +153,7 @@ def _notes(found: Scan) -> list[str]:
     for suffixes, why in (
         (DEVELOPED, "developed pictures and films hold no raw values"),
         (PACKED, "unpack them"),
+        (DUMPS, HEADERLESS),
     ):
         counts = [f"{n} {suffix}" for suffix, n in sorted(found.unread.items()) if suffix in suffixes]
         notes += [f"not read: {', '.join(counts)} ({why})"] if counts else []

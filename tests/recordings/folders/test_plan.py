@@ -401,3 +401,21 @@ def test_files_of_8_bits_are_kept_apart_from_those_of_16(tmp_path):
     plan = plan_folder(tmp_path)
     assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2}
     assert "bits is 8, not 16" in plan.sets[1].reason
+
+
+def test_values_without_a_header_are_named_with_what_to_do(tmp_path):
+    packed = np.arange(5 * 6 * 8 // 4, dtype=np.uint8)
+    packed.tofile(tmp_path / "dark_10ms_8x6_10bit.bin")
+    with pytest.raises(BadInput, match=r"only 1 \.bin: values without a header: .*numpy\.save"):
+        plan_folder(tmp_path)
+    night(tmp_path)
+    assert "not read: 1 .bin (values without a header" in notes(plan_folder(tmp_path))
+    packed.tofile(tmp_path / "dark_10ms_8x6_10bit.raw")
+    (problem,) = plan_folder(tmp_path).problems
+    assert "8x6_10bit.raw: not a readable camera raw file, perhaps values without a header: read" in problem
+
+
+def test_columns_of_a_plan_stand_below_each_other(tmp_path):
+    night(tmp_path, FILTER="A narrow band of nitrogen")
+    lines = [line for line in text(plan_folder(tmp_path)).splitlines() if ".h5" in line]
+    assert len(lines) == 3 and len({line.index(" frames") for line in lines}) == 1
