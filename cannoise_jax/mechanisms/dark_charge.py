@@ -12,7 +12,7 @@ from cannoise_jax.mechanisms.entry import LONG, SERIES, Case, Entry, Examples
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
-from cannoise_jax.physics.core.poisson_gaussian import sample_normal
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal, sample_poisson
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge
@@ -49,10 +49,39 @@ DARK_CURRENT = Mechanism(
     "get noisier as they do.",
     reference=_WIDENHORN,
     needs=("dark", "exposure"),
-    confused_with=("bookkeeping", "clock_induced_charge", "read_noise_error", "amp_glow"),
+    confused_with=(
+        "bookkeeping",
+        "clock_induced_charge",
+        "read_noise_error",
+        "amp_glow",
+        "compensated_dark_current",
+    ),
     amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
     sample=lambda key, x, values, maps, context: x + values["e_per_s"],
     effect=lambda values, maps, context: _added(values["e_per_s"], context),
+    scaling=_THERMAL,
+    scales="e_per_s",
+)
+
+
+def _compensated(key, x, values, maps, context: Context):
+    # Only what scatters is left of the charge: the clamp takes its mean away.
+    return x + sample_poisson(key, jnp.broadcast_to(values["e_per_s"], x.shape)) - values["e_per_s"]
+
+
+COMPENSATED_DARK_CURRENT = Mechanism(
+    id="compensated_dark_current",
+    point=Point("pixel", "charge", "pixel", "redrawn"),
+    parameters=(_rate("dark current whose mean the camera subtracts", 10.0),),
+    equation=r"e \to e + n - D\,t,\quad n \sim \mathrm{Poisson}(D\,t\,2^{(T-T_0)/T_d})",
+    sentence="The camera clamps its black level to shielded pixels: long darks do not rise, yet the noise of "
+    "the dark current stays in them.",
+    reference="EMVA 1288 release 4.0, section 7 (dark current from the variance)",
+    needs=("dark", "exposure", "pair"),
+    confused_with=("dark_current", "read_noise_error"),
+    amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
+    sample=_compensated,
+    effect=lambda values, maps, context: _added(values["e_per_s"], context)._replace(mean=None),
     scaling=_THERMAL,
     scales="e_per_s",
 )
@@ -201,6 +230,17 @@ ENTRIES: tuple[Entry, ...] = (
         estimator=Estimator(charge.dark_current),
         examples=Examples("mean", shown={"e_per_s": 30.0}, strong={"e_per_s": 60.0},
                           cases=(Case({"e_per_s": 2.0}, SERIES),)),
+    ),
+    Entry(
+        Term("compensated_dark_current",
+             "Noise of a dark current whose mean the camera's black clamp subtracts: it grows with the "
+             "exposure, the level of the darks does not.",
+             None, "sensor", "e-/s", "mean dark current, e-/s", listed=45, says_exposure=True),
+        COMPENSATED_DARK_CURRENT,
+        needs="darks at two exposures or more, two frames of each, exposure_s stated, and flats for the gain",
+        signatures=lambda recorded: looks.dark_noise.beside_level(
+            recorded, name="dark_noise", parameter="e_per_s"),
+        examples=Examples("variance", shown={"e_per_s": 30.0}, dim=True, strong={"e_per_s": 60.0}),
     ),
     Entry(
         Term("amp_glow",

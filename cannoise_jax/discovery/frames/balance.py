@@ -5,17 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import own_variance
 from cannoise_jax.discovery.frames.contrasts import FLICKER
-from cannoise_jax.physics.core.chain import closed_form
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
-from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.settings import context_of, resolve
+from cannoise_jax.physics.core.sensor import SensorModel, Settings, closed_moments
 from cannoise_jax.signatures.fields import channel_index
 
 
@@ -97,7 +94,5 @@ def _closed_variance_of(
 ) -> np.ndarray:
     kept = tuple(f for f in model.mechanisms if kept_if(f.record))
     model = dataclasses.replace(model, mechanisms=kept)
-    context = context_of(model, jnp.full((1, *channel.shape), level, jnp.float32), settings)
-    _, variance = closed_form(model, context, resolve(model, context))
-    values = np.broadcast_to(np.asarray(variance)[0], channel.shape)
+    values = np.asarray(closed_moments(model, np.full(channel.shape, level, np.float32), settings)[1])
     return np.array([np.median(values[channel == c]) for c in range(4)])

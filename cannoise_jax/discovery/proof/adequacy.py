@@ -10,9 +10,9 @@ there leaves a good part of it, or more than there was.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
@@ -24,9 +24,8 @@ from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
-from cannoise_jax.physics.core.chain import closed_form
-from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.physics.core.settings import DEFAULT, Settings, context_of, resolve
+from cannoise_jax.physics.core.sensor import SensorModel, closed_moments
+from cannoise_jax.physics.core.settings import DEFAULT, Settings
 from cannoise_jax.recordings.recording import CaptureSet
 
 LEFT = 0.25
@@ -72,8 +71,8 @@ def doubts(
     # Where all names together make it worse, each has to show by itself what it is worth.
     alone = _found(full) > _found(start)
     for n in drawn:
-        less = of(tuple(s for s in steps if s is not steps[n]))
-        still = len(less.mechanisms) == len(model.mechanisms)
+        silent = of((steps[n],), silent=steps[n])
+        still = len(silent.mechanisms) == len(plain.mechanisms)
         if still and not off[n]:
             continue  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}")
@@ -84,10 +83,12 @@ def doubts(
         elif still:
             one, without = full, drawn_from(model, others)
         else:
-            # A program of the same mechanisms is compiled already.
-            quiet = of(steps, silent=steps[n])
-            alike = _alike(quiet, less, capture.recordings[0].size)
-            one, without = full, drawn_from(quiet if alike else less, others)
+            # At strength zero where that is none at all: a program of these mechanisms is compiled already.
+            if _nothing(silent, plain, capture.recordings[0].size):
+                less = of(steps, silent=steps[n])
+            else:
+                less = of(tuple(s for s in steps if s is not steps[n]))
+            one, without = full, drawn_from(less, others)
         borne[n] = (one, borne_by(one, without, claimed), claimed)
     most = most_of([each for _, each, _ in borne.values()])
     out: list[Doubt | None] = [None] * len(steps)
@@ -133,21 +134,19 @@ def _found(compared: Compared) -> float:
     return sum(d.nats for d in differences(compared))
 
 
-def _alike(one: SensorModel, two: SensorModel, size: tuple[int, int]) -> bool:
-    """Whether two camera models have one closed form; False where a mechanism has none."""
-    if any(f.record.effect is None and f.record.baseline is None for f in (*one.mechanisms, *two.mechanisms)):
+def _nothing(one: SensorModel, plain: SensorModel, size: tuple[int, int]) -> bool:
+    """Whether a camera model with one mechanism of strength zero beside those of another is, in closed form,
+    what it is without it; False where the mechanism has none: it may round, or move pixels, at any strength.
+    """
+    if any(f.record.effect is None and f.record.baseline is None for f in one.mechanisms):
         return False
+    bare = dataclasses.replace(one, mechanisms=plain.mechanisms)
     for level in (0.0, 0.4):
-        told = [_moments(m, level, size) for m in (one, two)]
+        clean = np.full(size, level, np.float32)
+        told = [closed_moments(m, clean, DEFAULT) for m in (one, bare)]
         if not all(np.allclose(a, b, rtol=1e-3, atol=1e-3) for a, b in zip(*told, strict=True)):
             return False
     return True
-
-
-def _moments(model: SensorModel, level: float, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    context = context_of(model, jnp.full((1, *size), level, jnp.float32), DEFAULT)
-    mean, variance = closed_form(model, context, resolve(model, context))
-    return np.asarray(mean), np.asarray(variance)
 
 
 def doubt(full: Compared, each: list[Borne], speaks_for: frozenset[str] = frozenset()) -> Doubt | None:

@@ -34,7 +34,7 @@ from cannoise_jax.physics.core.settings import (
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
 from cannoise_jax.recordings.recording import BadInput, PerChannel
 
-__all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings"]
+__all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings", "closed_moments"]
 
 
 @jax.tree_util.register_dataclass
@@ -199,11 +199,8 @@ class SensorModel:
         shift of every mechanism (the few without one leave it alone). Raises as `sample`."""
         ranges.check_taken(clean, settings)
         warn_outside(self, settings)
-        clean = jnp.asarray(clean, jnp.float32)[None]
-        context = context_of(self, clean, settings)
-        values = resolve(self, context)
-        mean, _ = closed_form(self, context, values)
-        return jnp.broadcast_to(mean, clean.shape)[0]
+        mean, _ = closed_moments(self, clean, settings)
+        return mean
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Writes a sensor.json, and an .npz of the same stem for measured maps. Raises BadInput where the
@@ -253,6 +250,18 @@ class SensorModel:
             return pack(noise, self.cfa), pack(jax.vmap(sigma)(mosaic, *levels), self.cfa)
 
         return draw
+
+
+@jax.jit
+def closed_moments(
+    model: SensorModel, clean: Float[Array, "h w"], settings: Settings
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """Mean (DN) and temporal variance (DN^2) before rounding and clipping, see `chain.closed_form`. Compiled
+    once for models of the same mechanisms."""
+    clean = jnp.asarray(clean, jnp.float32)[None]
+    context = context_of(model, clean, settings)
+    mean, variance = closed_form(model, context, resolve(model, context))
+    return jnp.broadcast_to(mean, clean.shape)[0], jnp.broadcast_to(variance, clean.shape)[0]
 
 
 def _record(mechanism: str | Mechanism | HasRecord, point: Point | None) -> Mechanism:

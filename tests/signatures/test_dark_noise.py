@@ -1,0 +1,62 @@
+"""Dark current that a black clamp hides from the level of the darks: told from their noise alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.signatures.dark_noise import excess_score
+
+SIZE = (64, 96)
+GAIN, READ, BLACK = 2.0, 3.0, 400.0
+EXPOSURES = (0.01, 2.0, 10.0, 30.0)
+_RNG = np.random.default_rng
+
+
+def darks(seed, rate, clamp, warm=0.0, drift=0.0, exposures=EXPOSURES):
+    """Darks and a flat of a camera in plain NumPy. rate: e-/s of every pixel; clamp: share of its mean that
+    is taken away; warm: mean of a part that differs from pixel to pixel, exponentially; drift: relative
+    change of the read noise per recording."""
+    rng = _RNG(seed)
+    heat = rate + warm * rng.exponential(size=SIZE)
+    shots = [("dark", t, 0.0) for t in exposures] + [("flat", 0.01, 3000.0)]
+    out = []
+    for kind, seconds, light in shots:
+        read = READ * (1 + drift * rng.standard_normal())
+        charge = rng.poisson(heat * seconds + light, (8, *SIZE)) - clamp * np.median(heat) * seconds
+        values = BLACK + GAIN * (charge + read * rng.standard_normal((8, *SIZE)))
+        codes = np.clip(np.round(values), 0, 16383).astype(np.uint16)
+        out.append(Recording(codes, "RGGB", (BLACK,) * 4, 16383.0, kind=kind, exposure_s=seconds))
+    return CaptureSet("camera", tuple(out))
+
+
+def score(*args, **more):
+    capture = darks(*args, **more)
+    return excess_score(prepare(capture, all_frames(split_recordings(capture)), False).fields)
+
+
+@pytest.mark.parametrize(
+    "rate, clamp, hidden", [(1.0, 1.0, 1.0), (0.3, 1.0, 0.3), (4.0, 0.5, 2.0), (1.0, 1.3, 1.0)]
+)
+def test_the_hidden_rate_comes_back(rate, clamp, hidden):
+    found = [score(seed, rate, clamp) for seed in range(4)]
+    assert all(f.log_p < -8 for f in found)
+    assert np.mean([f.amplitude for f in found]) == pytest.approx(hidden, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    "rate, warm, drift, exposures",
+    [
+        (0.0, 0.0, 0.0, EXPOSURES),
+        (5.0, 0.0, 0.0, EXPOSURES),
+        (0.5, 3.0, 0.0, EXPOSURES),
+        (0.0, 0.0, 0.003, EXPOSURES),
+        (0.0, 0.0, 0.003, (0.01, 10.0)),
+    ],
+)
+def test_a_camera_that_hides_nothing_is_not_called_one(rate, warm, drift, exposures):
+    """No dark current, much of it, a broad distribution over pixels, electronics a few kelvin warmer."""
+    p = [np.exp(score(seed, rate, 0.0, warm, drift, exposures).log_p) for seed in range(20)]
+    assert min(p) > 1e-3 and np.mean(np.array(p) < 0.05) <= 0.2
