@@ -4,7 +4,10 @@ and how a folder of recordings is read."""
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import difflib
+import sys
+from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -30,11 +33,33 @@ class _Defaults(argparse.HelpFormatter):
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """Refuses flags in one line on stderr, `bin/NAME: message (see --help)`, with exit status 2."""
+    """Refuses flags in one line on stderr, `bin/NAME: message (see --help)`, with exit status 2.
 
-    def __init__(self, *args: Any, **more: Any) -> None:
+    passes_on: flags that are not known are another program's.
+    """
+
+    def __init__(self, *args: Any, passes_on: bool = False, **more: Any) -> None:
         more.setdefault("formatter_class", _Defaults)
+        self._passes_on = passes_on
         super().__init__(*args, **more)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse, but an unknown flag is named before what is missing, which it may be a slip of."""
+        given = sys.argv[1:] if args is None else list(args)
+        if not self._passes_on:
+            self._check_names(given)
+        return super().parse_known_args(given, namespace)
+
+    def _check_names(self, given: Sequence[str]) -> None:
+        known = self._option_string_actions
+        for word in takewhile(lambda w: w != "--", given):
+            if self._subparsers is not None and not word.startswith("-"):
+                return  # what follows is the subcommand's
+            name = word.partition("=")[0]
+            flag = name.startswith("-") and name.lstrip("-")[:1].isalpha() and " " not in name
+            if flag and not any(k.startswith(name) for k in known):
+                near = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
+                self.error(f"unknown flag {name}" + (f": did you mean {near[0]}?" if near else ""))
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see --help)\n")

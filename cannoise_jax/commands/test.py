@@ -17,6 +17,7 @@ def main(argv: list[str] | None = None) -> int:
         description="Runs ruff check, ruff format --check, mypy and all tests on two processes (some twenty "
         "minutes on two cores). With paths it runs only the tests there, and no linter.",
         epilog="Everything else goes to pytest, as -k NAME, -x or --durations=50.",
+        passes_on=True,
     )
     parser.add_argument("--slow", action="store_true", help="also the tests that take minutes (hours in all)")
     known, rest = parser.parse_known_args(sys.argv[1:] if argv is None else argv)

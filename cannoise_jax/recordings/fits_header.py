@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from cannoise_jax.recordings.kind_words import kinds_in, one_of
 from cannoise_jax.recordings.packing import to_shifted_cfa
 
 _ABSOLUTE_ZERO_C = -273.15
@@ -32,6 +33,8 @@ def kind_of(image_type: str) -> str | None:
     words = image_type.strip().lower()
     if words in ("ob", "sci"):
         return "scene"
+    if (kind := one_of(kinds_in(image_type))) is not None:
+        return kind
     return next((kind for word, kind in (*_KINDS, *((s, "scene") for s in _SCENES)) if word in words), None)
 
 

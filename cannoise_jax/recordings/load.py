@@ -8,7 +8,7 @@ from typing import Any
 
 from cannoise_jax.recordings import camera_raw, fits, native, pictures, sidd, stacks
 from cannoise_jax.recordings.metadata import check_overrides
-from cannoise_jax.recordings.opened import Opened
+from cannoise_jax.recordings.opened import HEADERLESS, Opened
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 _FORMATS: tuple[tuple[tuple[str, ...], Callable[..., Recording], Callable[..., Opened]], ...] = (
@@ -19,6 +19,15 @@ _FORMATS: tuple[tuple[tuple[str, ...], Callable[..., Recording], Callable[..., O
     (pictures.SUFFIXES, pictures.read_picture, pictures.open_picture),
     (camera_raw.SUFFIXES, camera_raw.read_camera_raw, camera_raw.open_camera_raw),
 )
+UNREAD = (
+    (
+        (".jpg", ".jpeg", ".heic", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf"),
+        "developed pictures and films hold no raw values: give what the camera stored, as camera raw or FITS",
+    ),
+    ((".bz2", ".xz", ".zst", ".lz4", ".z", ".zip", ".7z", ".rar", ".tar", ".tgz", ".gz"), "unpack them"),
+    ((".bin", ".raw8", ".raw10", ".raw12", ".raw14", ".raw16", ".mipiraw", ".bayer"), HEADERLESS),
+)
+"""Suffixes that people try and no reader takes, and what to do instead."""
 _READERS = {suffix: read for suffixes, read, _ in _FORMATS for suffix in suffixes}
 _OPENERS = {suffix: open_ for suffixes, _, open_ in _FORMATS for suffix in suffixes}
 
@@ -58,6 +67,11 @@ def is_supported(path: Path) -> bool:
     return suffix_of(path) in _READERS
 
 
+def instead_of(suffix: str) -> str | None:
+    """What to do instead of giving files of a suffix that is known and not read; None for every other."""
+    return next((why for suffixes, why in UNREAD if suffix in suffixes), None)
+
+
 def _check_file(path: Path) -> None:
     if not path.exists():
         broken = path.is_symlink()
@@ -69,7 +83,8 @@ def _check_file(path: Path) -> None:
 def _known_suffix(path: Path) -> str:
     suffix = suffix_of(path)
     if suffix not in _READERS:
-        raise BadInput(f"{path}: unknown format {suffix!r}: supported are {supported()}")
+        why = instead_of(suffix)
+        raise BadInput(f"{path}: " + (why or f"unknown format {suffix!r}: supported are {supported()}"))
     return suffix
 
 

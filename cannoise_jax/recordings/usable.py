@@ -17,7 +17,8 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet, Frames, Reco
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
 _MOST_NUMBERS = 4
-_FULL = tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
+_FULL = tuple((2**bits - 1) << shift for bits in (8, 10, 12, 14, 16) for shift in (0, 16 - bits))
+"""Highest codes, also where they are shifted to 16 bits."""
 
 Seen = dict[tuple, tuple[object, int]]
 """Where the pixels of a frame were met first: recording and number, by size and checksum."""

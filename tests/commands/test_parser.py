@@ -32,7 +32,12 @@ from cannoise_jax.recordings.recording import BadInput
         (sample, ["--frames", "two"], "--frames: 'two': give a whole number"),
         (sample, ["--black-level", "abc"], "--black-level: 'abc': give one value"),
         (simulate, ["--out", "x", "--size", "5"], "--size"),
-        (simulate, ["--out", "x", "--nonsense"], "--nonsense"),
+        (simulate, ["--out", "x", "--nonsense"], "unknown flag --nonsense"),
+        (simulate, ["--outt", "x"], "unknown flag --outt: did you mean --out?"),
+        (calibrate, ["-out=x"], "unknown flag -out: did you mean --out?"),
+        (convert, ["a", "b", "--dryrun"], "unknown flag --dryrun: did you mean --dry-run?"),
+        (bench, ["docs", "--ou"], "unknown flag --ou"),
+        (bench, ["--outt", "x"], "unknown flag --outt"),
     ],
 )
 def test_one_line_and_status_2(command, arguments, message, capsys):

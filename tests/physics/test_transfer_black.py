@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.transfer.black import black_at
-from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, format_findings, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import transfer_at
-from cannoise_jax.physics.transfer.table import format_transfer
+from cannoise_jax.physics.transfer.table import format_outcome, format_transfer
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 GAIN, READ, BLACK, RATE = 2.0, 3.0, 200.0, 20.0
@@ -49,6 +51,27 @@ def test_one_long_dark_is_remarked_and_explains_nothing():
     assert "record a dark at" in format_findings(findings)
     model = sensor_model([transfer], findings)
     assert not unknown & {f.mechanism for f in model.mechanisms}
+
+
+def test_of_darks_of_unknown_exposures_the_darkest_is_taken():
+    made = (shot(n, "dark", 0.0, t) for n, t in enumerate((9.0, 0.01)))
+    unknown = [dataclasses.replace(dark, exposure_s=None) for dark in made]
+    for darks in (unknown, unknown[::-1]):
+        level = black_at(gathered(*flats(), *darks), 0.01).level
+        assert np.abs(np.subtract(level, BLACK)).max() < 1.0
+
+
+def test_flats_beyond_the_last_code_show_no_full_well():
+    darks = shot(2, "dark", 0.0, 0.01), shot(3, "dark", 0.0, 60.0)
+    statistics = gathered(*flats(), shot(1, "flat", 8100.0, 0.1), *darks)
+    transfer = transfer_at(statistics)
+    text = format_transfer(transfer) + format_findings(find_mechanisms(statistics, transfer.baseline, LISTED))
+    assert "saturation level" in text and "no flat is bright enough" not in text
+    assert "saturation: the codes end before the pixels are full" in text
+
+
+def test_ends_that_nothing_bounds_are_written_by_their_order():
+    assert format_outcome(Estimate(1.0, 1.0, (0.0, 1e304))) == "1 [0, 1e+304]"
 
 
 @pytest.mark.parametrize("times", [(5.0, 10.0, 20.0), (0.01, 10.0)], ids=["line", "as long as the flats"])

@@ -174,8 +174,11 @@ def test_colour_images_and_mixed_pages_are_refused(tmp_path):
 
 
 def test_unknown_formats(tmp_path):
+    (tmp_path / "a.txt").write_bytes(b"1")
+    with pytest.raises(BadInput, match="unknown format '.txt': supported are .*.dng.*.fits.*.h5"):
+        load_recording(tmp_path / "a.txt")
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8")
-    with pytest.raises(BadInput, match="unknown format '.jpg': supported are .*.dng.*.fits.*.h5"):
+    with pytest.raises(BadInput, match="a.jpg: developed pictures .* hold no raw values: give what the"):
         load_recording(tmp_path / "a.jpg")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
-from cannoise_jax.recordings.usable import usable
+from cannoise_jax.recordings.usable import fault_of, usable
 
 RNG = np.random.default_rng(0)
 
@@ -43,6 +43,10 @@ def test_a_copy_in_another_recording_is_one_too():
     kept, lines = usable(CaptureSet("c", both))
     assert [r.path for r in kept.recordings] == ["a.h5"]
     assert "b.h5: frames 1 to 2: copies of earlier frames of a.h5" in lines[0]
+
+
+def test_codes_shifted_to_16_bits_end_lower():
+    assert "(saturated)" in str(fault_of(np.full((9, 9), 65520, np.uint16)))
 
 
 def test_too_few_that_are_left_are_refused_but_single_frames_are_not():

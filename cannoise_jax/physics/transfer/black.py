@@ -38,7 +38,10 @@ class Black(NamedTuple):
 
 
 def reference_dark(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
-    """The dark that goes with the flats: nearest exposure, then most frames; without flats the shortest."""
+    """The dark that goes with the flats: nearest exposure, then most frames; without flats the shortest.
+
+    Of darks of unknown exposures it is the darkest.
+    """
     return _nearest(statistics, flat_seconds(statistics))
 
 
@@ -108,13 +111,15 @@ def mean_error(s: FrameStatistics, channel: int) -> float:
 def _nearest(statistics: Sequence[FrameStatistics], aim: float | None) -> FrameStatistics | None:
     repeated = [s for s in statistics if s.recording.kind in DARK and s.recording.count > 1]
 
-    def distance(s: FrameStatistics) -> tuple[float, int]:
+    def distance(s: FrameStatistics) -> tuple[float, float, int]:
         exposure = s.recording.exposure_s
         if exposure is None or exposure <= 0:
-            return 0.0 if s.recording.kind == "bias" else 1.0, -s.recording.count
+            # Of darks of unknown exposures the darkest has the least dark charge.
+            bias = s.recording.kind == "bias"
+            return 0.0 if bias else 1.0, 0.0 if bias else float(s.frame_means.mean()), -s.recording.count
         # Below a tenth of a second the number of frames counts more.
         away = np.log10(max(exposure, _SHORT_S)) - np.log10(max(aim or _SHORT_S, _SHORT_S))
-        return abs(float(away)), -s.recording.count
+        return abs(float(away)), 0.0, -s.recording.count
 
     return min(repeated, key=distance, default=None)
 

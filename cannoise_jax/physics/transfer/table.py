@@ -8,6 +8,9 @@ from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.shape import dark_lines, lamp_notes
 from cannoise_jax.physics.transfer.stated_gain import gain_note
 
+_LONG = 1e7
+"""From here on numbers are written by their order: ends of intervals that nothing bounds."""
+
 
 def format_transfer(result: PhotonTransfer) -> str:
     """The table of one ISO setting. Intervals are 90 %."""
@@ -49,7 +52,9 @@ def format_outcome(outcome: Outcome) -> str:
     digits = 0
     while digits < 7 and width > 0 and 10**-digits > width / 8:
         digits += 1
-    value, low, high = (f"{v:.{digits}f}" for v in (outcome.value, *outcome.ci90))
+    value, low, high = (
+        f"{v:.{digits}f}" if abs(v) < _LONG else f"{v:.2g}" for v in (outcome.value, *outcome.ci90)
+    )
     return f"{value} [{low}, {high}]" if width > 0 else f"{outcome.value:g}"
 
 

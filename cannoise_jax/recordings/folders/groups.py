@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -56,12 +58,15 @@ def grouped(
     """
     clusters = _clusters([_temperature(s, overrides) for s in shots])
     exposures = _exposures(shots, kinds, overrides)
+    folders = _folders(shots)
     members: dict[tuple, list[Shot]] = {}
     for shot, cluster in zip(shots, clusters, strict=True):
         kind = kinds[shot.name]
         name = shot.about.get("filter") if kind in ("flat", "scene") else None
         mode = _mode(shot, camera, overrides, cluster)
         iso = overrides.get("iso", shot.known.get("iso"))
+        # Darks of unknown exposures that lie apart were taken apart: their dark charge may differ.
+        place = folders[shot.name] if kind == "dark" and exposures[shot.name] is None else ""
         key = (
             mode,
             KINDS.index(kind),
@@ -69,7 +74,7 @@ def grouped(
             exposures[shot.name],
             name,
             cluster,
-            shot.name if shot.whole else "",
+            shot.name if shot.whole else place,
         )
         members.setdefault(key, []).append(shot)
     order = sorted(
@@ -86,6 +91,15 @@ def grouped(
             level = f"{level_of(part):.0f}DN" if len(lights) > 1 else None
             made.append(_group(key, part, overrides, level))
     return made
+
+
+def _folders(shots: Sequence[Shot]) -> dict[str, str]:
+    """The folder of each shot, by name; empty where it lies alone there, as frames of one series may."""
+    parents = {s.name: PurePath(s.name).parent.as_posix() for s in shots}
+    frames: Counter[str] = Counter()
+    for s in shots:
+        frames[parents[s.name]] += s.shape[0]
+    return {name: parent if frames[parent] > 1 else "" for name, parent in parents.items()}
 
 
 def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | None) -> tuple:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
+from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.recording import PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
@@ -77,11 +78,18 @@ def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:
     dark = [g for g in groups if g.kind in ("bias", "dark")]
     if not dark:
         return None, "the black level: add bias or dark frames, or state it with --black-level"
-    first = min(dark, key=lambda g: (g.kind != "bias", g.settings["exposure_s"] or 0.0))
+
+    def order(group: Group) -> tuple:
+        exposure = group.settings["exposure_s"]
+        return group.kind != "bias", exposure is None, exposure or 0.0, level_of(group.shots)
+
+    first = min(dark, key=order)
     level = per_channel(np.median([s.medians for s in first.shots], axis=0))
     if groups[0].mode[7] in ("MONO", None) and np.ptp(level) <= 2:
         level = per_channel(float(np.median(level)))
-    what = "biases" if first.kind == "bias" else f"darks of {seconds(first.settings['exposure_s'] or 0.0)}"
+    exposure = first.settings["exposure_s"]
+    of = "" if exposure is None else f" of {seconds(exposure)}"
+    what = "biases" if first.kind == "bias" else f"darks{of}"
     return level, f"black level {_four(level)} DN: median of the {what}"
 
 

@@ -6,13 +6,8 @@ import re
 from pathlib import PurePath
 from typing import Any
 
-_WORDS = {
-    "bias": ("bias", "biase", "zero", "zeroe", "offset"),
-    "dark": ("dark", "darkflat", "flatdark", "black", "capped", "noir", "df"),
-    "flat": ("flat", "skyflat", "domeflat", "twilight", "bright", "white", "lamp", "plu", "ff"),
-    "scene": ("light", "object", "science", "scene", "brute", "sample"),
-}
-_KIND = {word: kind for kind, words in _WORDS.items() for word in words}
+from cannoise_jax.recordings.kind_words import kinds_in, one_of
+
 _AVERAGES = ("master", "superbias", "superdark", "superflat", "stacked", "integration", "averaged")
 _SECONDS = {"us": 1e-6, "µs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0, "secs": 1.0}
 _SECONDS["min"] = 60.0
@@ -20,7 +15,7 @@ _EXPOSURE = re.compile(
     r"(?<![\d.])(\d+(?:\.\d+)?)[ _]?(us|µs|usec|ms|msec|secs?|s|min)(?![a-z])", re.IGNORECASE
 )
 _ISO = re.compile(r"(?<![a-z])iso[ _-]?(\d+)(?!\d)", re.IGNORECASE)
-_GAIN = re.compile(r"(?<![a-z])gain[ _-]?(\d+)(?![\d.])", re.IGNORECASE)
+_GAIN = re.compile(r"(?<![a-z])gain[ _-]?(\d+)(?![\d.])|(?<![a-z\d])g([1-9]\d*)(?![\da-z.])", re.IGNORECASE)
 _CELSIUS = re.compile(r"(?<![\d.])([+-]?\d+(?:\.\d+)?) ?(?:°c|degc|c)(?![a-z\d])", re.IGNORECASE)
 _BINNING = re.compile(r"(?<![a-z])bin(?:ning)?[ _-]?(\d)(?:x(\d))?", re.IGNORECASE)
 
@@ -28,9 +23,9 @@ _BINNING = re.compile(r"(?<![a-z])bin(?:ning)?[ _-]?(\d)(?:x(\d))?", re.IGNORECA
 def named_kind(path: PurePath) -> str | None:
     """The kind that the file's name says, or else its nearest folder: dark flats are darks."""
     for part in (path.stem, *reversed(path.parent.parts)):
-        said = _kinds(part)
+        said = kinds_in(part)
         if said:
-            return "dark" if said == {"dark", "flat"} else said.pop() if len(said) == 1 else None
+            return one_of(said)
     return None
 
 
@@ -51,17 +46,9 @@ def named_settings(path: PurePath) -> dict[str, Any]:
         if iso and float(iso[1]) > 0:
             out.setdefault("iso", float(iso[1]))
         if gain:
-            out.setdefault("gain_setting", float(gain[1]))
+            out.setdefault("gain_setting", float(gain[1] or gain[2]))
         if celsius and -100 <= float(celsius[1]) <= 100:
             out.setdefault("temperature_c", float(celsius[1]))
         if binning and (binning[1], binning[2] or binning[1]) != ("1", "1"):
             out.setdefault("binning", (float(binning[1]), float(binning[2] or binning[1])))
     return out
-
-
-def _kinds(part: str) -> set[str]:
-    # "gain100_offset50" is a setting of the camera, no bias.
-    words = re.sub(r"(?i)offset[ _-]?\d+", "", part)
-    parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+", words)
-    stems = (re.sub(r"(frame|field)?s?$", "", p.lower()) or p.lower() for p in parts)
-    return {_KIND[stem] for stem in (*stems, *(p.lower() for p in parts)) if stem in _KIND}

@@ -10,8 +10,8 @@ from typing import Any
 
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.levels import Levels, levels
-from cannoise_jax.recordings.folders.shots import DEVELOPED, DUMPS, PACKED, Scan, Shot, Tell, matches, scan
-from cannoise_jax.recordings.opened import HEADERLESS
+from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.recording import BadInput
 
 _MOST_NAMED = 3
@@ -75,7 +75,8 @@ def plan_folder(
     for one in sets[:1]:
         notes += one.levels.said
         notes += _lacks(one)
-        problems += [f"{words}" for words in one.levels.missing]
+        problems += one.levels.missing
+        problems += _apart(sets) if one.levels.missing else []
     cameras = dict.fromkeys(one.groups[0].mode[0] for one in sets)
     if len(cameras) > 1:
         notes.append(f"{len(cameras)} cameras ({', '.join(cameras)}): if they are one, name it with --camera")
@@ -150,11 +151,7 @@ def _notes(found: Scan) -> list[str]:
         notes.append(f"{_listed(found.links)}: not read, links to folders are not followed")
     if found.lost:
         notes.append(f"{_listed(found.lost)}: not read, a link to nothing")
-    for suffixes, why in (
-        (DEVELOPED, "developed pictures and films hold no raw values"),
-        (PACKED, "unpack them"),
-        (DUMPS, HEADERLESS),
-    ):
+    for suffixes, why in UNREAD:
         counts = [f"{n} {suffix}" for suffix, n in sorted(found.unread.items()) if suffix in suffixes]
         notes += [f"not read: {', '.join(counts)} ({why})"] if counts else []
     return notes
@@ -201,8 +198,10 @@ def _kinds(
             continue
         kinds[shot.name] = header or shot.named or "scene"
     remedy = "put them in folders named bias, darks, flats or lights, or state --assign 'NAME*=KIND'"
-    if any(kind != "scene" for kind in kinds.values()):
-        # Beside files that say what they are the others are what calibration frames are made for.
+    several = sum(what.startswith("IMAGETYP") for what in unknown) > 1
+    if any(kind != "scene" for kind in kinds.values()) and not several:
+        # Beside files that say what they are the others are what calibration frames are made for; words of
+        # several kinds are not.
         for what, names in unknown.items():
             kinds |= dict.fromkeys(names, "scene")
             taken[f"{what}: taken as lights; --assign 'NAME*=KIND' says otherwise"] = names
@@ -262,6 +261,18 @@ def _labelled(groups: Sequence[Group]) -> tuple[Group, ...]:
             Group(group.kind, group.shots, group.settings, group.mode, group.filter, group.label + more)
         )
     return tuple(out)
+
+
+def _apart(sets: Sequence[CaptureGroups]) -> list[str]:
+    """Darks that the black level would be taken from, were they of the main set."""
+    main, *others = sets
+    if any(g.kind in _DARK for g in main.groups):
+        return []
+    return [
+        f"{one.groups[0].shots[0].name}: of no use to {main.groups[0].shots[0].name}, for {one.reason}"
+        for one in others
+        if any(g.kind in _DARK for g in one.groups)
+    ]
 
 
 def _lacks(one: CaptureGroups) -> list[str]:

@@ -13,17 +13,14 @@ import numpy as np
 
 from cannoise_jax.recordings import sidd
 from cannoise_jax.recordings.folders.names import named_average, named_kind, named_settings
-from cannoise_jax.recordings.load import is_supported, load_recording, open_file, suffix_of
+from cannoise_jax.recordings.load import instead_of, is_supported, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
-from cannoise_jax.recordings.opened import HEADERLESS, stated
+from cannoise_jax.recordings.opened import stated
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
 from cannoise_jax.recordings.usable import fault_of
 
 _SAMPLE = 1 << 20
-DEVELOPED = (".jpg", ".jpeg", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf")
-PACKED = (".bz2", ".xz", ".zst", ".lz4", ".z", ".zip", ".7z", ".rar", ".tar", ".tgz", ".gz")
-DUMPS = (".bin", ".raw8", ".raw10", ".raw12", ".raw14", ".raw16", ".mipiraw", ".bayer")
 
 Tell = Callable[[int, int], None]
 
@@ -83,8 +80,8 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
     found = list(_files(folder, tuple(leave_out), unread, links, lost))
     if not found:
         kinds = f", only {_counted(unread)}" if unread else ""
-        dumped = unread and set(unread) <= set(DUMPS)
-        remedy = HEADERLESS if dumped else "see bin/convert --help for the formats"
+        remedies = dict.fromkeys(instead_of(suffix) for suffix in sorted(unread))
+        remedy = "; ".join(map(str, remedies)) or "see bin/convert --help for the formats"
         raise BadInput(f"{folder}: holds no recordings{kinds}: {remedy}")
     seen: dict[tuple, str] = {}
     for number, path in enumerate(found):
@@ -143,7 +140,7 @@ def _files(
                 yield path
             elif path.is_symlink() and not path.exists():
                 lost.append(name)
-            elif suffix_of(path) in DEVELOPED + PACKED + DUMPS:
+            elif instead_of(suffix_of(path)) is not None:
                 unread[suffix_of(path)] = unread.get(suffix_of(path), 0) + 1
 
 

@@ -163,6 +163,63 @@ def test_kinds_from_names_alone(tmp_path, names):
         assert dark.mode[4] == 100
 
 
+def test_words_of_several_languages(tmp_path):
+    said = {
+        "flat": ("Campo plano", "Flatfeld"),
+        "dark": ("Dunkelbild", "Oscuro"),
+        "bias": ("Sesgo", "Nullbild"),
+    }
+    for kind, words in said.items():
+        for n, word in enumerate(words):
+            keywords = {"EXPTIME": {"bias": 0.0, "dark": 60.0, "flat": 2.0}[kind], "INSTRUME": "Acme 100"}
+            shot(tmp_path / f"img_{kind[0]}{n}.fits", kind, IMAGETYP=word, **keywords)
+    shot(tmp_path / "Lumière" / "img.fits", "light", EXPTIME=9.0, INSTRUME="Acme 100")
+    plan = plan_folder(tmp_path)
+    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2} and labels(plan, 1) == {"scene_9s": 1}
+
+
+def test_words_that_are_unknown_in_several_ways_are_no_lights(tmp_path):
+    night(tmp_path)
+    shot(tmp_path / "img_1.fits", "light", IMAGETYP="Zorbl", EXPTIME=60.0, INSTRUME="Acme 100")
+    assert not plan_folder(tmp_path).problems
+    shot(tmp_path / "img_2.fits", "dark", IMAGETYP="Gnarf", EXPTIME=60.0, INSTRUME="Acme 100")
+    said = "\n".join(plan_folder(tmp_path).problems)
+    assert "img_1.fits: IMAGETYP 'Zorbl'" in said and "img_2.fits: IMAGETYP 'Gnarf'" in said
+
+
+def test_gains_in_short_and_darks_of_unknown_exposures_are_not_joined(tmp_path):
+    rng = np.random.default_rng(0)
+
+    def stack(name, level):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        np.save(tmp_path / name, rng.poisson(level, (3, 16, 16)).astype(np.uint16))
+
+    for gain in ("g1", "g2"):
+        stack(f"a/dark_10ms_{gain}.npy", 100)
+        stack(f"a/flat_10ms_{gain}.npy", 900)
+    first, second = plan_folder(tmp_path / "a").sets
+    assert {g.mode[4] for g in first.groups} | {g.mode[4] for g in second.groups} == {1.0, 2.0}
+    assert labels(plan_folder(tmp_path / "a")).keys() < {
+        f"{k}_10ms_gain{n}" for k in ("dark", "flat") for n in "12"
+    }
+    for name, level in (("darks_short", 100), ("darks_long", 140), ("flats", 900)):
+        for n in range(2):
+            stack(f"b/{name}/raw_{n}.npy", level)
+    plan = plan_folder(tmp_path / "b")
+    assert labels(plan) == {"flat": 6, "dark_1": 6, "dark_2": 6}
+    assert plan.sets[0].levels.values["black_level"][0] < 110 and "median of the darks\n" in notes(plan)
+
+
+def test_darks_of_another_size_are_named_where_the_black_level_is_missing(tmp_path):
+    for n in range(2):
+        shot(tmp_path / f"flat{n}.fits", "flat", EXPTIME=1.0)
+        shot(tmp_path / f"dark{n}.fits", "dark", EXPTIME=1.0, size=(24, 48))
+    with pytest.raises(
+        BadInput, match="--black-level; dark0.fits: of no use to flat0.fits, for size is 24x48"
+    ):
+        check(plan_folder(tmp_path))
+
+
 def test_everything_missing_is_said_at_once(tmp_path):
     for n in (1, 2):
         shot(tmp_path / f"flat{n}.fits", "flat", colours=1.6, EXPTIME=1.0)

@@ -141,7 +141,12 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
                 error = np.sqrt(float(pixel_variance(s, c).mean()) / pixels + s.code_step**2 / 12 / pixels)
                 found.append((signal / baseline.gain[c], error / baseline.gain[c]))
     if not found:
-        return NotMeasurable("no flat is bright enough to fill the pixels: record one that saturates")
+        ended = any(s.recording.kind == "flat" and np.isfinite(s.high).any() for s in statistics)
+        return NotMeasurable(
+            "the codes end before the pixels are full: record flats at a lower gain"
+            if ended
+            else "no flat is bright enough to fill the pixels: record one that saturates"
+        )
     weight = 1 / np.square([e for _, e in found])
     value = float(np.sum(weight * [v for v, _ in found]) / weight.sum())
     return {"full_well_e": normal_estimate(value, float(weight.sum() ** -0.5))}
