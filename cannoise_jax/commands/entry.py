@@ -11,8 +11,9 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 10.0, 0.05
 
@@ -20,14 +21,14 @@ Main = Callable[..., int]
 
 
 def command(name: str) -> Callable[[Main], Main]:
-    """Wraps a command's main: 130 after Ctrl-C; quiet when its reader closes the pipe; warnings of libraries
-    are dropped, those of this package are a line on stderr."""
+    """Wraps a command's main: 130 after Ctrl-C; the work goes on when the reader of a pipe leaves;
+    warnings of libraries are dropped, those of this package are a line on stderr."""
 
     def around(main: Main) -> Main:
         @functools.wraps(main)
         def wrapped(*given: Any, **more: Any) -> int:
             os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), _unread_too():
                 warnings.showwarning = functools.partial(_shown, name)
                 waiting: list[threading.Timer] = []
                 hook, sys.unraisablehook = sys.unraisablehook, functools.partial(_again, waiting)
@@ -35,10 +36,6 @@ def command(name: str) -> Callable[[Main], Main]:
                     status = main(*given, **more)
                     sys.stdout.flush()
                     return status
-                except BrokenPipeError:
-                    # What is left in the buffer must not be written at exit, either.
-                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-                    return 141
                 except KeyboardInterrupt:
                     print(f"bin/{name}: interrupted", file=sys.stderr)
                     return 130
@@ -50,6 +47,44 @@ def command(name: str) -> Callable[[Main], Main]:
         return wrapped
 
     return around
+
+
+@contextmanager
+def _unread_too() -> Iterator[None]:
+    """Within it commands end their work, and say so to nobody, when the reader of a pipe has left."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = map(_Unread, before)  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+class _Unread:
+    """A stream that drops what nobody reads."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with self._dropping():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._dropping():
+            self._stream.flush()
+
+    @contextmanager
+    def _dropping(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            # What is left in the buffer must not be written at exit, either.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _again(waiting: list[threading.Timer], swallowed: Any) -> None:
