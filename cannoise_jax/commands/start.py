@@ -12,6 +12,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
+_INTERRUPTED = 130
+
 
 def run(name: str) -> int:
     """Loads and runs a command; returns its status."""
@@ -20,13 +22,19 @@ def run(name: str) -> int:
         signal.signal(signal.SIGINT, partial(_end, name))
     main = import_module(f"cannoise_jax.commands.{name}").main
     signal.signal(signal.SIGINT, before)
-    return main()
+    status = main()
+    if status == _INTERRUPTED:
+        # Threads of libraries are still at work, and Python's own end in the midst of it may crash.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 def _end(name: str, *_: Any) -> None:
     # An exception in the middle of an import may be lost, or turned into another one.
     os.write(2, f"bin/{name}: interrupted\n".encode())
-    os._exit(130)
+    os._exit(_INTERRUPTED)
 
 
 def __getattr__(name: str) -> Any:

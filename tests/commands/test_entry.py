@@ -53,6 +53,17 @@ def test_the_work_goes_on_without_a_traceback_when_the_reader_of_a_pipe_leaves(s
     assert made.exists()
 
 
+def test_what_is_still_at_work_does_not_hold_up_an_interrupt():
+    script = (
+        "import sys, threading, time, types\nfrom cannoise_jax.commands import start\n"
+        "def main():\n    threading.Thread(target=time.sleep, args=(120,)).start()\n"
+        "    print('said')\n    return 130\n"
+        "sys.modules['cannoise_jax.commands.x'] = types.SimpleNamespace(main=main)\nstart.run('x')"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "said\n", "")
+
+
 def test_an_interrupt_that_a_callback_swallows_comes_once_more():
     """JAX hangs a callback on the garbage collector; what is raised in one is only printed."""
     script = (
