@@ -2,7 +2,8 @@
 
 On damage in headers without checksums the library may never return, nor be interrupted. Checksums came with
 the newest format, which `native` writes; older files, and text of variable length in any of them, have none.
-Such files are read on trial by another process first, `hdf5_trial`, which can be ended.
+Such files are read on trial by another process first, `hdf5_trial`, which can be ended. So are files of
+MATLAB v5, on whose damage SciPy's reader may crash.
 """
 
 from __future__ import annotations
@@ -43,6 +44,13 @@ def check_returns(path: str | Path) -> None:
     with _one_at_a_time:
         if not _came_back(path):
             raise BadInput(f"{path}: damaged: the HDF5 library does not come to an end, or takes all memory")
+
+
+def check_matlab(path: str | Path) -> None:
+    """Raises BadInput for a file of MATLAB v5 that SciPy's reader does not survive."""
+    with _one_at_a_time:
+        if not _came_back(path):
+            raise BadInput(f"{path}: damaged: the reader of MATLAB v5 files does not survive it")
 
 
 def _came_back(path: str | Path) -> bool:

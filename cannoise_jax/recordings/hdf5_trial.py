@@ -1,5 +1,5 @@
-"""Reads HDF5 files on trial, in a process of its own: a path a line comes in, an empty line goes out, the
-first of them before any path.
+"""Reads HDF5 files, and others as those of MATLAB v5, on trial, in a process of its own: a path a line comes
+in, an empty line goes out, the first of them before any path.
 
 The file is run, not imported, and needs nothing of the package. What the library raises does not matter
 here: the reader meets it again. Where a file takes it too long, or too much memory, this process ends.
@@ -20,6 +20,12 @@ _CORE_S, _BYTES = 2, 4 << 30
 
 def touch(path: str) -> None:
     """Follows all structure that a reader follows: attributes, members, and their indexes of chunks."""
+    if not h5py.is_hdf5(path):
+        import scipy.io  # few files ask for it
+
+        with _passing():
+            scipy.io.loadmat(path, simplify_cells=True)
+        return
     with _passing(), h5py.File(path, "r") as file:
         for name in file.attrs:
             with _passing():

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 import scipy.io
 
-from cannoise_jax.recordings.hdf5 import check_returns
+from cannoise_jax.recordings.hdf5 import check_matlab, check_returns
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
 from cannoise_jax.recordings.recording import (
@@ -201,6 +201,7 @@ def _metadata(folder: Path) -> Any:
     if not paths:
         return {}
     with reading(paths[0], "not a readable MATLAB v5 file"):
+        check_matlab(paths[0])
         return scipy.io.loadmat(paths[0], simplify_cells=True).get("metadata", {})
 
 

@@ -8,6 +8,7 @@ import time
 import h5py
 import numpy as np
 import pytest
+import scipy.io
 
 from cannoise_jax.recordings import hdf5
 from cannoise_jax.recordings.native import read_recording, write_recording
@@ -107,3 +108,18 @@ def test_a_plain_script_reads_and_leaves_no_process(tmp_path):
     while hdf5.Path(f"/proc/{number}").exists() and time.monotonic() < until:
         time.sleep(0.05)
     assert not hdf5.Path(f"/proc/{number}").exists()
+
+
+def test_matlab_files_that_their_reader_does_not_survive_are_refused_and_others_are_not(tmp_path):
+    sound, lost = tmp_path / "sound.mat", tmp_path / "lost.mat"
+    scipy.io.savemat(sound, {"metadata": {"levels": np.arange(4) + 0.5}})
+    tag = b"\x09\0\0\0\x20\0\0\0"  # doubles, 32 bytes of them
+    data = sound.read_bytes()
+    assert data.count(tag) == 1
+    lost.write_bytes(data.replace(tag, bytes(8)))
+    read = f"import scipy.io; scipy.io.loadmat({str(lost)!r}, simplify_cells=True)"
+    assert subprocess.run([sys.executable, "-c", read]).returncode == -11
+    hdf5.check_matlab(sound)
+    with pytest.raises(BadInput, match=r"lost\.mat: damaged: the reader of MATLAB v5 files"):
+        hdf5.check_matlab(lost)
+    hdf5.check_matlab(sound)
