@@ -14,7 +14,7 @@ from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
 from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt
-from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned
+from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import SITES
@@ -60,7 +60,7 @@ def test_what_another_mechanism_bears_on_far_more_speaks_of_that_one():
     def moved(before, after):
         before, after = np.array(before, float), np.array(after, float)
         own = np.abs(before - after) > 4
-        return Borne(judged, before, after, own, np.zeros(4, bool))
+        return Borne(judged, before, after, own, np.zeros(4, bool), np.ones(4))
 
     weak, strong = moved([900, 60, 9, 80], [850, 2, 9, 30]), moved([9000, 2, 9, 150], [850, 2, 9, 30])
     most = most_of([[weak], [strong]])
@@ -70,6 +70,16 @@ def test_what_another_mechanism_bears_on_far_more_speaks_of_that_one():
     assert all_of_it.own.tolist() == [True, False, False, True]
     (kept,) = owned([weak._replace(claimed=np.ones(4, bool))], most)
     assert kept.own.tolist() == weak.own.tolist()
+
+
+def test_what_hardly_changes_with_a_mechanism_hardly_speaks_against_it():
+    """It explains one statistic wholly; of another, ten times as far off, a seventh."""
+    before, after = np.array([100.0, 1000.0]), np.array([0.0, 860.0])
+    judged = SimpleNamespace(family="mean", where="dark", z=np.array([0.5, 40.0]), passing=4.0)
+    even = Borne(judged, before, after, np.ones(2, bool), np.zeros(2, bool), np.ones(2))
+    one, other = own_part([even._replace(weight=share_of(before, after))]), own_part([even])
+    assert other.after / other.before > 0.7 and one.after / one.before == pytest.approx(0.5, abs=0.02)
+    assert one.number == other.number and one.more and other.more and len(one.left) == len(other.left) == 1
 
 
 def test_a_withdrawn_name_hands_its_probability_to_the_unknown():

@@ -27,13 +27,16 @@ _CHANCE = 1e-4
 
 class Borne(NamedTuple):
     """What a mechanism does to the statistics of one family in one place: their mismatch without and with it,
-    nats, those that are of its part, and those of them that it speaks for whatever others do."""
+    nats, those that are of its part, those of them that it speaks for whatever others do, and the weight of
+    each in the part: the share of the mismatch that changes with it, for what it hardly changes speaks of
+    something else, named or not."""
 
     judged: Judgement
     before: Float[np.ndarray, "k"]
     after: Float[np.ndarray, "k"]
     own: Bool[np.ndarray, "k"]
     claimed: Bool[np.ndarray, "k"]
+    weight: Float[np.ndarray, "k"]
 
     @property
     def at(self) -> tuple[str, str]:
@@ -74,10 +77,16 @@ def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozen
         own, claimed = _moved(one, two), np.zeros(one.shape, bool)
         if full.seen[j.where].kind in speaks_for and j.family.startswith(STATIC):
             claimed = one > _BEARS
+        share = np.where(own & ~claimed, share_of(one, two), 1.0)
         if j.family.endswith("structure"):
             own |= _broken(own, full.seen[j.where].size)
-        out.append(Borne(j, one, two, own | claimed, claimed))
+        out.append(Borne(j, one, two, own | claimed, claimed, share))
     return out
+
+
+def share_of(before: Float[np.ndarray, "k"], after: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Share of the larger mismatch of every statistic that changes with a mechanism."""
+    return np.abs(before - after) / np.maximum(np.maximum(before, after), 1e-9)
 
 
 def most_of(each: Sequence[list[Borne]]) -> dict[tuple[str, str], Float[np.ndarray, "k"]]:
@@ -103,17 +112,20 @@ def owned(each: list[Borne], most: dict[tuple[str, str], Float[np.ndarray, "k"]]
 
 def own_part(each: list[Borne]) -> Part:
     """A mechanism's part, summed."""
-    before = sum(float(b.before[b.own].sum()) for b in each)
-    after = sum(float(b.after[b.own].sum()) for b in each)
+    before, after, weight = (
+        sum(float((b.weight * values(b))[b.own].sum()) for b in each)
+        for values in (lambda b: b.before, lambda b: b.after, lambda b: np.ones(b.own.shape))
+    )
     number = sum(int(b.own.sum()) for b in each)
+    left_over = sum(float(b.after[b.own].sum()) for b in each)
     left = [
         (b.judged, found)
         for b in each
         if (found := np.flatnonzero(b.own & (np.abs(b.judged.z) > b.judged.passing))).size
     ]
     # Twice the nats of two equal normal laws are chi-squared.
-    more = number > 0 and float(stats.chi2.sf(2 * after, number)) < _CHANCE
-    return Part(max(before - 0.5 * number, 0.0), max(after - 0.5 * number, 0.0), number, left, more)
+    more = number > 0 and float(stats.chi2.sf(2 * left_over, number)) < _CHANCE
+    return Part(max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more)
 
 
 def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
