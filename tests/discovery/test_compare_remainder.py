@@ -10,7 +10,7 @@ from cannoise_jax.discovery.compare import better, compare
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
-from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
 from tests.discovery.capture import capture_set
 
@@ -59,6 +59,33 @@ def test_nothing_is_added_where_nothing_is_missing():
     taken_over = (1 - float(maps["keep"].ravel()[0])) * 4.5**2
     assert abs(float(np.mean(maps["spectrum"])) - taken_over) < 0.02 * 4.5**2
     assert np.std(maps["offset"]) < 0.1 * 4.5 / np.sqrt(12)
+
+
+HEAT_E_S = 3000.0 * (np.random.default_rng(2).random((96, 128)) < 0.01)
+
+
+def warm_camera(rng):
+    """Dark current of 400 e-/s and hot pixels, both with their shot noise."""
+
+    def change(dn, signal, kind, seconds):
+        return dn + 1.5 * rng.poisson((400.0 + HEAT_E_S) * seconds, dn.shape)
+
+    return change
+
+
+def test_noise_that_the_simulator_has_is_not_added_once_more():
+    """Neither that of the dark current, which grows with the exposure, nor that of single pixels."""
+    capture = capture_set(53, warm_camera, kinds="d", frames=16)
+    plain = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 16383.0, "RGGB")
+    warm = plain.with_mechanism("dark_current", e_per_s=400.0).with_mechanism(
+        "hot_pixels", e_per_s=3000.0, maps={"heat": HEAT_E_S[None] / 3000.0}
+    )
+    truth, hot = 1.5**2 * 400.0, HEAT_E_S > 0
+    of_plain, of_warm = (with_remainder(capture, m, KEY).mechanisms[-1].maps for m in (plain, warm))
+    assert np.median(of_plain["growth"]) == pytest.approx(truth, rel=0.1)
+    assert np.median(of_warm["growth"]) < 0.05 * truth
+    added = [np.mean(np.asarray(m["growth"] + 10 * m["spread"])[..., hot]) for m in (of_plain, of_warm)]
+    assert added[1] < 0.2 * added[0]
 
 
 def test_it_is_kept_in_a_file_and_belongs_to_one_unit(models, tmp_path):

@@ -38,10 +38,11 @@ _LOWEST, _SPARE, _LEAST_LEFT = 0.02, 0.02, 0.02
 class _Part(NamedTuple):
     """One recording beside the simulator's draws: fixed residual (DN), its variance by noise, exposure,
     signal (DN),
-    power beyond the simulator's (DN^2) and its standard error, variance of every pixel over that of the
-    bulk, which pixels stand out by it, variance of the bulk (DN^2), number of contrasts;
+    power beyond the simulator's (DN^2), variance of every pixel over that of the bulk where the simulator
+    has none that stand out, variance of the bulk (DN^2), number of contrasts;
     read, own: variance of the simulator's read noise, and of all its noise (DN^2); gain: DN/e-; unit:
-    variance of every pixel over the mean, by which all of these are divided."""
+    variance of every pixel over the mean, by which all of these are divided; loud: variance of every pixel
+    over the bulk's as the simulator has it, 1 where it does not stand out."""
 
     dark: bool
     residual: Float[np.ndarray, "h w"] | None
@@ -56,6 +57,7 @@ class _Part(NamedTuple):
     own: float
     gain: float
     unit: Float[np.ndarray, "h w"]
+    loud: Float[np.ndarray, "h w"]
 
 
 def with_remainder(
@@ -205,12 +207,18 @@ def _part(
     excess = _power(raw, bulk) - _power(drawn, typical) if n else np.zeros(raw.mean.shape)
     noise = bulk / raw.frames + typical / drawn.frames
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
-    ratio = own / max(bulk, 1e-12)
+    # Pixels that the simulator already has noisier than the others are held against what it gives them.
+    loud = np.ones_like(own)
+    if dof := len(drawn.contrasts):
+        theirs = np.mean(drawn.contrasts**2, 0)
+        theirs /= max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)
+        loud = np.where(_odd(theirs, dof), theirs, 1.0)
+    ratio = own / max(bulk, 1e-12) / loud
     white = max(typical - step**2 / 12, 1e-3 * typical)
     read = white if source.read is None else min(source.read, white)
     gain = source.gain or 0.0
     return _Part(
-        dark, residual, noise, exposure, signal, excess, ratio, bulk, n, read, white, gain, unit
+        dark, residual, noise, exposure, signal, excess, ratio, bulk, n, read, white, gain, unit, loud
     )  # fmt: skip
 
 
@@ -277,7 +285,7 @@ def _bulk(values: np.ndarray) -> float:
 
 
 def _slope(darks: list[_Part]) -> float:
-    """By how much the variance of the bulk grows in a second, DN^2."""
+    """By how much the variance of the bulk grows in a second beyond the simulator's, DN^2."""
     times = np.array([p.exposure_s for p in darks])
     levels = np.array([p.level for p in darks])
     weight = np.array([p.contrasts for p in darks]) / levels**2
@@ -285,7 +293,8 @@ def _slope(darks: list[_Part]) -> float:
     spread = float(np.sum(weight * (times - centre) ** 2))
     if not spread > 0:
         return 0.0
-    slope = float(np.sum(weight * (times - centre) * levels)) / spread
+    beyond = levels - np.array([p.own for p in darks])
+    slope = float(np.sum(weight * (times - centre) * beyond)) / spread
     error = float(np.sqrt(2 / (darks[0].excess.size * spread)))
     return slope if slope > SURE * error else 0.0
 
@@ -295,10 +304,9 @@ def _less(p: _Part, growing: np.ndarray) -> _Part:
     have."""
     grown = growing * p.exposure_s
     level = max(p.level - _bulk(grown), 0.1 * p.level)
-    unit = 1 + grown / level
-    return p._replace(
-        excess=p.excess - _bulk(grown), ratio=p.ratio * p.level / (level * unit), level=level, unit=unit
-    )
+    unit = p.loud + grown / level
+    ratio = p.ratio * p.level * p.loud / (level * unit)
+    return p._replace(excess=p.excess - _bulk(grown), ratio=ratio, level=level, unit=unit)
 
 
 def _alone(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
@@ -325,7 +333,7 @@ def _odd(ratio: np.ndarray, dof: int) -> Bool[np.ndarray, "h w"]:
 def _of_lit(p: _Part) -> tuple[np.ndarray, ...]:
     """The maps of `LIT` of one lit recording."""
     fixed = np.zeros(p.signal.shape) if p.residual is None else wiener(p.residual, p.noise, 3)
-    alone = np.where(_odd(p.ratio, p.contrasts), p.level * np.maximum(p.ratio - 1, 0), 0.0)
+    alone = np.where(_odd(p.ratio, p.contrasts), p.level * p.loud * np.maximum(p.ratio - 1, 0), 0.0)
     return p.signal, fixed, alone, np.maximum(_spectrum([p], False), 0), p.unit
 
 
