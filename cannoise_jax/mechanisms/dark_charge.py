@@ -65,15 +65,24 @@ DARK_CURRENT = Mechanism(
 
 
 def _compensated(key, x, values, maps, context: Context):
-    # Only what scatters is left of the charge: the clamp takes its mean away.
-    return x + sample_poisson(key, jnp.broadcast_to(values["e_per_s"], x.shape)) - values["e_per_s"]
+    # What scatters is left of the charge: the clamp takes its mean away.
+    charge = sample_poisson(key, jnp.broadcast_to(values["e_per_s"], x.shape))
+    return x + charge - values["share"] * values["e_per_s"]
+
+
+def _compensated_effect(values, maps, context):
+    added = _added(values["e_per_s"], context)
+    return added._replace(mean=(1 - values["share"]) * added.mean)
 
 
 COMPENSATED_DARK_CURRENT = Mechanism(
     id="compensated_dark_current",
     point=Point("pixel", "charge", "pixel", "redrawn"),
-    parameters=(_rate("dark current whose mean the camera subtracts", 10.0),),
-    equation=r"e \to e + n - D\,t,\quad n \sim \mathrm{Poisson}(D\,t\,2^{(T-T_0)/T_d})",
+    parameters=(
+        _rate("dark current whose mean the camera subtracts", 10.0),
+        Parameter("share", "1", 1.0, 0.0, 10.0, "identity", "what is subtracted, over its mean"),
+    ),
+    equation=r"e \to e + n - s\,q,\quad n \sim \mathrm{Poisson}(q),\ q = D\,t\,2^{(T-T_0)/T_d}",
     sentence="The camera clamps its black level to shielded pixels: long darks do not rise, yet the noise of "
     "the dark current stays in them.",
     reference="EMVA 1288 release 4.0, section 7 (dark current from the variance)",
@@ -81,7 +90,7 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     confused_with=("dark_current", "read_noise_error"),
     amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
     sample=_compensated,
-    effect=lambda values, maps, context: _added(values["e_per_s"], context)._replace(mean=None),
+    effect=_compensated_effect,
     scaling=_THERMAL,
     scales="e_per_s",
 )
@@ -239,7 +248,7 @@ ENTRIES: tuple[Entry, ...] = (
         COMPENSATED_DARK_CURRENT,
         needs="darks at two exposures or more, two frames of each, exposure_s stated, and flats for the gain",
         signatures=lambda recorded: looks.dark_noise.beside_level(
-            recorded, name="dark_noise", parameter="e_per_s"),
+            recorded, name="dark_noise", rate="e_per_s", share="share"),
         examples=Examples("variance", shown={"e_per_s": 30.0}, dim=True, strong={"e_per_s": 60.0}),
     ),
     Entry(

@@ -9,8 +9,8 @@ current compensation). For block b of the frame and recording r
 
 medians over pixels, so that warm pixels move neither. Without compensation it does not depend on the
 exposure, however large the dark current is; with it, it grows by the hidden electrons a second. A level that
-falls says that the clamp takes more than there is, and is left out. The slopes of the blocks scatter by all
-that is random in them, which gives the standard error.
+falls says that the clamp takes more than there is: it is left out, and told as the share that is taken. The
+slopes of the blocks scatter by all that is random in them, which gives the standard error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.recordings.recording import DARK
-from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, student_log_p
@@ -29,7 +28,9 @@ from cannoise_jax.signatures.signature import (
     NO_LAW,
     NO_PATTERN,
     NO_PLACE,
+    Addition,
     Axes,
+    Found,
     Many,
     Signature,
     unchanged,
@@ -94,8 +95,8 @@ def excess_score(fields: Many) -> Score | None:
     for g in groups:  # each gain setting has a read noise of its own
         centred[g] -= np.average(t[g], weights=weight[g])
     parts = weight * centred / np.sum(weight * centred**2)
-    rises = float(np.einsum("r,rb->b", parts, level).mean()) > 0
-    excess = variance - level if rises else variance
+    rise = float(np.einsum("r,rb->b", parts, level).mean())
+    excess = variance - level if rise > 0 else variance
     rest = excess.mean(1)
     for g in groups:
         rest[g] -= np.average(rest[g], weights=weight[g])
@@ -106,6 +107,7 @@ def excess_score(fields: Many) -> Score | None:
     if freedom > 0:  # what does not grow with the exposure counts as error
         error *= np.sqrt(max(1.0, float(np.sum(weight * (rest - rate * centred) ** 2)) / freedom))
     z = rate / error
+    share = 1 + max(-rise, 0.0) / max(rate, error)
     return Score(
         log_p=student_log_p(z, slopes.size - 1, 1),
         gain=0.5 * z**2 if z > 0 else 0.0,
@@ -114,14 +116,22 @@ def excess_score(fields: Many) -> Score | None:
         error=error,
         shift=error,
         power=1,
-        parameters={"e_per_s": (rate, "e-/s", error)},
+        parameters={
+            "e_per_s": (rate, "e-/s", error),
+            "share": (share, "1", share * error / max(rate, error)),
+        },
         where={"axis": "frame", "recordings": [f.name for f in dark]},
     )
 
 
-def beside_level(recorded: Recorded, *, name: str, parameter: str) -> tuple[Signature, ...]:
+def beside_level(recorded: Recorded, *, name: str, rate: str, share: str) -> tuple[Signature, ...]:
     """Variance of the darks that grows with the exposure, beyond what their level says; nothing where a gain
-    is not known."""
+    is not known. rate, share: the mechanism's parameters."""
+
+    def simulate(found: Found) -> Addition:
+        told = found.score.parameters
+        return Addition({rate: told["e_per_s"][0], share: told["share"][0]})
+
     if not all(np.all(b.gain_error > 0) for b in recorded.baselines):
         return ()
     return (
@@ -133,7 +143,7 @@ def beside_level(recorded: Recorded, *, name: str, parameter: str) -> tuple[Sign
             absorb=unchanged,
             predict=NO_LAW,
             pattern=NO_PATTERN,
-            simulate=strength(parameter),
+            simulate=simulate,
             place=NO_PLACE,
             detectable=BY_SHIFT,
             least=NO_CLOSED_FORM,

@@ -194,7 +194,9 @@ SAMPLE = {
     "amp_glow": lambda rng, x, p, m, c: x + p["e_per_s"] * m["glow"],
     "hot_pixels": lambda rng, x, p, m, c: x + p["e_per_s"] * m["heat"],
     "clock_induced_charge": lambda rng, x, p, m, c: x + p["charge_e"],
-    "compensated_dark_current": lambda rng, x, p, m, c: x + rng.poisson(p["e_per_s"], x.shape) - p["e_per_s"],
+    "compensated_dark_current": lambda rng, x, p, m, c: (
+        x + rng.poisson(p["e_per_s"], x.shape) - p["share"] * p["e_per_s"]
+    ),
     "temperature_drift": temperature_drift,
     "brighter_fatter": brighter_fatter,
     "image_lag": image_lag,

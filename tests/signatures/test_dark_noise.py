@@ -44,6 +44,8 @@ def test_the_hidden_rate_comes_back(rate, clamp, hidden):
     found = [score(seed, rate, clamp) for seed in range(4)]
     assert all(f.log_p < -8 for f in found)
     assert np.mean([f.amplitude for f in found]) == pytest.approx(hidden, rel=0.06)
+    taken = np.mean([f.parameters["share"][0] for f in found])
+    assert taken == pytest.approx(max(clamp, 1.0), abs=0.03)  # less is a dark current beside it
 
 
 @pytest.mark.parametrize(
