@@ -21,7 +21,6 @@ from cannoise_jax.recordings.recording import Recording
 
 SIZE = (192, 256)
 FLATS = (0.02, 0.1, 0.25, 0.5, 0.8)
-DESIGNS = ("full", "no_flats", "no_darks", "single_frames")
 BURST = 96
 ENGINES = {"own": chain.expose, "getframes": peer.expose}
 

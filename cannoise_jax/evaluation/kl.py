@@ -2,8 +2,8 @@
 
 All values of a set are pooled into one histogram of 66 bins: 64 of width 0.2/64 on [-0.1, 0.1] and one beyond
 each end. The reference metric keeps only the bins that both histograms occupy and does not renormalise, so it
-can be negative and forgives a model that is far too narrow; `kl_smoothed` adds one count to every bin instead
-(as Noise2NoiseFlow does) and does not forgive. Both are KL(real || fake) in nats.
+can be negative and forgives a model that is far too narrow; `kl_smoothed_of_counts` adds one count to every
+bin instead (as Noise2NoiseFlow does) and does not forgive. Both are KL(real || fake) in nats.
 
 Two draws of *equal* noise do not give zero: their histograms are finite. `kl_floor` says what they give.
 """
@@ -47,11 +47,6 @@ def kl_divergence(real: Float[np.ndarray, "..."], fake: Float[np.ndarray, "..."]
     return kl_of_counts(histogram(real), histogram(fake))
 
 
-def kl_smoothed(real: Float[np.ndarray, "..."], fake: Float[np.ndarray, "..."]) -> float:
-    """KL(real || fake) over all 66 bins with one count added to each, (count + 1) / (n + 66), nats; >= 0."""
-    return kl_smoothed_of_counts(histogram(real), histogram(fake))
-
-
 def kl_floor(
     real: Float[np.ndarray, "..."], fake_count: int | None = None, trials: int = 32, seed: int = 0
 ) -> float:
@@ -67,7 +62,7 @@ def kl_of_counts(real: Int64[np.ndarray, "66"], fake: Int64[np.ndarray, "66"]) -
 
 
 def kl_smoothed_of_counts(real: Int64[np.ndarray, "66"], fake: Int64[np.ndarray, "66"]) -> float:
-    """`kl_smoothed` of two histograms."""
+    """KL(real || fake) over all 66 bins with one count added to each, (count + 1) / (n + 66), nats; >= 0."""
     p = (real + 1) / (real.sum() + BINS)
     q = (fake + 1) / (fake.sum() + BINS)
     return float(np.sum(p * np.log(p / q)))

@@ -8,7 +8,7 @@ from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples, Shot
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
-from cannoise_jax.physics.core.mosaic_ops import gradient, moved, neighbour_mean
+from cannoise_jax.physics.core.mosaic_ops import moved, neighbour_mean
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import codes, light
@@ -103,14 +103,6 @@ def _misregister(key, x, values, maps, context):
 def _misregister_effect(values, maps, context):
     mean = _misregister(None, context.mean_dn, values, maps, context) - context.mean_dn
     return Effect(mean=mean[0], variance=(context.gain_dn_per_e * mean)[0])
-
-
-def _edges(context: Context):
-    """Slope of the signal over its noise: what a shift of one pixel adds to the residual, along y and x."""
-    sigma = jnp.sqrt(
-        context.gain_dn_per_e * context.mean_dn + (context.gain_dn_per_e * context.read_noise_e) ** 2
-    )
-    return tuple(g / sigma for g in gradient(context.mean_dn))
 
 
 MISREGISTRATION = Mechanism(

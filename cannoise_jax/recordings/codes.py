@@ -23,7 +23,6 @@ from jaxtyping import Int
 
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import PerChannel, per_channel
 
 _CODES = 1 << 16
 _LARGEST_STEP = 4096
@@ -42,15 +41,10 @@ class CodeLattice(NamedTuple):
 def detect_code_step(frames: Any) -> float:
     """Spacing of the stored codes in DN over all pixels, 0 where they are not one lattice.
 
-    Channels of different steps share no lattice: see `detect_code_step_per_channel`.
+    Channels of different steps share no lattice: see `code_histograms`.
     frames: integer DN, an array of any shape or the lazy frames of a recording.
     """
     return code_lattice(code_histogram(frames)).step
-
-
-def detect_code_step_per_channel(frames: Any) -> PerChannel:
-    """`detect_code_step` for each mosaic site, mosaic order. frames: `[..., H, W]` or lazy `[T, H, W]`."""
-    return per_channel(np.array([code_lattice(h).step for h in code_histograms(frames)]))
 
 
 def code_histogram(frames: Any) -> Int[np.ndarray, "65536"]:

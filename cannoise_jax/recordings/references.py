@@ -1,7 +1,7 @@
 """References from repeated frames: what a frame is compared with must not hold the frame's own noise.
 
 The reference of frame t is the mean of the other T - 1 frames. Frame minus reference then has variance
-sigma^2 * T / (T - 1): divide by `leave_one_out_excess(T)` where the noise's own level matters.
+sigma^2 * T / (T - 1): divide by sqrt(T / (T - 1)) where the noise's own level matters.
 
 Lamps drift, and under a rolling shutter the flicker of the mains becomes bands of rows that differ from frame
 to frame. That is light, not noise of the camera, so flats may have it followed: see `illumination`.
@@ -19,11 +19,6 @@ from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.recording import BadInput, Recording, normalise
 
 _SMOOTH_ROWS, _SMOOTH_ORDER = 21, 5  # rows of one mosaic site
-
-
-def leave_one_out_excess(count: int) -> float:
-    """Std of (frame - mean of the others) over that of one frame, independent noise: sqrt(T / (T - 1))."""
-    return float(np.sqrt(count / (count - 1)))
 
 
 def mean_frame(recording: Recording) -> Float[np.ndarray, "h w"]:

@@ -34,8 +34,6 @@ from cannoise_jax.recordings.recording import (
 
 CAMERAS = ("GP", "IP", "S6", "N6", "G4")
 """Google Pixel, iPhone 7, Samsung Galaxy S6 Edge, Motorola Nexus 6, LG G4."""
-TEST_SCENES = ("001", "002", "008")
-"""Held out by the paper: 63 of the 160 instances of SIDD Medium."""
 
 # Colour order of the images in MATLAB's orientation, as published with the data set.
 _CFA = {"GP": "BGGR", "IP": "RGGB", "S6": "GRBG", "N6": "BGGR", "G4": "BGGR"}

@@ -18,8 +18,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-BANDS = ("both parities together", "odd against even columns", "odd against even rows", "checkerboard")
-"""What the four parity bands hold."""
 _CELL = 16
 
 
@@ -66,7 +64,8 @@ def _haar(values: Float[np.ndarray, "... n"]) -> list[Float[np.ndarray, "... m"]
 
 
 def parity_bands(field: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "4 a b"]:
-    """The four parity bands in the order of `BANDS`, orthonormal; the field cropped to `cropped_side`."""
+    """Both parities together, odd against even columns, odd against even rows, and the checkerboard,
+    orthonormal; the field cropped to `cropped_side`."""
     h, w = (cropped_side(n) for n in field.shape)
     f = field[:h, :w]
     a, b, c, d = f[0::2, 0::2], f[0::2, 1::2], f[1::2, 0::2], f[1::2, 1::2]

@@ -42,23 +42,27 @@ def test_agrees_with_the_definition():
     assert kl.kl_divergence(real, fake) == pytest.approx(naive_kl(real, fake), abs=1e-12)
 
 
+def smoothed(real, fake):
+    return kl.kl_smoothed_of_counts(kl.histogram(real), kl.histogram(fake))
+
+
 def test_identical_sets_give_zero():
     noise = np.random.default_rng(1).normal(0, 0.02, (4, 8, 8))
     assert kl.kl_divergence(noise, noise) == 0
-    assert kl.kl_smoothed(noise, noise) == 0
+    assert smoothed(noise, noise) == 0
 
 
 def test_direction_is_real_against_fake():
     rng = np.random.default_rng(2)
     wide, narrow = rng.normal(0, 0.02, 200_000), rng.normal(0, 0.015, 200_000)
     gaussian = 0.5 * ((0.02 / 0.015) ** 2 - 1) - math.log(0.02 / 0.015)
-    assert kl.kl_smoothed(wide, narrow) == pytest.approx(gaussian, rel=0.05)
+    assert smoothed(wide, narrow) == pytest.approx(gaussian, rel=0.05)
 
 
 def test_a_model_without_noise_scores_below_zero_unless_smoothed():
     real = np.random.default_rng(3).normal(0, 0.04, 16384)
     assert kl.kl_divergence(real, np.zeros(16384)) == pytest.approx(-0.108, abs=0.006)
-    assert kl.kl_smoothed(real, np.zeros(16384)) == pytest.approx(5.47, abs=0.05)
+    assert smoothed(real, np.zeros(16384)) == pytest.approx(5.47, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +132,7 @@ def test_values_that_are_not_finite_are_refused(wrong):
     real = np.random.default_rng(9).normal(0, 0.02, 1000)
     fake = real.copy()
     fake[7] = wrong
-    for measure in (kl.kl_divergence, kl.kl_smoothed):
+    for measure in (kl.kl_divergence, smoothed):
         with pytest.raises(ValueError, match="1 of 1000 values are not finite"):
             measure(real, fake)
         with pytest.raises(ValueError, match="not finite"):

@@ -3,9 +3,9 @@ import pytest
 
 from cannoise_jax.recordings.codes import (
     code_histogram,
+    code_histograms,
     code_lattice,
     detect_code_step,
-    detect_code_step_per_channel,
 )
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import read_recording, write_recording
@@ -91,7 +91,7 @@ def test_channels_may_have_steps_of_their_own():
     codes = adc(np.random.default_rng(7), sigma=30)
     codes[:, ::2, ::2] *= 4
     codes[:, 1::2, 1::2] *= 2
-    assert detect_code_step_per_channel(codes) == (4, 1, 1, 2)
+    assert [code_lattice(h).step for h in code_histograms(codes)] == [4, 1, 1, 2]
     assert detect_code_step(codes) == 0  # taken together they are no lattice
 
 
@@ -106,7 +106,8 @@ def test_values_that_are_no_codes_are_refused():
 def test_real_recordings(real_data, camera, step):
     for recording in load_capture_set(real_data / camera).recordings:
         assert detect_code_step(recording.frames) == step, recording.path
-        assert detect_code_step_per_channel(recording.frames[:2]) == (step,) * 4, recording.path
+        steps = [code_lattice(h).step for h in code_histograms(recording.frames[:2])]
+        assert steps == [step] * 4, recording.path
 
 
 def test_the_widest_step_that_may_be_stated_is_compared_with_the_codes(tmp_path):

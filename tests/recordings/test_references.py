@@ -4,7 +4,6 @@ import pytest
 from cannoise_jax.recordings.recording import BadInput, Recording, normalise
 from cannoise_jax.recordings.references import (
     leave_one_out,
-    leave_one_out_excess,
     mean_frame,
     referenced_frames,
 )
@@ -34,7 +33,7 @@ def test_a_reference_holds_none_of_its_frames_noise():
     r = recording(4, size=(200, 200))
     ((_, frames, references),) = leave_one_out(r)
     noise = frames - references
-    assert noise.std() == pytest.approx(leave_one_out_excess(4) * 30 / (4095 - 115), rel=0.01)
+    assert noise.std() == pytest.approx(np.sqrt(4 / 3) * 30 / (4095 - 115), rel=0.01)
     # Against the mean of all frames the frame itself would correlate with its reference.
     for frame, reference in zip(frames, references, strict=True):
         assert abs(np.corrcoef(frame[::2, ::2].ravel(), reference[::2, ::2].ravel())[0, 1]) < 0.04
@@ -63,7 +62,7 @@ def residual(recording, follow_light):
 
 def test_flats_have_their_light_followed_and_their_noise_left():
     flats, _ = flickering_flats(light=True, noise=0)
-    shot = np.sqrt(8000 * 0.93) / 16283 * leave_one_out_excess(8)
+    shot = np.sqrt(8000 * 0.93) / 16283 * np.sqrt(8 / 7)
     assert residual(flats, False).std() > 5 * shot  # the lamp would pass for noise
     assert residual(flats, True).std() == pytest.approx(shot, rel=0.03)
     rows = residual(flats, True).mean(axis=2).std()
@@ -75,5 +74,5 @@ def test_flats_have_their_light_followed_and_their_noise_left():
 
 def test_single_rows_keep_most_of_what_is_their_own():
     flats, _ = flickering_flats(light=False, noise=1)
-    kept = residual(flats, True).mean(axis=2).std() / (100 / 16283 * leave_one_out_excess(8))
+    kept = residual(flats, True).mean(axis=2).std() / (100 / 16283 * np.sqrt(8 / 7))
     assert 0.87 < kept < 0.95  # sqrt(1 - 0.17) = 0.91

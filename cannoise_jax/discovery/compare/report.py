@@ -17,8 +17,6 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
 
 SCHEMA = "cannoise/comparison/1"
-LITTLE = 0.05
-"""Share of the noise of a pixel below which a difference in DN is said to be small."""
 
 
 class Comparison(NamedTuple):

@@ -100,19 +100,6 @@ def sample_normal(key: Key[Array, ""], shape: tuple[int, ...]) -> Float[Array, "
     return _normal(centred_uniform(key, shape))
 
 
-def sample_poisson_gaussian(
-    key: Key[Array, ""],
-    mean_e: Float[Array, "..."],
-    gain_dn_per_e: Float[Array, "..."] | float,
-    read_noise_e: Float[Array, "..."] | float,
-) -> Float[Array, "..."]:
-    """Signal above black in DN, `K (Poisson(mean_e) + N(0, read_noise_e^2))`; parameters broadcast to
-    `mean_e`."""
-    shot, read = jax.random.split(key)
-    charge = sample_poisson(shot, mean_e)
-    return gain_dn_per_e * (charge + read_noise_e * sample_normal(read, charge.shape))
-
-
 def electrons_from_nlf(shot: Float[Array, "..."], read: Float[Array, "..."], span_dn: float | Array = 1.0):
     """System gain (DN/e-) and read noise (e-) of a noise level function `var = shot * clean + read` in
     normalised units, where `span_dn` is white minus black level."""

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core.poisson_gaussian import sample_poisson
-from cannoise_jax.physics.synthetic.scenes import Scene, mosaic
 from cannoise_jax.recordings.codes import detect_code_step
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import BadInput, Recording
 
 
 def half_real_recording(
@@ -58,28 +56,4 @@ def half_real_recording(
         code_step=step,
         reference="independent",
         reference_frames=None,
-    )
-
-
-def half_real_capture_set(
-    key: Key[Array, ""], scenes: tuple[Scene, ...], darks: CaptureSet, gain_dn_per_e: float
-) -> CaptureSet:
-    """Every scene on the frames of one dark (or bias) recording of a real camera, the darks taken in turn.
-
-    Raises BadInput where the set has no darks.
-    """
-    floors = darks.of_kind(*DARK)
-    if not floors:
-        raise BadInput(f"{darks.path or darks.camera}: no dark frames: record some, lens capped")
-    return CaptureSet(
-        darks.camera,
-        tuple(
-            half_real_recording(
-                jax.random.fold_in(key, s),
-                mosaic(scene.image, floors[s % len(floors)].cfa),
-                floors[s % len(floors)],
-                gain_dn_per_e,
-            )
-            for s, scene in enumerate(scenes)
-        ),
     )
