@@ -233,9 +233,13 @@ def hessian(
 
 
 def _log_estimate(value: float, error: float) -> Estimate:
-    """A positive value whose logarithm has a Gaussian error; its ends stay within float64."""
-    low, high = np.exp(np.clip(np.log(max(value, 1e-300)) + Z90 * error * np.array([-1, 1]), -700, 700))
-    return Estimate(value, value * float(error), (float(low), float(high)))
+    """A positive value whose logarithm has a Gaussian error. Where that error exceeds one the value may be
+    zero, which no logarithm reaches: its own error is then taken as Gaussian and the interval cut at zero."""
+    stderr = value * float(error)
+    if error > 1:
+        return Estimate(value, stderr, (max(value - Z90 * stderr, 0.0), value + Z90 * stderr))
+    low, high = value * np.exp(Z90 * error * np.array([-1, 1]))
+    return Estimate(value, stderr, (float(low), float(high)))
 
 
 def _exponential_tail(x: np.ndarray, sigma: float, mean: float) -> np.ndarray:
