@@ -34,7 +34,7 @@ LATE = {
 that store what they belong to, whose readers and writers are built on it."""
 FLOORS = (
     ("vocabulary", "exports"),
-    ("", "recordings", "physics", "physics.hidden_level"),
+    ("", "recordings", "physics", "physics.hidden_level", "physics.robust"),
     ("physics.core",),
     (
         "physics.likelihood",

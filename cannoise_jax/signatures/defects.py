@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage, stats
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.hot import without_pixels
 from cannoise_jax.signatures.plain import carried, plain
@@ -79,7 +80,7 @@ def find_dead(fields: tuple[Fields, ...]) -> np.ndarray | None:
         return None
     least, seen, _ = found
     known = seen > 0
-    spread = max(1.4826 * float(np.median(np.abs(least[known] - np.median(least[known])))), 1e-4)
+    spread = max(robust_std(least[known]), 1e-4)
     dead = known & (least > _LOST) & (least > _CLEAR * spread)
     # An edge where the reference is off is dark along a line, dust over an area; a dead pixel stands alone.
     around = ndimage.convolve(dead.astype(np.int16), np.ones((5, 5), np.int16), mode="constant") - dead

@@ -7,6 +7,8 @@ from functools import lru_cache
 import numpy as np
 from scipy import special, stats
 
+from cannoise_jax.physics.robust import robust_std
+
 _SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
 """Shares of rare pixels that are tried."""
 HEATS = tuple(np.exp(np.linspace(np.log(1.5), np.log(200), 14)))
@@ -104,7 +106,7 @@ def hot_log_p(log_ratio: float, pixels: int) -> float:
 def spread_of(u: np.ndarray) -> float:
     """Standard deviation of the bulk, at least 1: of values that may lie on a coarse lattice, a few of them
     far out."""
-    size = max(1.4826 * float(np.median(np.abs(u - np.median(u)))), 1.0)
+    size = max(robust_std(u), 1.0)
     capped = float(stats.norm.expect(lambda z: np.minimum(z * z, 9.0)))
     for _ in range(10):
         inner = np.square(u[np.abs(u) < 6 * size] / size)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.patterns import pixel_sums
@@ -46,7 +47,7 @@ def dark_map(fields: tuple[Fields, ...]) -> Heat | None:
     estimate = estimate - np.median(estimate[known])
     noise = np.where(known, 1 / np.where(known, sums.information, 1.0), 0.0)
     middle = estimate[known]
-    limit = 8 * 1.4826 * float(np.median(np.abs(middle)))
+    limit = 8 * robust_std(middle, 0)
     variance = max(float(np.mean(np.minimum(middle**2, limit**2))) - float(np.mean(noise[known])), 0.0)
     # Where the map as a whole does not show, its few far pixels still do.
     far = np.abs(estimate) > 5 * np.sqrt(noise)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.frames.contrasts import robust_line
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import least_squares
@@ -142,7 +143,7 @@ def _bulk(values: np.ndarray) -> float:
     """Mean of the values within five robust standard deviations of their median."""
     centre = np.median(values)
     away = np.abs(values - centre)
-    kept = values[away <= max(5 * 1.4826 * float(np.median(away)), 1e-6)]
+    kept = values[away <= max(5 * robust_std(values, centre), 1e-6)]
     return float(kept.mean()) if kept.size > 0.5 * values.size and np.ptp(kept) > 0 else float(values.mean())
 
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import fft, ndimage, stats
 
+from cannoise_jax.physics.robust import robust_std
+
 _WIDE = 7
 SURE, LIKELY = 3.0, 2.0
 """Standard errors from which a part of a spectrum is not what it is elsewhere: of fixed maps, of redrawn
@@ -18,7 +20,7 @@ def wiener(values: np.ndarray, noise: float, seed: int) -> np.ndarray:
     frames leave open drawn at random, so that it has the pattern's own power; what stands out is kept."""
     centre = float(np.median(values))
     away = values - centre
-    scale = max(1.4826 * float(np.median(np.abs(away))), np.sqrt(noise))
+    scale = max(robust_std(away, 0), np.sqrt(noise))
     out = np.abs(away) > 5 * scale
     waves = fft.fft2(np.where(out, 0.0, away))
     beyond = np.maximum(smooth(np.abs(waves) ** 2 / values.size - noise, 1, noise, SURE), 0)
@@ -63,5 +65,5 @@ def smooth(power: np.ndarray, n: int, level: float, errors: float) -> np.ndarray
 def _along(line: np.ndarray) -> np.ndarray:
     """A line of a spectrum smoothed, single frequencies aside."""
     local = ndimage.median_filter(line, 9, mode="wrap")
-    spread = 1.4826 * np.median(np.abs(line - local))
+    spread = robust_std(line - local, 0)
     return ndimage.uniform_filter1d(np.where(line - local > 6 * spread, local, line), _WIDE, mode="wrap")

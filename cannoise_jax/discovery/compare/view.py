@@ -14,6 +14,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.compare.light import Light
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import contrast_matrix, helmert
@@ -224,4 +225,4 @@ def _lone(z: Float[np.ndarray, "n h w"], scale: np.ndarray) -> tuple[np.ndarray,
 def _robust(static: np.ndarray, kept: np.ndarray) -> float:
     """Robust standard deviation of the static map, at least that of the noise."""
     values = static[kept]
-    return max(1.4826 * float(np.median(np.abs(values - np.median(values)))), 1.0) if values.size else 1.0
+    return max(robust_std(values), 1.0) if values.size else 1.0

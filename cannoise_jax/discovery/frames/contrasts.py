@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.frames.smooth import beyond
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 from cannoise_jax.signatures.fields import (
@@ -170,7 +171,7 @@ def robust_mean(values: np.ndarray) -> float:
     code, those that are not tell the spread: without them the mean would be that code."""
     centre = np.median(values)
     away = np.abs(values - centre)
-    spread = 1.4826 * np.median(away)
+    spread = robust_std(values, centre)
     if spread < 1e-6:
         others = away[away > 1e-6]
         spread = float(np.median(others)) if others.size else 1e-6
@@ -218,7 +219,7 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
         for _ in range(2):
             beta = least_squares(basis[kept], values[kept])
             rest = values - np.einsum("nk,k->n", basis, beta)
-            kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+            kept = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6
         fitted = np.einsum("nk,k->n", basis, beta)
         at = SITES[c]
         out[chosen] = fitted
@@ -250,7 +251,7 @@ def robust_line(
     for _ in range(2):
         beta = least_squares(basis[kept], values[kept])
         rest = values - np.einsum("nk,k->n", basis, beta)
-        kept = np.abs(rest) < 6 * 1.4826 * np.median(np.abs(rest)) + 1e-6
+        kept = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6
     return beta
 
 

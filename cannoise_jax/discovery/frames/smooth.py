@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage, stats
 
+from cannoise_jax.physics.robust import robust_std
+
 START, STOP = 4, 16
 """Degree of the surface that is always fitted, and the highest one that is tried."""
 _CHANCE = 1e-3
@@ -28,7 +30,7 @@ def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP)
     site of the mosaic; zeros where they hold no more than chance. Units of `rest`."""
     height, width = rest.shape
     stop = min(stop, height // 4, width // 4)
-    spread = 1.4826 * float(np.median(np.abs(rest)))
+    spread = robust_std(rest, 0)
     fitted = np.zeros(rest.shape)
     if spread == 0 or stop <= start:
         return fitted
@@ -42,7 +44,7 @@ def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP)
             enough = True  # one step more: what one flat lets pass shows in several together
         # All degrees anew: the fit that left `rest` set aside what it could not follow.
         fitted = _project(limited, rows, columns, -1, min(degree + 2, stop))
-        spread = 1.4826 * float(np.median(np.abs(rest - fitted)))
+        spread = robust_std(rest - fitted, 0)
     return fitted
 
 

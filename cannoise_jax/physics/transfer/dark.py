@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
@@ -52,7 +53,7 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         return NotMeasurable(RECORD)
     longest = site(series[-1].mean, channel)
     middle = np.median(longest)
-    keep = longest < middle + _HOT * 1.4826 * np.median(np.abs(longest - middle))
+    keep = longest < middle + _HOT * robust_std(longest)
     for s in series:
         keep &= ~site(s.clipped, channel)
     rows = []

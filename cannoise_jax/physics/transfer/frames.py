@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.codes import code_histograms, code_lattice
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
@@ -155,7 +156,7 @@ def _is_lit(recording: Recording, signal: Float[np.ndarray, "T H 2"]) -> bool:
     if recording.kind != "flat" or recording.count < 2:
         return False
     first, second = (np.asarray(recording.frames[t], np.float64) for t in (0, 1))
-    noise = 1.4826 * np.median(np.abs(first - second - np.median(first - second))) / np.sqrt(2)
+    noise = robust_std(first - second) / np.sqrt(2)
     return bool(signal.min() > _LIT * max(noise, 1e-6) / np.sqrt(recording.size[1] / 2))
 
 

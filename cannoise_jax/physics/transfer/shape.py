@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import (
     Z90,
     Estimate,
@@ -119,7 +120,7 @@ def _moments(dark: FrameStatistics) -> list[Quantity]:
     height, width = dark.recording.size
     scale = 0.0
     for rest in _differences(dark):
-        scale = scale or 1.4826 * float(np.median(np.abs(rest)))
+        scale = scale or robust_std(rest, 0)
         inside = rest[np.abs(rest) < _CLIP * scale]
         for name, values in (("excess kurtosis", rest), ("excess kurtosis, clipped", inside)):
             sums[name].append(np.array([values.size, np.sum(values**2), np.sum(values**4)]))

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate
 from cannoise_jax.physics.transfer.estimator import Law
 from cannoise_jax.physics.transfer.estimators.charge import hessian
@@ -115,7 +116,7 @@ def _offsets(series: Float[np.ndarray, "T n"]) -> tuple[Float[np.ndarray, "k"], 
     normal law as wide as the averages of two halves of the frames have in common; none where that is
     little."""
     halves = [series[k::2].mean(0) for k in (0, 1)]
-    total = (1.4826 * np.median(np.abs(series.mean(0)))) ** 2
+    total = robust_std(series.mean(0), 0) ** 2
     first, second = (np.clip(h, -2.5 * total**0.5, 2.5 * total**0.5) for h in halves)  # jumping pixels
     square = float(np.mean(first * second))
     if square < 0.3 * total:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
     Estimates,
@@ -54,7 +55,7 @@ def offset_pattern(dark: FrameStatistics) -> Pattern:
     variance, dof = pooled_variance(dark)
     keep = steady_pixels(dark)
     offsets, _ = _split(dark.mean, keep)
-    keep &= np.abs(offsets) < _HOT * 1.4826 * float(np.median(np.abs(offsets[keep])))
+    keep &= np.abs(offsets) < _HOT * robust_std(offsets[keep], 0)
     pixels, columns = _split(dark.mean, keep)
     return Pattern(pixels, columns, keep, variance / dark.recording.count, dof)
 
