@@ -118,8 +118,9 @@ def compare_bank(
     kinds = {n: "dark" if s.kind in DARK else "lit" for n, s in seen.items()}
     judgements, peaks = judge(recorded, simulated, kinds, alpha)
     return Compared(
-        source.label, capture.camera, alpha, seen, recorded, simulated, judgements, peaks, count, step,
-        held_back is not None,
+        label=source.label, camera=capture.camera, alpha=alpha, seen=seen, recorded=recorded,
+        simulated=simulated, judgements=judgements, peaks=peaks, sets=count, step=step,
+        held_back=held_back is not None,
     )  # fmt: skip
 
 
@@ -164,7 +165,17 @@ def _one(
     sigma, log_sigma = np.sqrt(variance), float(np.mean(np.log(noise.sigma(fitted))))
     signal = float(np.mean(fitted) - np.mean(r.black_level))
     return (
-        Seen("", r.kind, sigma, log_sigma, signal, r.size, raw.frames, r.exposure_s, degree),
+        Seen(
+            name="",
+            kind=r.kind,
+            sigma=sigma,
+            log_sigma=log_sigma,
+            signal=signal,
+            size=r.size,
+            frames=raw.frames,
+            exposure_s=r.exposure_s,
+            degree=degree,
+        ),
         real,
         simulated,
     )

@@ -104,7 +104,18 @@ def _levels(curve: Curve, c: int, black: float, start: tuple[np.ndarray, np.ndar
         sure = mean > 4 * rounding and not noisy_reference(stacked.recording)
         alone = float(u[u < far * max(float(np.median(u)) / median_quotient(n), lattice)].mean())
         out.append(
-            Level(stacked.number, c, float(x.mean()), mean, float(error), int(number), False, sure, alone, b)
+            Level(
+                recording=stacked.number,
+                channel=c,
+                signal=float(x.mean()),
+                variance=mean,
+                error=float(error),
+                pixels=int(number),
+                full=False,
+                sure=sure,
+                alone=alone,
+                part=b,
+            )
         )
     return out
 

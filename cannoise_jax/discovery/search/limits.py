@@ -60,18 +60,18 @@ def _seen(r: Recording, f: Fields, longest: float) -> Seen:
         signal = np.array(level)[channel_index(signal.shape)]
     beside = max(0.0, 1 - r.count / r.reference_frames) if r.clean is not None and r.reference_frames else 0.0
     return Seen(
-        r.count,
-        r.count - 1 + beside if averaged else r.count,
-        not averaged,
-        smooth,
-        f.usable / variance,
-        signal,
-        f.shot * f.usable if f.lit else np.zeros(variance.shape),
-        np.clip(1 - f.shot - f.step**2 / 12 / variance, 0, 1) * f.usable,
-        np.asarray(known_kurtosis(f)[1] * f.usable, np.float64),
-        (r.exposure_s or longest) / longest,
-        r.exposure_s or 0.0,
-        float(np.mean(f.gain)),
+        frames=r.count,
+        fresh=r.count - 1 + beside if averaged else r.count,
+        known=not averaged,
+        smooth=smooth,
+        weight=f.usable / variance,
+        signal=signal,
+        shot=f.shot * f.usable if f.lit else np.zeros(variance.shape),
+        read=np.clip(1 - f.shot - f.step**2 / 12 / variance, 0, 1) * f.usable,
+        tails=np.asarray(known_kurtosis(f)[1] * f.usable, np.float64),
+        exposure=(r.exposure_s or longest) / longest,
+        seconds=r.exposure_s or 0.0,
+        gain=float(np.mean(f.gain)),
     )
 
 
