@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from cannoise_jax.discovery.frames.contrasts import detected_step
+from cannoise_jax.recordings.codes import detect_code_step
+from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import lines
 from cannoise_jax.signatures.fields import frame_fields, helmert
 from cannoise_jax.signatures.score import chi2_log_sf, quadratic_log_p, sidak, variance_component
@@ -151,6 +155,14 @@ def test_plane_wave_is_found_at_its_frequency():
     assert score.log_p < -20
     assert abs(abs(fy) - 0.11) < 0.006 and abs(fx - 0.23) < 0.006
     assert score.amplitude == pytest.approx(0.6, rel=0.2)
+
+
+def test_a_pixel_off_the_lattice_leaves_the_code_step():
+    (dark, *_) = capture_set(0, step=4.0, kinds="d").recordings
+    frames = np.array(dark.frames[:])
+    frames[0, 5, 7] += 1
+    repaired = CaptureSet("repaired", (dataclasses.replace(dark, frames=frames),))
+    assert detected_step(repaired) == 4.0 == detect_code_step(frames[:1])
 
 
 def test_code_step_is_the_common_divisor_of_the_codes():

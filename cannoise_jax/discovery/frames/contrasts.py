@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from cannoise_jax.discovery.frames.smooth import beyond
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.recordings.codes import code_histogram, code_lattice
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 from cannoise_jax.signatures.fields import (
@@ -150,19 +151,19 @@ def row_variance(
 
 
 def code_step(capture: CaptureSet) -> float:
-    """Spacing of the codes: stated in the files, else the greatest common divisor of the differences, DN."""
+    """Spacing of the codes: stated in the files, else as the codes show it, DN."""
     stated = {r.code_step for r in capture.recordings if r.code_step}
     return float(stated.pop()) if len(stated) == 1 else detected_step(capture)
 
 
 def detected_step(capture: CaptureSet) -> float:
-    """Greatest common divisor of the differences between the codes that occur, DN."""
+    """Greatest common divisor of the steps of the recordings' first frames, codes below the white level, DN;
+    1 where none shows."""
     step = 0
     for recording in capture.recordings:
-        codes = np.unique(np.asarray(recording.frames[0:1]))
-        codes = codes[codes < recording.white_level]
-        if codes.size > 1:
-            step = int(np.gcd.reduce(np.append(np.diff(codes).astype(np.int64), step)))
+        counts = code_histogram(np.asarray(recording.frames[0:1]))
+        counts[int(np.ceil(recording.white_level)) :] = 0
+        step = int(np.gcd(step, int(code_lattice(counts).step)))
     return float(max(step, 1))
 
 
