@@ -40,6 +40,11 @@ def _rate(definition: str, default: float) -> Parameter:
     return Parameter("e_per_s", "e-/s", default, 0.0, 1e7, "log", definition)
 
 
+def _per_second(values, context: Context):
+    # The strength comes scaled to the exposure.
+    return values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12)
+
+
 DARK_CURRENT = Mechanism(
     id="dark_current",
     point=Point("pixel", "mean", "frame", "frozen"),
@@ -56,7 +61,7 @@ DARK_CURRENT = Mechanism(
         "amp_glow",
         "compensated_dark_current",
     ),
-    amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
+    amplitude=_per_second,
     sample=lambda key, x, values, maps, context: x + values["e_per_s"],
     effect=lambda values, maps, context: _added(values["e_per_s"], context),
     scaling=_THERMAL,
@@ -88,7 +93,7 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     reference="EMVA 1288 release 4.0, section 7 (dark current from the variance)",
     needs=("dark", "exposure", "pair"),
     confused_with=("dark_current", "read_noise_error"),
-    amplitude=lambda values, context: values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12),
+    amplitude=_per_second,
     sample=_compensated,
     effect=_compensated_effect,
     scaling=_THERMAL,
@@ -166,12 +171,6 @@ HOT_PIXELS = Mechanism(
     scaling=_THERMAL,
     scales="e_per_s",
 )
-
-
-def _variance_share(context: Context):
-    """Relative variance that one electron of extra charge adds to a pixel."""
-    gain = context.gain_dn_per_e
-    return gain**2 / context.own_variance()
 
 
 CLOCK_INDUCED_CHARGE = Mechanism(

@@ -41,16 +41,18 @@ def check_returns(path: str | Path) -> None:
     version = _version(Path(path))
     if version is None or (version >= _CHECKSUMS and not _has_loose_text(path)):
         return
-    with _one_at_a_time:
-        if not _came_back(path):
-            raise BadInput(f"{path}: damaged: the HDF5 library does not come to an end, or takes all memory")
+    _check_trial(path, "the HDF5 library does not come to an end, or takes all memory")
 
 
 def check_matlab(path: str | Path) -> None:
     """Raises BadInput for a file of MATLAB v5 that SciPy's reader does not survive."""
+    _check_trial(path, "the reader of MATLAB v5 files does not survive it")
+
+
+def _check_trial(path: str | Path, why: str) -> None:
     with _one_at_a_time:
         if not _came_back(path):
-            raise BadInput(f"{path}: damaged: the reader of MATLAB v5 files does not survive it")
+            raise BadInput(f"{path}: damaged: {why}")
 
 
 def _came_back(path: str | Path) -> bool:

@@ -77,13 +77,13 @@ def excess_score(fields: Many) -> Score | None:
         and len(f.contrasts)
         and float(np.median(f.sigma)) > f.step
     ]
-    told = [_of_blocks(f) for f in dark]
-    if any(one is None for one in told):
-        return None
     t = np.array([f.exposure_s for f in dark], float)
     group = np.array([f.group for f in dark])
     groups = [group == g for g in np.unique(group)]
     if all(len(np.unique(t[g])) < 2 for g in groups):
+        return None
+    told = [_of_blocks(f) for f in dark]
+    if any(one is None for one in told):
         return None
     gain = np.array([float(np.mean(f.gain)) for f in dark])[:, None]
     variance, level = (np.array(part) for part in zip(*told, strict=True))  # type: ignore[arg-type]

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.physics.synthetic.scenes import numpy_generator
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
@@ -51,7 +52,7 @@ def poisson_gaussian(data: HalfReal) -> Source:
 
 def poisson_gaussian_at_exposure(data: HalfReal) -> Source:
     """The same, the read noise that of the darks of this very exposure, robust against hot pixels."""
-    sigma = 1.4826 * float(np.median(np.abs(data.train)))
+    sigma = robust_std(data.train, 0)
     return _photons_and(data, lambda rng, shape: sigma * rng.normal(size=shape))
 
 

@@ -195,6 +195,8 @@ def _part(
     )
     n = len(raw.contrasts)
     own = np.mean(raw.contrasts**2, 0) if n else np.full(raw.mean.shape, typical)
+    dof = len(drawn.contrasts)
+    theirs = np.mean(drawn.contrasts**2, 0) if dof else np.full(raw.mean.shape, typical)
     # Noise of less than a code leaves most pixels still.
     bulk = max(bulk_variance(own.ravel(), n), 1e-6 * step**2) if n else typical
     residual = None
@@ -204,14 +206,13 @@ def _part(
         # pattern is in its draws.
         residual = raw.mean - (expected if dark else fitted) - (drawn.mean - expected)
         residual = np.where(raw.usable, residual, 0.0)
-    excess = _power(raw, bulk) - _power(drawn, typical) if n else np.zeros(raw.mean.shape)
+    excess = _power(raw, own, bulk) - _power(drawn, theirs, typical) if n else np.zeros(raw.mean.shape)
     noise = bulk / raw.frames + typical / drawn.frames
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
     # Pixels that the simulator already has noisier than the others are held against what it gives them.
     loud = np.ones_like(own)
-    if dof := len(drawn.contrasts):
-        theirs = np.mean(drawn.contrasts**2, 0)
-        theirs /= max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)
+    if dof:
+        theirs = theirs / max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)
         loud = np.where(_odd(theirs, dof), theirs, 1.0)
     ratio = own / max(bulk, 1e-12) / loud
     white = max(typical - step**2 / 12, 1e-3 * typical)
@@ -231,9 +232,8 @@ def _steady(raw: Raw) -> Float[np.ndarray, "n h w"]:
     return out
 
 
-def _power(raw: Raw, bulk: float) -> Float[np.ndarray, "h w"]:
-    """Mean periodogram of the contrasts, DN^2, outlying pixels at zero."""
-    own = np.mean(raw.contrasts**2, 0)
+def _power(raw: Raw, own: Float[np.ndarray, "h w"], bulk: float) -> Float[np.ndarray, "h w"]:
+    """Mean periodogram of the contrasts, DN^2, outlying pixels at zero. own: mean square of each pixel."""
     n = len(raw.contrasts)
     kept = ~_odd(own / max(bulk, 1e-12), n) & raw.usable
     total = np.zeros(raw.mean.shape)

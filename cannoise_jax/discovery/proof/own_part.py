@@ -112,10 +112,9 @@ def owned(each: list[Borne], most: dict[tuple[str, str], Float[np.ndarray, "k"]]
 
 def own_part(each: list[Borne]) -> Part:
     """A mechanism's part, summed."""
-    before, after, weight = (
-        sum(float((b.weight * values(b))[b.own].sum()) for b in each)
-        for values in (lambda b: b.before, lambda b: b.after, lambda b: np.ones(b.own.shape))
-    )
+    before = sum(float((b.weight * b.before)[b.own].sum()) for b in each)
+    after = sum(float((b.weight * b.after)[b.own].sum()) for b in each)
+    weight = sum(float(b.weight[b.own].sum()) for b in each)
     number = sum(int(b.own.sum()) for b in each)
     left_over = sum(float(b.after[b.own].sum()) for b in each)
     left = [

@@ -34,11 +34,6 @@ def neighbour_maximum(x: Float[Array, "... h w"]) -> Float[Array, "... h w"]:
     return jnp.max(jnp.stack([shifted(x, dy, dx) for dy, dx in steps]), axis=0)
 
 
-def gradient(x: Float[Array, "... h w"]) -> tuple[Float[Array, "... h w"], Float[Array, "... h w"]]:
-    """Slope per pixel along the columns and rows (y, x), from the neighbours of the same colour."""
-    return (shifted(x, 2, 0) - shifted(x, -2, 0)) / 4, (shifted(x, 0, 2) - shifted(x, 0, -2)) / 4
-
-
 def moved(x: Float[Array, "t h w"], dy: Float[Array, "t"], dx: Float[Array, "t"]) -> Float[Array, "t h w"]:
     """x at (i + dy, j + dx), one movement in pixels per frame, linear between samples of the same colour."""
 

@@ -53,7 +53,7 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         return NotMeasurable(RECORD)
     longest = site(series[-1].mean, channel)
     middle = np.median(longest)
-    keep = longest < middle + _HOT * robust_std(longest)
+    keep = longest < middle + _HOT * robust_std(longest, middle)
     for s in series:
         keep &= ~site(s.clipped, channel)
     rows = []
