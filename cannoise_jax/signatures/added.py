@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
-from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Addition, Found
 
 
@@ -20,29 +19,22 @@ def as_map(values: np.ndarray) -> Any:
     return jnp.asarray(values.reshape((1,) * (3 - values.ndim) + values.shape))
 
 
-def spectrum_values(score: Score, width: int) -> dict[str, float]:
-    """Exponent or frequency of a spectrum, by the grammar's names."""
-    out = {}
-    if "exponent" in score.parameters:
-        out["exponent"] = score.parameters["exponent"][0]
-    if "frequency" in score.parameters:
-        out["frequency"] = abs(score.parameters["frequency"][0])
-    if "frequency_x" in score.parameters:
-        fy, fx = score.parameters["frequency_y"][0], score.parameters["frequency_x"][0]
-        out["frequency"] = _raster_frequency(fy, fx, width)
-    return out
+Beside = Callable[[Found], dict[str, float]]
+"""What a finding says of a mechanism beside its strength, by the mechanism's names."""
 
 
-def _raster_frequency(fy: float, fx: float, width: int) -> float:
-    """Cycles per pixel of the scan whose aliases are the plane wave (fy, fx): f = fx + n / width
-    nearest to fy."""
-    turns = np.round(fx * width - fy)
-    f = abs((turns + fy) / width)
-    return float(min(f, 1 - f) if f <= 1 else f % 0.5)
+def NOTHING_BESIDE(found: Found) -> dict[str, float]:
+    """Of a mechanism of which strength and pattern say all."""
+    return {}
 
 
 def strength(
-    parameter: str, *, signed: str | None = None, unit_map: bool = False, by_exposure: bool = False
+    parameter: str,
+    *,
+    signed: str | None = None,
+    unit_map: bool = False,
+    by_exposure: bool = False,
+    beside: Beside = NOTHING_BESIDE,
 ) -> Callable[[Found], Addition]:
     """Adds the mechanism with its amplitude as `parameter` and the measured pattern, if there is one, per
     unit of it. signed: parameter of the score that has the amplitude's sign; unit_map: the pattern is per
@@ -51,7 +43,7 @@ def strength(
     def simulate(found: Found) -> Addition:
         score = found.score
         value = score.parameters[signed][0] if signed in score.parameters else score.amplitude
-        values = {parameter: value, **spectrum_values(score, found.fields[0].mean.shape[1])}
+        values = {parameter: value, **beside(found)}
         maps = {}
         if found.pattern is not None:
             maps = {"field": as_map(found.pattern / (1.0 if unit_map else max(value, 1e-12)))}
@@ -61,7 +53,11 @@ def strength(
 
 
 def placed(
-    point: Point | Callable[[Found], Point], *, unit_map: bool = False, by_exposure: bool = False
+    point: Point | Callable[[Found], Point],
+    *,
+    unit_map: bool = False,
+    by_exposure: bool = False,
+    beside: Beside = NOTHING_BESIDE,
 ) -> Callable[[Found], Addition]:
     """Adds a finding without a name at a point of the grammar: its amplitude where the point draws its own
     field, else the measured pattern as strength and map of unit rms. unit_map: the pattern is per unit of the
@@ -76,7 +72,7 @@ def placed(
                 shown = np.broadcast_to(shown, found.size)
             value = float(np.sqrt(np.mean(np.asarray(shown) ** 2))) or 1.0
             maps = {"field": jnp.asarray(np.asarray(shown / value)[None], jnp.float32)}
-        values = {amplitude_name(at): value, **spectrum_values(found.score, found.size[1])}
+        values = {amplitude_name(at): value, **beside(found)}
         if at.time == "telegraph":
             values["rate"] = 0.5
         return Addition(values, maps, found.by_exposure if by_exposure else None, at)

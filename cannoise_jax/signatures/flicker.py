@@ -24,7 +24,16 @@ from cannoise_jax.signatures.least import (
 )
 from cannoise_jax.signatures.line_sums import LineSums, line_sums, response
 from cannoise_jax.signatures.score import Score, sidak, variance_component
-from cannoise_jax.signatures.signature import BY_SHIFT, CONTRASTS, NO_LAW, NO_PATTERN, STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    CONTRASTS,
+    NO_LAW,
+    NO_PATTERN,
+    STATIC,
+    Axes,
+    Found,
+    Signature,
+)
 from cannoise_jax.signatures.waves import orthonormal, projected_out, redrawn, rician_fit, without
 
 _NEARLY = 0.1
@@ -222,6 +231,10 @@ def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
 
 def mains(*, name: str, parameter: str) -> Signature:
     """A sinusoid of the light from row to row, its phase new in every frame."""
+
+    def beside(found: Found) -> dict[str, float]:
+        return {"frequency": abs(found.score.parameters["frequency"][0])}
+
     return Signature(
         name=name,
         axes=Axes("photons", "row", "redrawn", "signal", "sinusoid"),
@@ -230,8 +243,10 @@ def mains(*, name: str, parameter: str) -> Signature:
         absorb=flicker_absorb,
         predict=NO_LAW,
         pattern=NO_PATTERN,
-        simulate=strength(parameter),
-        place=placed(Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid")),
+        simulate=strength(parameter, beside=beside),
+        place=placed(
+            Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"), beside=beside
+        ),
         detectable=BY_SHIFT,
         least=lambda sets: sinusoid(sets, signal),
     )

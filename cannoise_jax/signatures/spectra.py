@@ -27,6 +27,7 @@ from cannoise_jax.signatures.signature import (
     NO_LAW,
     NO_PATTERN,
     Axes,
+    Found,
     Many,
     Predicted,
     Signature,
@@ -267,6 +268,9 @@ def slope(
     def predict(fields: Many, score: Score) -> Predicted:
         return Predicted(row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
 
+    def beside(found: Found) -> dict[str, float]:
+        return {"exponent": found.score.parameters["exponent"][0]}
+
     def least(sets: tuple[Seen, ...]) -> Law:
         return pink(sets, (lambda s: s.weight.sum(1)) if rows else (lambda s: s.weight.ravel()))
 
@@ -279,8 +283,8 @@ def slope(
         covers=covers,
         predict=predict if rows else NO_LAW,
         pattern=NO_PATTERN,
-        simulate=strength(parameter),
-        place=placed(Point("readout", "signal", scan, "redrawn", spectrum="power_law")),
+        simulate=strength(parameter, beside=beside),
+        place=placed(Point("readout", "signal", scan, "redrawn", spectrum="power_law"), beside=beside),
         detectable=BY_SHIFT,
         least=least,
         moves_frames=below_frame,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy import fft, ndimage, optimize, special, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
-from cannoise_jax.signatures.added import as_map, spectrum_values
+from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts
 from cannoise_jax.signatures.least import (
     one,
@@ -267,6 +267,16 @@ def wave_detectable(asked: Asked, score: Score, mechanism: str) -> float:
     return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))
 
 
+def raster_frequency(found: Found) -> float:
+    """Cycles per pixel of the scan whose aliases are the plane wave (fy, fx): f = fx + n / width nearest to
+    fy."""
+    fy, fx = (found.score.parameters[name][0] for name in ("frequency_y", "frequency_x"))
+    width = found.size[1]
+    turns = np.round(fx * width - fy)
+    f = abs((turns + fy) / width)
+    return float(min(f, 1 - f) if f <= 1 else f % 0.5)
+
+
 def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: str) -> Signature:
     """A plane wave: of a new phase in every frame, or of one that stays."""
     redrawn_too = time == "redrawn"
@@ -279,8 +289,7 @@ def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: st
         return wave_map(fields, score.parameters["frequency_y"][0], score.parameters["frequency_x"][0])
 
     def simulate(found: Found) -> Addition:
-        width = found.fields[0].mean.shape[1]
-        values = {parameter: found.score.amplitude, **spectrum_values(found.score, width)}
+        values = {parameter: found.score.amplitude, "frequency": raster_frequency(found)}
         if redrawn_too:
             return Addition(values)
         return Addition(
@@ -288,10 +297,7 @@ def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: st
         )
 
     def place(found: Found) -> Addition:
-        values = {
-            amplitude_name(point): found.score.amplitude,
-            **spectrum_values(found.score, found.size[1]),
-        }
+        values = {amplitude_name(point): found.score.amplitude, "frequency": raster_frequency(found)}
         return Addition(
             values, {} if found.pattern is None else {"field": as_map(found.pattern)}, point=point
         )

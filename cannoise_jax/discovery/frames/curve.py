@@ -150,12 +150,14 @@ def expected_signal(stacked: Stack, black: np.ndarray) -> Float[np.ndarray, "h w
         spread = np.sqrt(np.maximum(clean, 1e-3))
         fitted = affine(stacked, clean, spread, channel_index(clean.shape), low)
         return fitted - mosaic_map(tuple(black), recording.size)
-    mean = (
-        stacked.mean
-        if stacked.earlier is None
-        else at_level(stacked.earlier, stacked.mean, black, stacked.usable)
-    )
-    return plane_blur(mean) - mosaic_map(tuple(black), recording.size)
+    return plane_blur(_others(stacked, black)) - mosaic_map(tuple(black), recording.size)
+
+
+def _others(stacked: Stack, black: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """Mean of the frames before, DN, scaled to the level of the others; without any, that of all."""
+    if stacked.earlier is None:
+        return stacked.mean
+    return at_level(stacked.earlier, stacked.mean, black, stacked.usable)
 
 
 def _mean(stacked: Stack, black: np.ndarray) -> Float[np.ndarray, "h w"]:
@@ -163,5 +165,5 @@ def _mean(stacked: Stack, black: np.ndarray) -> Float[np.ndarray, "h w"]:
     frames, and its covariance with the contrasts as with a variance over them."""
     if stacked.earlier is None:
         return stacked.mean
-    earlier = at_level(stacked.earlier, stacked.mean, black, stacked.usable)
-    return (stacked.frames * stacked.mean + stacked.before * earlier) / (stacked.frames + stacked.before)
+    both = stacked.frames * stacked.mean + stacked.before * _others(stacked, black)
+    return both / (stacked.frames + stacked.before)

@@ -46,7 +46,8 @@ def _line(levels: list[Level]) -> tuple[np.ndarray, np.ndarray]:
 
 def _straight(levels: list[Level]) -> tuple[float, float, float]:
     """Gain, read noise and the error of the gain by weighted least squares. Neither can be negative: levels
-    that lie close together would extrapolate to anything."""
+    that lie close together would extrapolate to anything. Not `fit_line`, which is through single pixels: it
+    weighs all of a level as one, and full pixels, of which this line is to tell, would pull it down."""
     weight = 1 / np.array([p.error for p in levels])
     basis = np.stack([np.maximum([p.signal for p in levels], 0.0), np.ones(len(levels))], 1) * weight[:, None]
     (slope, square), _ = optimize.nnls(basis, np.array([p.variance for p in levels]) * weight)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.core.places import place
+from cannoise_jax.physics.core.places import NEAR, place
 from cannoise_jax.physics.core.poisson_gaussian import centred_uniform, sample_normal
 
 excess_kurtosis = tukey_lambda.excess_kurtosis
@@ -54,18 +54,14 @@ def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Arr
 
 
 def site_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Array]:
-    """Covariance at lags up to two, right and down: `power` where both pixels share a number."""
+    """Covariance at the lags of the place: `power` where both pixels share a number."""
     count = int(np.prod(site_shape(point, size)))
     # Numbers of sites are exact in float32 up to 2^24.
     index = spread(jnp.arange(count, dtype=jnp.float32).reshape(1, *site_shape(point, size)), point, size)[0]
     lags = {}
-    for dy, dx in _NEAR:
-        alike = (
-            jnp.zeros(size)
-            .at[: size[0] - dy, : size[1] - dx]
-            .set(index[: size[0] - dy, : size[1] - dx] == index[dy:, dx:])
-        )
-        lags[dy, dx] = power * alike
+    for dy, dx in place(point.over).alike:
+        there = jnp.pad(index, ((0, 2), (2, 2)), constant_values=-1)
+        lags[dy, dx] = power * (index == there[dy : dy + size[0], 2 + dx : 2 + dx + size[1]])
     return lags
 
 
@@ -76,11 +72,8 @@ def kernel_correlations(kernel) -> dict[tuple[int, int], float]:
     padded = np.pad(values, ((0, 2), (0, 2)))
     total = np.sum(values**2)
     return {
-        (dy, dx): float(np.sum(values * padded[dy : dy + side, dx : dx + side]) / total) for dy, dx in _NEAR
+        (dy, dx): float(np.sum(values * padded[dy : dy + side, dx : dx + side]) / total) for dy, dx in NEAR
     }
-
-
-_NEAR = ((0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2))
 
 
 def neighbours(key: Key[Array, ""], frames: int, size: tuple[int, int], kernel) -> Float[Array, "t h w"]:
@@ -168,12 +161,7 @@ def correlations(exponent, over: str, size: tuple[int, int]) -> dict[int, Array]
     """Correlation of a power-law field at small steps along its axis."""
     (length,) = place(over).sites(size, (1, 1))
     correlation = power_law_correlation(exponent, length)
-    return {k: correlation[k] for k in lag_steps(over, size)}
-
-
-def lag_steps(over: str, size: tuple[int, int]) -> tuple[int, ...]:
-    """Steps along the axis whose lags are reported: 1, 2 and, along the raster, one and two rows."""
-    return (1, 2, size[1], 2 * size[1]) if over == "raster" else (1, 2)
+    return {k: correlation[k] for k in place(over).steps(size[1])}
 
 
 def lag(over: str, step: int, width: int) -> tuple[int, int]:

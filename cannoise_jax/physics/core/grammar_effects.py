@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.mechanism import Context, Effect, Maps, Values
+from cannoise_jax.physics.core.places import place
 
 _SHARED = ("row", "column", "frame")
 """Sites whose number all of their pixels share: fields of `Effect`."""
@@ -120,14 +121,10 @@ def _lags(point, values: Values, context: Context, power) -> dict[tuple[int, int
     if point.spectrum == "sinusoid":
         return {
             fields.lag(over, k, size[1]): power * jnp.cos(2 * jnp.pi * values["frequency"] * k)
-            for k in fields.lag_steps(over, size)
+            for k in place(over).steps(size[1])
         }
     if point.spectrum == "kernel":
         return {lag: power * r for lag, r in fields.kernel_correlations(point.kernel).items()}
     if not point.plain:
         return fields.group_lags(point, size, power)
-    if over in ("block", "channel", "diagonal"):
-        return fields.site_lags(point, size, power)
-    if over == "antidiagonal":
-        return {(k, -k): power for k in (1, 2)}
-    return {}
+    return fields.site_lags(point, size, power)

@@ -36,7 +36,9 @@ class Place(NamedTuple):
     of it apart. whole: whether one number of it reaches over the whole frame.
     sites(size, blocks) -> shape of its numbers in a frame of that size; spread(numbers `[T, sites...]`, size)
     -> in a shape that broadcasts against `[T, H, W]`. lag(step, width) -> pixels (dy, dx) from one number to
-    a later one. NOT_DRAWN: the grammar draws none of it; NO_LINE: its numbers follow none.
+    a later one. NOT_DRAWN: the grammar draws none of it; NO_LINE: its numbers follow none. steps(width) ->
+    those whose lags are reported. alike: lags (dy, dx) at which pixels may share a number; of whole rows,
+    columns and frames effects say that in one number.
     """
 
     over: str
@@ -47,6 +49,12 @@ class Place(NamedTuple):
     sites: Callable[[Size, Size], tuple[int, ...]] = NOT_DRAWN
     spread: Callable[[Array, Size], Array] = NOT_DRAWN
     lag: Callable[[int, int], tuple[int, int]] = NO_LINE
+    steps: Callable[[int], tuple[int, ...]] = lambda width: (1, 2)
+    alike: tuple[tuple[int, int], ...] = ()
+
+
+NEAR = ((0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2))
+"""Lags up to two, right and down."""
 
 
 def _lines(shape: tuple[int, int]) -> Callable[[Array, Size], Array]:
@@ -90,11 +98,11 @@ PLACES: dict[str, Place] = {
     ),
     "channel": Place(
         "between colours", "between the colour channels", ("channel",), within_rows=True, whole=True,
-        sites=lambda size, blocks: (2, 2), spread=_mosaic,
+        sites=lambda size, blocks: (2, 2), spread=_mosaic, alike=NEAR,
     ),
     "block": Place(
         "between regions of the frame", "between regions of the frame", ("bbox",), within_rows=True,
-        sites=lambda size, blocks: blocks, spread=_blocks,
+        sites=lambda size, blocks: blocks, spread=_blocks, alike=NEAR,
     ),
     "amplifier": Place("between amplifiers", "between amplifiers", within_rows=True),
     "frame": Place(
@@ -104,14 +112,16 @@ PLACES: dict[str, Place] = {
     "raster": Place(
         "along the readout", "along the readout",
         sites=lambda size, blocks: (math.prod(size),), spread=_whole, lag=divmod,
+        steps=lambda width: (1, 2, width, 2 * width),
     ),
     "diagonal": Place(
         "from diagonal to diagonal", "from diagonal to diagonal",
-        sites=lambda size, blocks: (sum(size) - 1,), spread=_diagonals(against=False),
+        sites=lambda size, blocks: (sum(size) - 1,), spread=_diagonals(against=False), alike=NEAR,
     ),
     "antidiagonal": Place(
         "from antidiagonal to antidiagonal", "from antidiagonal to antidiagonal",
         sites=lambda size, blocks: (sum(size) - 1,), spread=_diagonals(against=True),
+        alike=((1, -1), (2, -2)),
     ),
     "signal": Place("over the range of signals", "over the range of signals", ("range",), within_rows=True),
     "frequency": Place("by spatial frequency", "at one spatial frequency", ("period_px", "direction")),
