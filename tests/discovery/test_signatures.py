@@ -21,7 +21,15 @@ from cannoise_jax.discovery.search.name import UNKNOWN, Named
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import Fields, helmert, refit
-from cannoise_jax.signatures.signature import FILES, NO_LAW, NO_PATTERN, Found, Predicted, Signature
+from cannoise_jax.signatures.signature import (
+    FILES,
+    NO_LAW,
+    NO_PATTERN,
+    Found,
+    Predicted,
+    Signature,
+    unchanged,
+)
 from tests.discovery.looks import SIGNATURES, white
 
 SIZE = (32, 48)
@@ -193,11 +201,19 @@ def test_transposed_rows_are_columns(name):
     assert row.amplitude == pytest.approx(column.amplitude, rel=1e-3, abs=1e-6)
 
 
+ROWS, COLUMNS = np.indices(SIZE)
 PLANTED = {
     "row": lambda rng, f, t: rng.standard_normal((t, SIZE[0], 1)),
     "column": lambda rng, f, t: rng.standard_normal((t, 1, SIZE[1])),
     "frame": lambda rng, f, t: rng.standard_normal((t, 1, 1)),
     "pixel": lambda rng, f, t: rng.standard_normal((t, *SIZE)),
+    "tile_8": lambda rng, f, t: np.kron(rng.standard_normal((t, 4, 6)), np.ones((8, 8))),
+    "tile_16": lambda rng, f, t: np.kron(rng.standard_normal((t, 2, 3)), np.ones((16, 16))),
+    "diagonal": lambda rng, f, t: rng.standard_normal((t, sum(SIZE)))[:, COLUMNS - ROWS + SIZE[0]],
+    "antidiagonal": lambda rng, f, t: rng.standard_normal((t, sum(SIZE)))[:, COLUMNS + ROWS],
+    "site": lambda rng, f, t: np.tile(rng.standard_normal((t, 2, 2)), (1, SIZE[0] // 2, SIZE[1] // 2)),
+    "row_parity": lambda rng, f, t: np.tile(rng.standard_normal((t, 2, 1)), (1, SIZE[0] // 2, 1)),
+    "column_parity": lambda rng, f, t: np.tile(rng.standard_normal((t, 1, 2)), (1, 1, SIZE[1] // 2)),
 }
 SHARED = [s for s in ALL if s.kin in PLANTED and s.axes.law == "white"]
 
@@ -243,6 +259,107 @@ def test_what_is_planted_is_found_with_its_strength_and_taken_out(signature):
         unit = max(f.exposure_s for f in fields) if signature.axes.scales == "exposure" else 1.0
         power = np.mean(np.square(law.pattern) + law.doubt)
         assert math.sqrt(power) * unit == pytest.approx(score.amplitude, rel=0.35)
+
+
+def laid_over(f, values):
+    """A field with offsets, DN: new ones in every contrast `[n, H, W]`, or a map that stays `[H, W]`."""
+    if np.ndim(values) == 3:
+        return f._replace(contrasts=(f.contrasts + values * f.weight).astype(np.float32))
+    return f._replace(static=(f.static + np.sqrt(f.frames) * values * f.weight).astype(np.float32))
+
+
+def waves(rng, f, staying):
+    phase = rng.uniform(0, 2 * np.pi, () if staying else (len(f.contrasts), 1, 1))
+    return np.cos(2 * np.pi * (0.11 * ROWS + 0.23 * COLUMNS) + phase)
+
+
+def pink(rng, shape):
+    """1/f noise along the last axis, of unit rms."""
+    frequency = np.maximum(np.fft.rfftfreq(shape[-1]), 1 / shape[-1])
+    values = np.fft.irfft(np.fft.rfft(rng.standard_normal(shape)) / np.sqrt(frequency), shape[-1])
+    return values / values.std()
+
+
+def alike(rng, shape):
+    """Noise that each pixel shares with the next of its row."""
+    values = rng.standard_normal(shape)
+    return values + np.roll(values, 1, -1)
+
+
+def sparse(rng):
+    return np.where(rng.random(SIZE) < 0.01, rng.exponential(60.0, SIZE), 0.0)
+
+
+SPARSE = sparse(np.random.default_rng(9))
+FIRST = (SIZE[1] // 2 > COLUMNS) - 0.5
+OWN = {
+    "wave_redrawn": lambda rng, f: 1.5 * waves(rng, f, False),
+    "wave_frozen": lambda rng, f: 1.5 * waves(np.random.default_rng(9), f, True),
+    "flicker": lambda rng, f: (
+        0.05 * f.signal * np.cos(2 * np.pi * 0.1 * ROWS + rng.uniform(0, 6.3, (len(f.contrasts), 1, 1)))
+    ),
+    "row_slope": lambda rng, f: 3 * pink(rng, (len(f.contrasts), SIZE[0]))[:, :, None],
+    "raster_slope": lambda rng, f: 3 * pink(rng, (len(f.contrasts), SIZE[0] * SIZE[1])).reshape(-1, *SIZE),
+    "hot_additive": lambda rng, f: SPARSE,
+    "hot_thermal": lambda rng, f: SPARSE * f.exposure_s,
+    "step": lambda rng, f: 2 * FIRST,
+    "dead": lambda rng, f: np.where(np.random.default_rng(8).random(SIZE) < 0.003, -f.signal, 0.0),
+    "smear": lambda rng, f: 0.05 * (f.signal.mean(0) - f.signal.mean()) * (f.kind == "scene"),
+    "curvature": lambda rng, f: 2e-4 * f.signal**2 * (f.kind == "scene"),
+    "glow": lambda rng, f: 20 * f.exposure_s * np.exp(-np.hypot(ROWS, COLUMNS) / 10) * (f.kind == "dark"),
+    "lags_any": lambda rng, f: 1.5 * alike(rng, f.contrasts.shape),
+    "scene_static": lambda rng, f: 2 * rng.standard_normal(SIZE) * (f.kind == "scene"),
+}
+"""What laws of their own leave in a field, DN."""
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_what_a_law_of_its_own_leaves_is_found_and_taken_out(name):
+    signature, rng = SIGNATURES[name], np.random.default_rng(6)
+    bare = drawn(6)
+    fields = refit(tuple(laid_over(f, OWN[name](rng, f)) for f in bare), bare)  # as a baseline leaves them
+    score = signature.score(fields)
+    assert score.log_p < -15
+    left = signature.score(refit(signature.absorb(fields, score), fields))
+    assert left is None or left.log_p > np.log(1e-3)
+
+
+UNPLANTED = {
+    "reference_shift, reference_blur, reference_spread, moving": "edges of a scene: recordings with shapes",
+    "shading": "what a smooth mean takes: recordings, not fields",
+    "clocking, warm, hits": "single electrons and warm pixels: see the tests of recordings",
+    "telegraph": "jumps from frame to frame: see the tests of outlying pixels",
+    "lag_in_time": "frames in the order they were taken, which fields alone do not tell",
+    "lags_brighter_fatter, lags_crosstalk, lags_demosaicing, lags_read": "as lags_any, by other weights",
+    "lags_in_camera_denoising, lags_in_camera_denoising_8": "as lags_any, of all noise",
+    "lattice, corrected": "pixels made of their neighbours: see the tests of recordings",
+    "taps": "layouts of readouts: see its own tests",
+    "row_turns_temporal": "every other row reversed: see its own tests",
+    "tile_32_redrawn, tile_32_frozen, tile_64_redrawn, tile_64_frozen": "as tile_16, in frames of some tiles",
+}
+"""Signatures that take something out of fields and are not held to it here, and why."""
+
+
+def test_every_signature_that_takes_something_out_is_held_to_it_or_named():
+    planted = {*names(SHARED), *OWN}
+    left_out = {name for together in UNPLANTED for name in together.split(", ")}
+    taken = {s.name for s in ALL if s.absorb is not unchanged}
+    assert not planted & left_out and taken == planted | left_out
+
+
+UNSEEN = {
+    "saturation, signal_step, iso_step, variance_curve": "levels of a curve",
+    "code_spacing, pile_up, coarse, comb": "codes of files",
+    "moving, peaks": "frames of scenes",
+    "dark_noise, lag_in_time, excess_skewness": "more frames, or darks of more exposures",
+    "tile_32_frozen, tile_64_redrawn, tile_64_frozen": "larger frames",
+}
+"""Signatures that see nothing in the fields of the null law, and what they need."""
+
+
+def test_every_signature_is_held_to_its_null_law_or_named():
+    left_out = {name for together in UNSEEN for name in together.split(", ")}
+    assert {s.name for s in ALL} - {*names(OFTEN), *names(RARELY)} == left_out
 
 
 def found_by(signature: Signature, fields, score, mechanism):
