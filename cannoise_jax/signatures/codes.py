@@ -10,7 +10,7 @@ from scipy import stats
 
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.recorded import Codes, Recorded
-from cannoise_jax.signatures.score import Score, chi2_log_sf, normal_log_p, sidak
+from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
     FILES,
     NO_CLOSED_FORM,
@@ -37,10 +37,6 @@ _SLACK = 0.05
 0.012 for a standard deviation of one code, less above it."""
 _MOVED = 0.01
 """Share of all values that a comb moves to other codes from which it changes the shape of narrow noise."""
-
-
-_CERTAIN = 1e6
-"""Nats of what is no estimate: a code that no value has, of all that were counted."""
 
 
 def comb_score(fields, *, codes: Codes) -> Score | None:
@@ -124,14 +120,16 @@ def _comb(index: np.ndarray, counts: np.ndarray) -> tuple[float, int, float] | N
 
 
 def step_score(fields, *, codes: Codes) -> Score | None:
-    """Codes more widely spaced than stated."""
+    """Codes more widely spaced than stated: values on one code in `ratio` gain log(ratio) each over values
+    that may take all."""
     if not codes.stated:
         return None
     ratio = codes.detected / codes.stated
     found = ratio > 1.5
+    values = max(float(codes.broad.sum()), *(float(dark.sum()) for dark in codes.dark), 1.0)
     return Score(
         log_p=-700.0 if found else 0.0,
-        gain=_CERTAIN if found else 0.0,
+        gain=values * float(np.log(ratio)) if found else 0.0,
         penalty=0.0,
         amplitude=codes.detected,
         error=0.0,
@@ -163,7 +161,7 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
         score: Score = Score(
             log_p=max(log_p, -700.0),
             gain=float(gain),
-            penalty=5.0,
+            penalty=ONE_PARAMETER,
             amplitude=float(level),
             error=0.5 * codes.step,
             shift=codes.step,

@@ -9,6 +9,7 @@ import numpy as np
 
 from cannoise_jax.signatures.recorded import GroupBaseline, Recorded
 from cannoise_jax.signatures.score import (
+    ONE_PARAMETER,
     Score,
     chi2_log_sf,
     normal_log_p,
@@ -59,7 +60,7 @@ def stated_score(
     return Score(
         log_p=normal_log_p(z),
         gain=0.5 * z**2,
-        penalty=5.0,
+        penalty=ONE_PARAMETER,
         amplitude=abs(amplitude),
         error=spread,
         shift=spread,

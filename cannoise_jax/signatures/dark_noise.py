@@ -21,7 +21,7 @@ from scipy import stats
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import Score, student_log_p
+from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     NO_CLOSED_FORM,
@@ -111,7 +111,7 @@ def excess_score(fields: Many) -> Score | None:
     return Score(
         log_p=student_log_p(z, slopes.size - 1, 1),
         gain=0.5 * z**2 if z > 0 else 0.0,
-        penalty=5.0,
+        penalty=ONE_PARAMETER,
         amplitude=max(rate, 0.0),
         error=error,
         shift=error,

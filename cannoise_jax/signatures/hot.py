@@ -181,6 +181,10 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
     return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
 
 
+_STANDS_OUT = float(stats.norm.isf(2e-6))
+"""Standard deviations from which on a report counts a pixel as hot: two healthy ones in a million are."""
+
+
 def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None:
     """A few pixels far above the others in the darks, at the same places in every frame."""
     sums = pixel_sums(fields, scaling, DARK)
@@ -192,7 +196,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
     bulk = spread_of(u[seen.ravel()])
     spread = max(bulk, _lattice_spread(fields))
-    number = int(np.sum(u > 4.6 * spread))
+    number = int(np.sum(u > _STANDS_OUT * spread))
     root = float(np.sqrt(np.median(sums.information[seen]))) / spread
     counts = level_counts(u[seen.ravel()] / spread)
     share, at, gain = _fitted(counts)

@@ -17,6 +17,7 @@ from cannoise_jax.signatures.least import (
 )
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import (
+    ONE_PARAMETER,
     Score,
     chi2_log_sf,
     student_log_p,
@@ -87,7 +88,7 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: boo
         return Score(
             log_p=student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
             gain=0.5 * z**2,
-            penalty=5.0,
+            penalty=ONE_PARAMETER,
             amplitude=abs(value),
             error=float(spread),
             shift=float(spread),
@@ -136,7 +137,7 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: s
             z, jitter_freedom(fields, jitter, levels[0][2] ** 2 * levels[0][0].frames / 4), 1
         ),
         gain=0.5 * z**2 if z > 0 else 0.0,
-        penalty=5.0,
+        penalty=ONE_PARAMETER,
         amplitude=max(slope / gain, 0.0),
         error=error,
         shift=error,

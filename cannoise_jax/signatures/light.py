@@ -18,6 +18,7 @@ from cannoise_jax.signatures.least import (
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import (
+    ONE_PARAMETER,
     Score,
     normal_log_p,
 )
@@ -78,7 +79,7 @@ def green_score(fields: tuple[Fields, ...], *, greens: tuple[int, int] | None) -
     return Score(
         log_p=normal_log_p(z),
         gain=0.5 * z**2,
-        penalty=5.0,
+        penalty=ONE_PARAMETER,
         amplitude=amplitude,
         error=error,
         shift=error,
@@ -140,7 +141,7 @@ def shading_score(fields: tuple[Fields, ...], *, span: float) -> Score[tuple[flo
     return Score(
         log_p=normal_log_p(z),
         gain=0.5 * z**2,
-        penalty=5.0,
+        penalty=ONE_PARAMETER,
         amplitude=abs(amplitude),
         error=error,
         shift=error,

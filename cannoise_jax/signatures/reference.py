@@ -13,7 +13,7 @@ from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.means import project
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import Score, chi2_log_sf, normal_log_p
+from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, normal_log_p
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     NO_CLOSED_FORM,
@@ -76,7 +76,7 @@ def scale_score(
         return Score(
             log_p=normal_log_p(z),
             gain=0.5 * z**2,
-            penalty=5.0,
+            penalty=ONE_PARAMETER,
             amplitude=abs(mean) * level,
             error=error * level,
             shift=error * level,
@@ -147,7 +147,7 @@ def reference_score(fields: tuple[Fields, ...], *, kind: str, span: float, edge:
         return Score(
             log_p=normal_log_p(z),
             gain=0.5 * z**2,
-            penalty=5.0,
+            penalty=ONE_PARAMETER,
             amplitude=abs(shared_u / shared_i),
             error=error,
             shift=error,

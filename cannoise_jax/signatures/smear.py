@@ -11,7 +11,7 @@ import numpy as np
 
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.plain import carried, plain
-from cannoise_jax.signatures.score import Score, student_log_p
+from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import STATIC, Axes, Signature
 
 
@@ -45,7 +45,10 @@ def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score[float] | None:
-    """Means of columns against the light of the column. Amplitude: share of the column's mean signal."""
+    """Means of columns against the light of the column. Amplitude: share of the column's mean signal.
+
+    Of 300 draws of two scenes of 32 x 48 pixels without it p is below 0.1 in 7 %, 0.05 in 4 %, 0.01 in none.
+    """
     slopes, errors = [], []
     for f in fields:
         if f.kind != "scene" or f.static is None or not f.usable.any():
@@ -74,7 +77,7 @@ def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score[float] | 
     return Score(
         log_p=student_log_p(z, 20.0 * b.size, 1),
         gain=0.5 * max(z, 0.0) ** 2,
-        penalty=5.0,
+        penalty=ONE_PARAMETER,
         amplitude=max(share, 0.0),
         error=error,
         shift=error,
