@@ -12,6 +12,7 @@ import numpy as np
 from scipy import fft, optimize
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.least import (
@@ -90,18 +91,6 @@ def _bands(number: int) -> np.ndarray:
     return edges[edges <= number] - 1
 
 
-def white_levels(power: np.ndarray, dof: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Most likely white level [fields, 1] beside a slope `tau` [fields, bands], by Fisher scoring. power:
-    mean of a band, dof: of its modes. A scan is normalised by its own power, mostly that of a strong slope.
-    """
-    level = np.ones((len(power), 1))
-    for _ in range(12):
-        model = level + tau
-        step = np.sum(dof * (power - model) / model**2, 1, keepdims=True)
-        level = np.maximum(level + step / np.sum(dof / model**2, 1, keepdims=True), 1e-4)
-    return level
-
-
 def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, float]] | None:
     """1/f^a noise along the raster scan, or from row to row."""
     spectra = [
@@ -135,7 +124,7 @@ def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, 
             continue
         start = np.log(excess / sd**2)
         fit = optimize.minimize_scalar(
-            lambda v, t=tau: -_whittle(np.exp(v) * t, mean_power, modes, level),
+            lambda v, t=tau: -_gain(np.exp(v) * t, mean_power, modes, level),
             bounds=(start - 4, start + 4),
             method="bounded",
             options={"xatol": 1e-3},
@@ -186,14 +175,13 @@ def _left_open(fits: list[tuple[float, float, float, float]], sigma: float) -> f
 
 def _level(scan: str):
     """White level beside a slope: of rows the scores know it, of scans it is fitted."""
-    return white_levels if scan == "raster" else lambda power, dof, tau: 1.0
+    return white_level if scan == "raster" else lambda power, dof, tau: 1.0
 
 
-def _whittle(tau: np.ndarray, power: np.ndarray, dof: np.ndarray, level) -> float:
+def _gain(tau: np.ndarray, power: np.ndarray, modes: np.ndarray, level) -> float:
     """Log-likelihood of mean powers with a slope against that of a white level alone, nats."""
-    none = level(power, dof, 0 * tau)
-    model = level(power, dof, tau) + tau
-    return float(np.sum(dof * (power / none - power / model + np.log(none / model))))
+    none, beside = (level(power, modes, t) + t for t in (0 * tau, tau))
+    return float(np.sum(whittle(power, 2 * modes, beside) - whittle(power, 2 * modes, none)))
 
 
 def slope_absorb(
@@ -248,7 +236,7 @@ def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
     modes = banded(weights)
     tau = v * information * banded(_shape(field.weight.size, exponent) * weights) / modes
     mean_power = banded(power * weights) / modes / number
-    level = float(white_levels(mean_power[None], number * modes[None], tau[None])[0, 0])
+    level = float(white_level(mean_power[None], number * modes[None], tau[None])[0, 0])
     even, w = _even_rows(field.weight), field.weight.astype(np.float64)
     seen = float(np.sum((field.contrasts * even) ** 2, dtype=np.float64)) / number
     full = even.astype(np.float64) ** 2

@@ -131,7 +131,8 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
 
 
 def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
-    """Variance of the contrasts that whole rows share, per channel, DN^2."""
+    """Variance of the contrasts that whole rows share, per channel, DN^2. Of a channel's own rows, for it is
+    held against those under light; `line_noise` of photon transfer is of whole rows of all frames."""
     flat = np.ones(stacked.mean.shape)
     return np.array([row_variance(stacked.contrasts[:, *SITES[c]], flat[SITES[c]])[1] for c in range(4)])
 

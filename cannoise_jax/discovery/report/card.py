@@ -16,6 +16,7 @@ import numpy as np
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.physics.likelihood.whittle import whittle
 from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.line_sums import line_power
@@ -149,14 +150,13 @@ def line_spectrum(fields: tuple[Fields, ...], axis: str, signature: Signature) -
     power = power[1:] / number
     frequency = np.arange(1, power.size + 1) / size
     slopes = np.linspace(-0.5, 2.5, 61)
-    loss = []
+    fits = []
     for a in slopes:
         shape = frequency**-a
-        level = np.mean(power / shape)
-        loss.append(np.mean(np.log(level * shape)) + np.mean(power / (level * shape)))
+        fits.append(whittle(power, np.ones(power.size), np.mean(power / shape) * shape))
     top = int(np.argmax(power))
     return {
-        "exponent": float(slopes[int(np.argmin(loss))]),
+        "exponent": float(slopes[int(np.argmax(fits))]),
         "peak_frequency": float(frequency[top]),
         "peak_power": float(power[top]),
     }

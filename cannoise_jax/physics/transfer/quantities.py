@@ -22,8 +22,8 @@ from cannoise_jax.physics.transfer.estimate import (
     normal_estimate,
     root,
     scatter_estimate,
-    variance_difference,
 )
+from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.spatial import (
@@ -290,8 +290,4 @@ def line_noise_quantity(title: str, dark: FrameStatistics | None, axis: int) -> 
     """Temporal noise that whole rows (axis 0) or columns (axis 1) share."""
     if dark is None or dark.variance is None:
         return Quantity(title, "DN", "all", NotMeasurable(RECORD_DARKS))
-    means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
-    square, dof = temporal_mean_square(means)
-    white = float(dark.variance.mean()) / dark.recording.size[1 - axis]
-    white_dof = dark.variance.size * dark.dof
-    return Quantity(title, "DN", "all", root(variance_difference(square, dof, white, white_dof)))
+    return Quantity(title, "DN", "all", line_noise(dark, axis))

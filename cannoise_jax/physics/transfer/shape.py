@@ -156,7 +156,8 @@ def _of_shared_frames(found: Estimate) -> Estimate:
 
 
 def _rows(dark: FrameStatistics) -> list[Quantity]:
-    """Temporal row means against what white noise leaves in them, and how alike the next row is."""
+    """Temporal row means against what white noise leaves in them, and how alike the next row is: a quotient
+    of what is in the frames, nothing of which is taken for row noise (see `line_noise`)."""
     means = dark.row_means.mean(-1)
     square, dof = temporal_mean_square(means)
     white = float(np.mean(dark.total)) / dark.recording.size[1] if dark.total is not None else np.nan

@@ -143,8 +143,11 @@ def columns_apart(dark: FrameStatistics) -> bool:
 
 def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     dark = darkest(statistics)
-    if dark is None:
-        return repeated_darks(statistics)
+    return repeated_darks(statistics) if dark is None else {"sigma_dn": line_noise(dark, axis)}
+
+
+def line_noise(dark: FrameStatistics, axis: int) -> Estimate:
+    """Temporal noise that whole rows (axis 0) or columns (axis 1) of repeated frames share, DN."""
     means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
     square, dof = temporal_mean_square(means)
     groups = row_groups(dark) if axis == 0 else None
@@ -152,7 +155,7 @@ def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
         dof = min(dof, (len(means) - 1) * (means.shape[1] // groups[0]))
     pixel, pixel_dof = mean_variance(dark)
     white = pixel / dark.recording.size[1 - axis]
-    return {"sigma_dn": root(variance_difference(square, dof, white, pixel_dof))}
+    return root(variance_difference(square, dof, white, pixel_dof))
 
 
 def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:

@@ -16,6 +16,7 @@ from scipy import stats
 from scipy.interpolate import PchipInterpolator
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, normal_estimate
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
@@ -81,7 +82,8 @@ def pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     sigmas = _STRENGTHS * np.sqrt(float(seen.mean()))
     shapes, losses = zip(*(_expected_rows(height, width, float(a)) for a in exponents), strict=True)
     dof = dof / np.max(losses, axis=0)
-    return _profiles(np.array([_whittle(seen, dof, shape, sigmas) for shape in shapes]), sigmas, exponents)
+    loglik = [_beside_white(seen, dof, shape, sigmas) for shape in shapes]
+    return _profiles(np.array(loglik), sigmas, exponents)
 
 
 def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -238,17 +240,10 @@ def _line_modes(rows: int, height: int, exponent: float) -> tuple[np.ndarray, np
     return np.maximum(np.delete(power, constant), 0.0), np.delete(vectors, constant, axis=1)
 
 
-def _whittle(seen: np.ndarray, dof: np.ndarray, pink: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
-    """Log-likelihood per strength with the white level fitted (one-dimensional Newton steps)."""
+def _beside_white(seen: np.ndarray, dof: np.ndarray, pink: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
+    """Log-likelihood per strength with the white level fitted."""
     colour = sigmas[:, None] ** 2 * pink
-    white = np.full(len(sigmas), float(np.sum(seen * dof) / dof.sum()))
-    for _ in range(30):
-        spectrum = colour + white[:, None]
-        slope = np.sum(dof * (seen - spectrum) / spectrum**2, 1)
-        curvature = np.sum(dof / spectrum**2, 1)
-        white = np.maximum(white + slope / curvature, 0.05 * white)
-    spectrum = colour + white[:, None]
-    return -0.5 * np.sum(dof * (np.log(spectrum) + seen / spectrum), 1)
+    return whittle(seen, dof, colour + white_level(seen, dof, colour))
 
 
 def _profiles(
