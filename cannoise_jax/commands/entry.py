@@ -15,6 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
+from cannoise_jax.commands.compiled import caches
+
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 10.0, 0.05
 
 Main = Callable[..., int]
@@ -104,9 +106,8 @@ def _shown(command_name: str, message, category, filename, lineno, file=None, li
 
 
 def cache_folder() -> Path:
-    """Where conversions of folders are kept: below XDG_CACHE_HOME, or ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME") or ""
-    return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "cannoise_jax" / "folders"
+    """Where conversions of folders are kept."""
+    return caches() / "folders"
 
 
 def progress(doing: str) -> Callable[[int, int], None]:

@@ -12,6 +12,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
+from cannoise_jax.commands.compiled import keep_compiled
+
 _INTERRUPTED = 130
 
 
@@ -20,6 +22,7 @@ def run(name: str) -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # else it is ignored, as a shell has it for what runs behind
         signal.signal(signal.SIGINT, partial(_end, name))
+    keep_compiled()
     main = import_module(f"cannoise_jax.commands.{name}").main
     signal.signal(signal.SIGINT, before)
     status = main()

@@ -139,18 +139,20 @@ def prove(
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
     out: list[Proof] = []
     complete_model: dict[tuple[bool, bool, bool], Scored] = {}
-    together = splits.together if any(step.named.signature.drawn_once for step in steps) else None
+    again, looking = others_out(steps, second.fields), others_out(steps, first.fields)
+    once = any(step.named.signature.drawn_once for step in steps)
+    together = others_out(steps, splits.together.fields) if once else None
     for n, step in enumerate(steps):
-        fields = beside(steps, n, second.fields)
+        fields = again(n)
         signature = signatures.get(step.named.signature.name)
         score = signature.score_again(fields, step.named.score) if signature is not None else None
         if together is not None and score is not None and step.named.signature.drawn_once:
-            looked, both = (step.named.signature.score(beside(steps, n, p.fields)) for p in (first, together))
+            looked, both = (step.named.signature.score(out(n)) for out in (looking, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
         told = step.named.signature.strength
         if score is not None and told is not None:
-            score = told(step.named.score, beside(steps, n, first.fields), fields) or score
+            score = told(step.named.score, looking(n), fields) or score
         law = laws[n]
         if law is not None and pixels:
             rest = [p for p in laws if p is not None and p is not law]
@@ -181,15 +183,26 @@ def prove(
     )
 
 
-def beside(steps: tuple[Step, ...], n: int, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
-    """The fields with every finding but the n-th taken out; of many, and for hot pixels that stand out from a
-    map found after them, those accepted before it."""
-    found = steps[n].named
-    ordered = len(steps) > MOST_JOINT or bool(found.signature.before(found.score))
-    others = steps[:n] if ordered else (*steps[:n], *steps[n + 1 :])
-    for other in others:
-        fields = refit(other.named.signature.absorb(fields, other.named.score))
-    return fields
+def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[[int], tuple[Fields, ...]]:
+    """Fields by number of a finding, asked for in order, with every other finding taken out; of many, and for
+    hot pixels that stand out from a map found after them, those accepted before it."""
+    done = 0
+
+    def without(n: int) -> tuple[Fields, ...]:
+        nonlocal fields, done
+        for step in steps[done:n]:
+            fields = _without(step, fields)
+        done, out, found = n, fields, steps[n].named
+        if len(steps) <= MOST_JOINT and not found.signature.before(found.score):
+            for step in steps[n + 1 :]:
+                out = _without(step, out)
+        return out
+
+    return without
+
+
+def _without(step: Step, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+    return refit(step.named.signature.absorb(fields, step.named.score))
 
 
 def strength_beyond(looked: Score, both: Score, held: Score) -> Score:
