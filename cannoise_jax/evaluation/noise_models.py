@@ -147,7 +147,7 @@ def baselines(bench: Bench) -> dict[str, Draw]:
         return draw
 
     def estimated(references):
-        shot, read = jax.lax.map(lambda r: jnp.stack(estimate_nlf(r)), test.noisy[references]).swapaxes(0, 1)
+        shot, read = _estimated(test.noisy[references]).swapaxes(0, 1)
         return image(shot) * clean + image(read)
 
     def recalibrated(_):
@@ -184,6 +184,12 @@ def baselines(bench: Bench) -> dict[str, Draw]:
         "real_darks": on_floor(_crop),
         "truth": sensors(bench, {c.name: c.sensor for c in bench.cameras}),
     }
+
+
+@jax.jit
+def _estimated(references):
+    """(shot, read) of each patch by its references, `[n, 2, 4]`."""
+    return jax.lax.map(lambda r: jnp.stack(estimate_nlf(r)), references)
 
 
 def _darks(bench: Bench, camera: int, iso: int) -> Float[np.ndarray, "t h w"]:
@@ -258,26 +264,23 @@ def learned(bench: Bench, model: Model, batch: int = 16, given: Any = None) -> D
     told = given if given is not None else (bench.test.shot, bench.test.read)
     hand_over = given is not None or getattr(model, "level", "both") == "given"
 
-    @jax.jit
-    def sample(model, keys, clean, references, shot, read):
-        def one(key, clean, references, shot, read):
-            return sample_noise(model, key, clean, references, nlf=(shot, read) if hand_over else None)
-
-        return jax.vmap(one)(keys, clean, references, shot, read)
-
     def draw(key, references):
         clean, noisy = bench.test.clean, bench.test.noisy
         made = []
         for start in range(0, bench.size, batch):
             index = np.minimum(np.arange(start, start + batch), bench.size - 1)
             keys = jax.random.split(jax.random.fold_in(key, start), batch)
-            noise = sample(
-                model, keys, clean[index], noisy[references[index]], told[0][index], told[1][index]
-            )
+            nlf = (told[0][index], told[1][index]) if hand_over else None
+            noise = _sample(model, keys, clean[index], noisy[references[index]], nlf)
             made.append(clipped_noise(np.asarray(noise), clean[index])[: bench.size - start])
         return np.concatenate(made)
 
     return draw
+
+
+@jax.jit
+def _sample(model, keys, clean, references, nlf):
+    return jax.vmap(partial(sample_noise, model))(keys, clean, references, nlf)
 
 
 def draw_key(seed: int, name: str) -> Key[Array, ""]:

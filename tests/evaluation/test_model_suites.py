@@ -25,7 +25,8 @@ def request_():
     )
     # All zero: the noise is the initial noise, at the level that the references show.
     generated = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), shapes)
-    model = make_model(generator, generated, encoder, encoder.init(key, image, train=False))
+    encoded = jax.jit(lambda: encoder.init(key, image, train=False))()
+    model = make_model(generator, generated, encoder, encoded)
     everything = baselines(bench)
     draws = {name: everything[name] for name in ("truth", "pg", "pg_estimated", "pg_recalibrated")}
     return Request(bench, draws, (model,), seeds=2, references=2, ablations={"nothing": (model,)})

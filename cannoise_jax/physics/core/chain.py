@@ -107,35 +107,35 @@ def closed_form(model, context: Context, values) -> tuple[Array, Array]:
             return record.effect(value, maps, seen_at(inner, mean, own))
 
         def after(mean, effect_at=effect_at):
-            change = effect_at(mean).mean
-            return mean if change is None else jnp.broadcast_to(mean + change, shape)
+            effect = effect_at(mean)
+            return mean if effect.mean is None else jnp.broadcast_to(mean + effect.mean, shape), effect
 
-        effect = effect_at(mean)
-        slope = jax.jvp(after, (mean,), (jnp.ones(shape),))[1]
+        moved, along, effect = jax.linearize(after, mean, has_aux=True)
+        slope = along(jnp.ones(shape))
         change = 0.0 if effect.variance is None else effect.variance
         if own is None:
             variance = gain * mean + change + slope**2 * (variance - gain * mean)
             lines = {name: slope**2 * v for name, v in lines.items()}
         else:
-            passed = {name: _passed(after, mean, slope, v, name, record) for name, v in lines.items()}
+            passed = {name: _passed(along, slope, v, name, record) for name, v in lines.items()}
             variance = (own + change + sum(passed.values())) if record.acts_on == "code" else own + change
             lines = passed
         for name in _LINES:
             more = getattr(effect, name)
             lines[name] = lines[name] if more is None else lines[name] + more
-        mean = after(mean)
+        mean = moved
     return context.black_level + mean, variance if analogue else variance + read
 
 
-def _passed(after, mean: Array, slope: Array, shared: Array, name: str, record) -> Array:
-    """What is left of a shared variance behind a mechanism: times its slope squared, but where it mixes the
-    codes of neighbouring lines, which differ."""
+def _passed(along, slope: Array, shared: Array, name: str, record) -> Array:
+    """What is left of a shared variance behind a mechanism, of whose mean `along` is the derivative: times
+    its slope squared, but where it mixes the codes of neighbouring lines, which differ."""
     if record.acts_on != "code" or name == "frame":
         return slope**2 * shared
-    place = jnp.arange(mean.shape[1])[:, None] if name == "row" else jnp.arange(mean.shape[2])
+    place = jnp.arange(slope.shape[1])[:, None] if name == "row" else jnp.arange(slope.shape[2])
     # Lines further apart than this never meet in one pixel.
-    parts = [jnp.broadcast_to(place % _APART == k, mean.shape).astype(mean.dtype) for k in range(_APART)]
-    return shared * sum(jax.jvp(after, (mean,), (part,))[1] ** 2 for part in parts)
+    parts = [jnp.broadcast_to(place % _APART == k, slope.shape).astype(slope.dtype) for k in range(_APART)]
+    return shared * sum(along(part) ** 2 for part in parts)
 
 
 def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:
