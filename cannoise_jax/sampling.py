@@ -136,6 +136,7 @@ def sample_noise(
     trained with (`Model.level`), which would be corrected twice or not at all.
     """
     check_level(params.level, nlf is not None)
+    draw = initial_noise_of(params)
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
     _check(clean, "clean")
     _check(noisy_ref, "noisy_ref")
@@ -158,7 +159,7 @@ def sample_noise(
     noise_key, row_key = jax.random.split(key)
     margin = margin_of(params)
     padded = _pad(images, margin)
-    n_init, sigma = initial_noise_of(params)(noise_key, padded, shot, read)
+    n_init, sigma = draw(noise_key, padded, shot, read)
     said = (float(nlf is not None), float(np.prod(noisy_ref.shape[:-3])))
     level = NoiseLevel(shot, read, *(jnp.full(images.shape[0], v) for v in said))
     noise: Any = params.generator_module.apply(

@@ -84,7 +84,7 @@ def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
 @pytest.mark.parametrize("size", [(16, 16), (18, 30), (100, 34)])
 def test_any_even_size_leading_axes_and_type(model, size):
     clean = scene(*size)
-    reference = noisy(jax.random.key(2), 17, 23)
+    reference = noisy(jax.random.key(2))[:32, :32] if size == (16, 16) else noisy(jax.random.key(2), 17, 23)
     noise = sample(model, jax.random.key(1), clean, reference, NLF)
     assert noise.shape == clean.shape and bool(jnp.all(jnp.isfinite(noise)))
     if size == (16, 16):
@@ -92,6 +92,16 @@ def test_any_even_size_leading_axes_and_type(model, size):
         np.testing.assert_array_equal(noise, half)
         whole = jnp.broadcast_to(clean, (2, 1, *clean.shape))
         assert sample(model, jax.random.key(1), whole, reference[None, None], NLF).shape == whole.shape
+
+
+@jax.jit
+def slope_at(model, key, clean, reference):
+    """Slopes of the noise's power along the clean image and along the reference."""
+
+    def energy(clean, reference):
+        return jnp.mean(jnp.square(sample_noise(model, key, clean, reference)))
+
+    return jax.grad(energy, (0, 1))(clean, reference)
 
 
 def test_jit_vmap_and_grad(model):
@@ -103,14 +113,11 @@ def test_jit_vmap_and_grad(model):
         np.testing.assert_allclose(noise[i], sample(model, keys[i], clean[i], reference, NLF), atol=1e-5)
     assert float(jnp.std(noise[0] - noise[1])) > 0
 
-    def energy(clean):
-        return jnp.mean(jnp.square(sample_noise(model, keys[0], clean, reference)))
-
-    slope = jax.jit(jax.grad(energy))(clean[0])
+    slope = slope_at(model, keys[0], clean[0], jnp.full((16, 16, 4), 0.1))[0]
     assert bool(jnp.all(jnp.isfinite(slope))) and float(jnp.max(jnp.abs(slope))) > 0
 
 
-@pytest.mark.parametrize("size", [(8, 8), (3, 40), (1, 1)])
+@pytest.mark.parametrize("size", [(3, 40), (1, 1)])
 def test_a_reference_of_any_size(model, size):
     small = noisy(jax.random.key(2))[: size[0], : size[1]]
     noise = sample(model, jax.random.key(1), scene(16, 16), small)
@@ -131,10 +138,7 @@ def test_small_references_tell_the_noise_level(model):
 
 @pytest.mark.parametrize("level", [0.0, 0.1, 1.0])
 def test_the_slope_at_a_reference_without_noise_is_finite(model, level):
-    def energy(reference):
-        return jnp.mean(jnp.square(sample_noise(model, jax.random.key(1), scene(16, 16), reference)))
-
-    slope = jax.jit(jax.grad(energy))(jnp.full((16, 16, 4), level))
+    slope = slope_at(model, jax.random.key(1), scene(16, 16), jnp.full((16, 16, 4), level))[1]
     assert bool(jnp.all(jnp.isfinite(slope)))
 
 
@@ -164,12 +168,13 @@ def test_latents_of_several_references_are_averaged(model):
 
     from cannoise_jax import sampling
 
-    np.testing.assert_allclose(sampling._latent(model, jnp.stack([one, two]))[0], wanted, atol=1e-5)
+    latent = jax.jit(sampling._latent)(model, jnp.stack([one, two]))[0]
+    np.testing.assert_allclose(latent, wanted, atol=1e-5)
 
 
 def test_no_seam_in_row_and_column_means(model):
     """Means over many draws of a flat scene are as flat at the border and at every cell as inside."""
-    clean = jnp.full((40, 66, 4), 0.1)
+    clean = jnp.full((30, 62, 4), 0.1)
     reference = noisy(jax.random.key(2))[:32, :32]
     keys = jax.random.split(jax.random.key(5), 200)
     draw = jax.jit(lambda k: sample_noise(model, k, clean, reference, NLF))
@@ -195,8 +200,12 @@ def test_the_papers_networks_see_an_image_as_in_training():
     made = sample(own, jax.random.key(1), clean, reference, NLF)
     level = [jnp.full((2, 4), v) for v in NLF]
     n_init, sigma = poisson_gaussian(jax.random.split(jax.random.key(1))[0], clean, *level)
-    latent = jnp.repeat(encoder.apply(own.encoder, reference[None], train=False), 2, 0)
-    wanted = generator.apply(own.generator, clean, n_init, latent, sigma, train=False)
+
+    def networks(clean, n_init, reference, sigma):
+        latent = jnp.repeat(encoder.apply(own.encoder, reference[None], train=False), 2, 0)
+        return generator.apply(own.generator, clean, n_init, latent, sigma, train=False)
+
+    wanted = jax.jit(networks)(clean, n_init, reference, sigma)
     np.testing.assert_allclose(made, wanted, atol=1e-5)
 
 
@@ -281,7 +290,7 @@ def test_every_camera_keeps_its_own_sensor(model, two_sensors, tmp_path):
     rows = [float(jnp.std(jnp.mean(sample(of_camera(again, n), *images), 1))) for n in ("quiet", "striped")]
     assert rows[1] > 1.5 * rows[0]
     with pytest.raises(ValueError, match="quiet, striped: choose one"):
-        sample_noise(again, *images)
+        sample(again, *images)
     with pytest.raises(ValueError, match="third: this model holds the sensors of quiet, striped"):
         of_camera(again, "third")
 
