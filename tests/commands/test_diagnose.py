@@ -36,7 +36,7 @@ def write(folder, capture):
 
 
 def test_writes_report_page_and_sensor(tmp_path, capsys):
-    folder = write(tmp_path / "in", capture_set(1, row_offsets(2.0)))
+    folder = write(tmp_path / "in", capture_set(1, row_offsets(2.0), kinds="d", size=(64, 96)))
     assert main(["--recordings", str(folder), "--out", str(tmp_path / "out"), "--key", "3"]) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["findings"][0]["mechanism"] == "row_noise"
@@ -103,7 +103,7 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
         ramp = np.linspace(-(3**0.5), 3**0.5, 48)[:, None]
         return lambda dn, signal, kind, exposure: dn + 2.0 * rng.standard_normal() * ramp
 
-    folder = write(tmp_path / "in", capture_set(5, sagging, kinds="df", size=(48, 64)))
+    folder = write(tmp_path / "in", capture_set(5, sagging, kinds="d", size=(48, 64)))
     arguments = ["--recordings", str(folder), "--out", str(tmp_path / "out"), "--mechanisms", "droop:DROOP"]
     assert main(arguments) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
