@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint import checkpoint_managers
@@ -128,7 +129,7 @@ class Checkpoints:
             raise _damaged(self.folder / str(step), _short(error)) from error
         if _state_sha256(state) != record["state_sha256"]:
             raise _damaged(self.folder / str(step), "its numbers do not match their checksum")
-        return state, record["iterator"]
+        return jax.tree.map(_anew, state), record["iterator"]
 
     def _record(self, step: int) -> dict[str, Any]:
         """What goes with a step: iterator, score, checksums. Raises BadInput where it is damaged."""
@@ -148,6 +149,13 @@ class Checkpoints:
     def close(self) -> None:
         """Waits for the manager's threads."""
         self._manager.close()
+
+
+def _anew(leaf: Any) -> Any:
+    """An array bound to no device, as of a first state: what was compiled for that serves this too."""
+    if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(_anew(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf))
+    return jnp.array(np.asarray(leaf))
 
 
 def _state_sha256(state: State) -> str:

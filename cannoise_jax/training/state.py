@@ -106,7 +106,8 @@ def init_state(config: ConfigDict, cameras: int, noisy: Float[Array, "n h w 4"] 
     """
     # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
     quick = {"xla_backend_optimization_level": 0, **(compiler_options(config) or {})}
-    state = jax.jit(lambda: _first_state(config, cameras), compiler_options=quick)()
+    first = jax.jit(lambda key: _first_state(config, cameras, key), compiler_options=quick)
+    state = first(jax.random.key(config.seed))
     if noisy is None or "params" not in state.encoder:
         return state
     params = jax.jit(standardised, compiler_options=quick)(state.encoder["params"], noisy)
@@ -116,12 +117,12 @@ def init_state(config: ConfigDict, cameras: int, noisy: Float[Array, "n h w 4"] 
 
 def abstract_state(config: ConfigDict, cameras: int) -> State:
     """The shapes and dtypes of `init_state`, without computing it."""
-    return jax.eval_shape(lambda: _first_state(config, cameras))
+    return jax.eval_shape(lambda: _first_state(config, cameras, jax.random.key(config.seed)))
 
 
-def _first_state(config: ConfigDict, cameras: int) -> State:
+def _first_state(config: ConfigDict, cameras: int, key: Key[Array, ""]) -> State:
     networks, optimisers = make_networks(config), make_optimisers(config)
-    keys = jax.random.split(jax.random.key(config.seed), 4)
+    keys = jax.random.split(key, 4)
     image = jnp.ones((1, config.patch, config.patch, 4))
     encoder: Any = networks.encoder.init(keys[1], image, train=False) if networks.encoder else {}
     latent = latent_of(networks, encoder, image)

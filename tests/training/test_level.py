@@ -39,8 +39,8 @@ def trained(tmp_path_factory):
     config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
     config.update({"steps": STEPS, "evaluate_every": STEPS, "checkpoint_every": STEPS, "batch_size": 8})
     config.optimiser.update({"generator_rate": 3e-3, "encoder_rate": 3e-3, "warmup": 10})
-    config.data.update({"cameras": 48, "scenes": 12, "per_scene": 4, "test_scenes": 10})
-    config.data.update({"held_out_per_scene": 4, "calibration_scenes": 15})
+    config.data.update({"cameras": 48, "references": 1, "scenes": 12, "per_scene": 4, "test_scenes": 16})
+    config.data.update({"held_out_per_scene": 1, "calibration_scenes": 15})
     config.loss.adversarial = 0.0
     folder = tmp_path_factory.mktemp("run")
     data = load_data(config, folder)
@@ -59,9 +59,9 @@ def test_noise_is_as_loud_as_the_cameras_with_and_without_nlf(trained, way):
     config, data, model = trained
     samplers = samplers_of(model, config)
     columns = model_columns(
-        samplers.usual, data.test, jax.random.key(1), data.recalibrated, 4, samplers.given
+        samplers.usual, data.test, jax.random.key(1), data.recalibrated, 2, samplers.given
     )
-    found = ratios(draw_noise(columns[way], data.test, jax.random.key(2), 20), data.test, data.cameras)
+    found = ratios(draw_noise(columns[way], data.test, jax.random.key(2), 16), data.test, data.cameras)
     assert all(abs(ratio - 1) < TOLERANCE for ratio in found.values()), found
 
 
@@ -102,10 +102,12 @@ def test_the_level_of_training_is_that_of_sampling():
     batch = {"clean": anchor, "anchor": anchor, "shot": given, "read": given}
     key = jax.random.key(3)
     np.testing.assert_array_equal(choose_level("given", key, batch).shot, given)
-    estimated = choose_level("estimated", key, batch)
-    np.testing.assert_allclose(estimated.shot[2], estimate_nlf(anchor[2])[0], rtol=1e-4)
-    both = choose_level("both", key, batch)
+    chosen = jax.jit(choose_level, static_argnums=0)
+    estimated = chosen("estimated", key, batch)
+    np.testing.assert_allclose(estimated.shot[2], jax.jit(estimate_nlf)(anchor[2])[0], rtol=1e-4)
+    both = chosen("both", key, batch)
     known = np.asarray(both.known) == 1
     assert 0 < known.sum() < 6
     np.testing.assert_array_equal(both.read[known], given[known])
-    np.testing.assert_array_equal(both.read[~known], estimated.read[~known])
+    # Two programs, which round differently.
+    np.testing.assert_allclose(both.read[~known], estimated.read[~known], rtol=1e-6)

@@ -84,13 +84,9 @@ def newest_state(config, folder):
     return state
 
 
-def test_the_same_config_gives_the_same_bits(config, data, finished, tmp_path):
+def test_the_same_config_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp_path):
     jax.clear_caches()  # compiled anew, as in another process
-    run(config, tmp_path, data)
-    assert digest(newest_state(config, tmp_path)) == finished[1]
 
-
-def test_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp_path):
     def interrupt(step):
         if step == 4:
             os.kill(os.getpid(), signal.SIGTERM)
@@ -109,7 +105,7 @@ def test_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp
 def test_the_encoder_starts_with_statistics_of_mean_zero_and_variance_one(config, data):
     noisy = data.noisy_examples()
     state = init_state(config, 5, noisy)
-    params, (statistics, _) = state.encoder["params"], noise_statistics(noisy)
+    params, (statistics, _) = state.encoder["params"], jax.jit(noise_statistics)(noisy)
     z = (statistics - params["centre"]) / params["spread"]
     np.testing.assert_allclose(z.mean(0), 0, atol=1e-3)
     varied = statistics.std(0) > 0.01
