@@ -24,7 +24,7 @@ from cannoise_jax.recordings.folders.store import write_plan
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import BadInput
-from tests.discovery.capture import capture_set, row_offsets
+from tests.discovery.capture import capture_set
 from tests.recordings.folders.night import night
 
 
@@ -33,17 +33,6 @@ def write(folder, capture):
     for recording in capture.recordings:
         write_recording(folder / recording.path, recording)
     return folder
-
-
-def test_writes_report_page_and_sensor(tmp_path, capsys):
-    folder = write(tmp_path / "in", capture_set(1, row_offsets(2.0), kinds="d", size=(64, 96)))
-    assert main(["--recordings", str(folder), "--out", str(tmp_path / "out"), "--key", "3"]) == 0
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["findings"][0]["mechanism"] == "row_noise"
-    assert report["key"] == 3 and report["seconds"] > 0 and len(report["inputs"][0]["sha256"]) == 64
-    assert (tmp_path / "out" / "report.html").stat().st_size > 10000
-    assert [m.mechanism for m in read_sensor(tmp_path / "out" / "sensor.json").mechanisms][0] == "row_noise"
-    assert "row_noise" in capsys.readouterr().out
 
 
 def test_how_long_it_will_take_is_said_once_after_the_first_look(capsys):

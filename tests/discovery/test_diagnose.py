@@ -211,7 +211,7 @@ def check_schema(report):
 
 
 def test_report_follows_its_schema_and_the_two_sample_test_sees_the_effect_leave():
-    found = diagnose(capture_set(12, row_offsets(3.0), size=(64, 96)), key=jax.random.key(1))
+    found = diagnose(capture_set(12, row_offsets(3.0), kinds="sd", size=(64, 96)), key=jax.random.key(1))
     report = document(found, key=1, version="0", seconds=1.0, peak_memory_mb=1.0)
     check_schema(json.loads(json.dumps(report, allow_nan=False)))
     assert report["verdict"] in ("explained", "partly explained")

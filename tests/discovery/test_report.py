@@ -255,7 +255,9 @@ def test_command_writes_report_page_and_model(tmp_path, capsys):
     check_report(report)
     content = (folder / "0.h5").read_bytes()
     assert report["inputs"][0]["sha256"] == hashlib.sha256(content).hexdigest()
-    assert report["seconds"] > 0 and report["peak_memory_mb"] > 0
+    assert report["key"] == 3 and report["seconds"] > 0 and report["peak_memory_mb"] > 0
+    assert (out / "report.html").stat().st_size > 10000
+    assert "row_noise" in capsys.readouterr().out
     names = {f.mechanism for f in read_sensor(out / "sensor.json").mechanisms}
     assert {"row_noise", "column_fpn"} <= names
     before = (out / "report.json").read_bytes()
