@@ -221,7 +221,9 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
         for _ in range(2):
             beta = least_squares(basis[kept], values[kept])
             rest = values - np.einsum("nk,k->n", basis, beta)
-            kept = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6
+            kept, before = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6, kept
+            if np.array_equal(kept, before):
+                break
         fitted = np.einsum("nk,k->n", basis, beta)
         at = SITES[c]
         out[chosen] = fitted

@@ -10,6 +10,8 @@ are added, two degrees more are, for what one flat alone lets pass.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage, stats
@@ -56,6 +58,7 @@ def _without_points(rest: np.ndarray, fitted: np.ndarray, spread: float) -> Floa
     return fitted + around + np.clip(left - around, -_FAR * spread, _FAR * spread)
 
 
+@lru_cache(maxsize=64)
 def polynomials(count: int, degree: int) -> Float[np.ndarray, "n k"]:
     """Orthonormal polynomials of degree 0 to `degree` at `count` even places."""
     at = np.linspace(-1, 1, count)
