@@ -1,6 +1,7 @@
 """bin/train --workdir DIR [--config FILE] [--config.field=value] [--recordings DIR_A,DIR_B]
 
 Trains, resumes where it was stopped, and ends with a table, a picture and results.json in the workdir.
+Several devices, and processes on several machines, may share the work; a run resumes on any number of them.
 """
 
 from __future__ import annotations
@@ -51,6 +52,15 @@ def _flags(arguments: list[str], default: str | None = None) -> flags.FlagValues
     flags.DEFINE_enum("cfa", None, CFA_PATTERNS, "Colour order of the recordings.", flag_values=values)
     flags.DEFINE_list("black-level", None, "DN; one, or four in mosaic order.", flag_values=values)
     flags.DEFINE_float("white-level", None, "DN.", flag_values=values)
+    flags.DEFINE_integer(
+        "devices", 1, "Devices of each process that share a batch; 0: all.", 0, flag_values=values
+    )
+    flags.DEFINE_string(
+        "coordinator", None, "HOST:PORT of process 0 where several share a run; auto: as SLURM says.",
+        flag_values=values,
+    )  # fmt: skip
+    flags.DEFINE_integer("processes", None, "How many they are.", 1, flag_values=values)
+    flags.DEFINE_integer("process", None, "Number of this one, from 0.", 0, flag_values=values)
     return values
 
 
@@ -66,9 +76,9 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(format="bin/train: %(message)s", level=logging.WARNING)
     try:
         with _interruptible() as check:
-            config, workdir = _read_flags(arguments)
+            config, workdir, values = _read_flags(arguments)
             with _no_empty_folder(workdir):
-                return _run(config, workdir, started, check)
+                return _run(config, workdir, values, started, check)
     except BadInput as error:
         print(f"bin/train: {error}", file=sys.stderr)
         return 2
@@ -118,7 +128,7 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
         raise
 
 
-def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
+def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValues]:
     try:
         with _stored_config(arguments) as stored:
             values = _flags(arguments, stored)
@@ -154,7 +164,7 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path]:
         config.data.cfa = values.cfa
     if values["white-level"].value is not None:
         config.data.white_level = values["white-level"].value
-    return config, Path(values.workdir)
+    return config, Path(values.workdir), values
 
 
 @contextmanager
@@ -237,7 +247,9 @@ def _fields(config: dict[str, Any], before: str = "") -> Iterator[str]:
             yield f"{before}{name}={value}".replace(", ", ",")
 
 
-def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], None]) -> int:
+def _run(
+    config: ConfigDict, workdir: Path, values: flags.FlagValues, started: float, check: Callable[[], None]
+) -> int:
     import jax
     from tqdm import tqdm
 
@@ -245,11 +257,15 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     from cannoise_jax.evaluation.tables import results_table, write_results
     from cannoise_jax.training.check import check_config
     from cannoise_jax.training.data import load_data
+    from cannoise_jax.training.devices import is_first, join, leave, make_mesh
     from cannoise_jax.training.loop import NonFiniteLoss, check_workdir, train
     from cannoise_jax.training.result import compare, samplers_of, write_model
 
     check_config(config)
     check_workdir(config, workdir)
+    join(values.coordinator, values.processes, values.process)
+    mesh = make_mesh(values.devices, config.batch_size)
+    first = is_first()
     check()
     print(f"{workdir}: reading the data", flush=True)
     data = load_data(config, workdir)
@@ -265,18 +281,21 @@ def _run(config: ConfigDict, workdir: Path, started: float, check: Callable[[], 
     def progress(step: int, steps: int):
         return tqdm(
             total=steps * config.batch_size, initial=step * config.batch_size, unit="patch", mininterval=1,
-            dynamic_ncols=True,
+            dynamic_ncols=True, disable=not first,
         )  # fmt: skip
 
     try:
         with ExitStack() as bars:  # what is printed next begins on a line of its own
-            outcome = train(config, workdir, data, lambda *at: bars.enter_context(progress(*at)))
+            outcome = train(config, workdir, data, lambda *at: bars.enter_context(progress(*at)), mesh)
     except NonFiniteLoss as error:
         print(f"bin/train: {error}", file=sys.stderr)
         return 1
+    leave()
     if not outcome.finished:
         print(f"stopped at step {outcome.step}: the same command resumes", flush=True)
         return 0
+    if not first:
+        return 0  # the first measures, alone
     check()
     model = write_model(config, outcome.state, data, workdir)
     check()

@@ -119,6 +119,8 @@ def batches(
     reference_size: int | None = None,
     triplet: bool = True,
     threads: int = 0,
+    part: int = 0,
+    parts: int = 1,
 ) -> BatchIterator:
     """Endless training batches, see the module's docstring.
 
@@ -126,6 +128,8 @@ def batches(
       mirrored half of the time where one column is to spare. None: patches as stored, no augmentation.
     reference_size: the same for anchor, positive and negative; default: `size`.
     triplet: False leaves out `positive` and `negative`, which one camera alone cannot give.
+    part, parts: only these rows of every batch, one of `parts` equal runs of them; the others are not read,
+      and its state is that of the whole.
     Raises BadInput for one camera with a triplet, a camera with fewer than two patches, patches below `size`.
     """
     members = _by_camera(source, triplet)
@@ -140,7 +144,8 @@ def batches(
     per_epoch = len(element.members) * max(map(len, element.members))
     data = grain.MapDataset.range(per_epoch).seed(seed).shuffle().repeat().random_map(element)
     options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=4 * batch_size if threads else 0)
-    return iter(data.batch(batch_size).to_iter_dataset(options))
+    rows = data.batch(batch_size // parts)
+    return iter((rows[part::parts] if parts > 1 else rows).to_iter_dataset(options))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
+from jax.sharding import Sharding
 from orbax.checkpoint import checkpoint_managers
 
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.training.devices import everywhere
 from cannoise_jax.training.state import State
 
 SCORE = "validation_kl"
@@ -103,13 +105,16 @@ class Checkpoints:
             _without_late_callbacks()
             raise _unwritable(self.folder, error) from error
 
-    def restore(self, like: State, step: int) -> tuple[State, dict[str, Any]]:
+    def restore(self, like: State, step: int, where: Sharding | None = None) -> tuple[State, dict[str, Any]]:
         """The state and the iterator's state of a step; `like` gives shapes and dtypes.
 
+        where: the devices that shall hold it, whichever held it when it was stored; default: this process's
+          first.
         Raises BadInput where the checkpoint does not fit, which a config of other sizes causes, and where it
         is damaged: every number is held against its checksum before anything is returned.
         """
-        abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like._asdict())
+        placed = {"sharding": where or everywhere(None)}
+        abstract = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, **placed), like._asdict())
         record = self._record(step)
         try:
             with _without_logs():

@@ -84,10 +84,11 @@ class TrainingData:
         """How many cameras the critic may be told apart."""
         return len(self.cameras) if self.trained_on is None else self.trained_on
 
-    def batches(self, config: ConfigDict) -> BatchIterator:
-        """Endless batches of the training patches as the config has them."""
+    def batches(self, config: ConfigDict, part: int = 0, parts: int = 1) -> BatchIterator:
+        """Endless batches of the training patches as the config has them; of every batch the rows of one of
+        equal parts."""
         if isinstance(self.train, DrawnCameras):
-            return DrawnBatches(self.train, config.batch_size, config.seed, config.patch)
+            return DrawnBatches(self.train, config.batch_size, config.seed, config.patch, part, parts)
         return batches(
             self.train,
             config.batch_size,
@@ -95,6 +96,8 @@ class TrainingData:
             size=config.patch,
             reference_size=config.reference,
             triplet=bool(config.loss.triplet),
+            part=part,
+            parts=parts,
         )
 
     def noisy_examples(self) -> Float[np.ndarray, "n h w 4"]:
@@ -243,6 +246,10 @@ def _sidd_store(config: ConfigDict, workdir: Path) -> PatchStore:
     folder = workdir / "patches"
     if folder.is_dir():
         return open_patches(folder)
+    if jax.process_count() > 1:
+        raise BadInput(
+            f"{folder}: missing: one process stores the patches first: train a step without others"
+        )
     captures = load_sidd(config.data.path)
     recordings = [(r, scene_id(r)) for captured in captures for r in captured.recordings]
     scenes = [scene for _, scene in recordings]

@@ -156,11 +156,16 @@ class DrawnBatches:
     """Endless batches of drawn cameras, each in its turn; all of batch n depends on (seed, n) alone.
 
     As `recordings.pipeline`, and: `anchor` [b, r, h, w, 4] of the target's setting, of which `shown` are
-    different, 1 or r; `truth`. size: side of the target, a random window, mirrored on either axis.
+    different, 1 or r; `truth`. size: side of the target, a random window, mirrored on either axis. part: only
+    these rows of every batch, one of `parts` equal runs of them.
     """
 
-    def __init__(self, cameras: DrawnCameras, batch_size: int, seed: int, size: int):
+    def __init__(
+        self, cameras: DrawnCameras, batch_size: int, seed: int, size: int, part: int = 0, parts: int = 1
+    ):
         self.cameras, self.batch_size, self.seed, self.size = cameras, batch_size, seed, size
+        rows = batch_size // parts
+        self.rows = slice(part * rows, (part + 1) * rows)
         self.position = 0
 
     def __iter__(self) -> DrawnBatches:
@@ -184,10 +189,14 @@ class DrawnBatches:
         patches = np.array([rng.permutation(count + 1) for _ in chosen])
         shown = np.where(rng.random(len(chosen)) < 0.5, 1, count)
         anchors = np.where(np.arange(count) < shown[:, None], patches[:, 1:], patches[:, 1:2])
+        windows = [self._window(rng) for _ in chosen]
+        # Everything is drawn for the whole batch, whichever rows of it are wanted.
+        chosen, patches, shown, anchors = (v[self.rows] for v in (chosen, patches, shown, anchors))
         target = patches[:, 0]
-        whole = source.clean(chosen, target), source.noisy(chosen, target)
-        windows = [self._window(rng, c, n) for c, n in zip(*whole, strict=True)]
-        clean, noisy = (np.stack(part) for part in zip(*windows, strict=True))
+        clean, noisy = (
+            np.stack([_cut(image, *w) for image, w in zip(whole, windows[self.rows], strict=True)])
+            for whole in (source.clean(chosen, target), source.noisy(chosen, target))
+        )
         other = np.full(len(chosen), count + 1)
         shot, read = (np.repeat(source.level[chosen, i][:, None], 4, 1) for i in (0, 1))
         truth = {name: values[chosen] for name, values in source.truth.items()}
@@ -206,8 +215,12 @@ class DrawnBatches:
     def _order(self, turn: int) -> np.ndarray:
         return np.random.default_rng([self.seed, 1, turn]).permutation(len(self.cameras))
 
-    def _window(self, rng, clean, noisy):
+    def _window(self, rng) -> tuple[tuple[slice, slice], tuple[int, ...]]:
         y, x = rng.integers(PATCH - self.size + 1, size=2)
         # Mirrored, colours in a row or column change places, as in a camera of another order.
         flips = tuple(axis for axis in (0, 1) if rng.random() < 0.5)
-        return tuple(np.flip(image[y : y + self.size, x : x + self.size], flips) for image in (clean, noisy))
+        return (slice(y, y + self.size), slice(x, x + self.size)), flips
+
+
+def _cut(image: np.ndarray, window: tuple[slice, slice], flips: tuple[int, ...]) -> np.ndarray:
+    return np.flip(image[window], flips)

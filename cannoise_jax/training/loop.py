@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
@@ -28,6 +30,7 @@ from cannoise_jax.training.check import check_config, check_sensors
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import HeldOut, TrainingData
+from cannoise_jax.training.devices import any_process, copied, everywhere, is_first, own_copy, shared_out
 from cannoise_jax.training.metrics import MetricWriter, noise_panel
 from cannoise_jax.training.state import State, abstract_state, init_state, latent_of, make_networks
 from cannoise_jax.training.step import make_train_step
@@ -165,37 +168,42 @@ def train(
     workdir: Path,
     data: TrainingData,
     progress: Callable[[int, int], Progress],
+    mesh: Mesh | None = None,
 ) -> Outcome:
     """Trains from the newest checkpoint of the workdir, or from the start, to `config.steps`.
 
     progress: (steps done, steps in all) -> what shows progress.
+    mesh: of devices that share every batch, see `devices`; each process reads its own rows of it, and the
+      first writes what is left beside the checkpoints.
     Raises NonFiniteLoss, and BadInput for a full disk, a workdir that holds another config, or a config that
     cannot be trained.
     """
     check_config(config)
     check_sensors(config, data.cameras)
     check_workdir(config, workdir)
-    source = data.batches(config)
-    _write_config(config, workdir)
+    source = data.batches(config, jax.process_index(), jax.process_count())
+    if is_first():
+        _write_config(config, workdir)
     checkpoints = Checkpoints(workdir)
     newest = checkpoints.newest()
     if newest is None:
         state = init_state(config, data.known, jnp.asarray(data.noisy_examples()))
         if config.start:
             state = started(config, state, data.known)
+        state = copied(state, mesh)
     else:
-        state, position = checkpoints.restore(abstract_state(config, data.known), newest)
+        state, position = checkpoints.restore(abstract_state(config, data.known), newest, everywhere(mesh))
         source.set_state(position)
-    train_step = make_train_step(config, data.known)
+    train_step = make_train_step(config, data.known, None, mesh)
     validation_cameras = data.validation_cameras or data.cameras
     sampler = make_sampler(config)
     validation = data.validation.some(config.validation_patches)
     step, scored = int(state.step), None
     try:
-        with stop_requested() as stopping, MetricWriter(workdir) as writer:
+        with stop_requested() as stopping, _metrics(workdir) as folder, MetricWriter(folder) as writer:
             bar = progress(step, config.steps)
-            while step < config.steps and not stopping():
-                state, metrics = train_step(state, next(source))
+            while step < config.steps and not any_process(stopping()):
+                state, metrics = train_step(state, shared_out(next(source), mesh))
                 step += 1
                 bar.update(config.batch_size)
                 last = step == config.steps
@@ -209,8 +217,9 @@ def train(
                 if step % config.evaluate_every == 0 or last:
                     _check_state(state, metrics, checkpoints)
                     scored = _validate(
-                        writer, step, sampler(state), validation, validation_cameras, config.references
-                    )
+                        writer, step, sampler(own_copy(state, mesh)), validation, validation_cameras,
+                        config.references,
+                    )  # fmt: skip
                 if step % config.checkpoint_every == 0 or scored is not None:
                     _save(checkpoints, state, metrics, source, scored)
                     writer.flush()
@@ -219,10 +228,20 @@ def train(
                 _save(checkpoints, state, metrics if step > int(newest or 0) else {}, source, scored)
         best = checkpoints.best() if finished else None
         if best is not None and best != step:
-            state, _ = checkpoints.restore(state, best)
-        return Outcome(finished, state, int(state.step))
+            state, _ = checkpoints.restore(state, best, everywhere(mesh))
+        return Outcome(finished, own_copy(state, mesh), int(state.step))
     finally:
         checkpoints.close()
+
+
+@contextmanager
+def _metrics(workdir: Path) -> Iterator[Path]:
+    """Where metrics go: the workdir. Other processes than the first have the same ones, and drop theirs."""
+    if is_first():
+        yield workdir
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder)
 
 
 def started(config: ConfigDict, state: State, cameras: int) -> State:

@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Key
 from ml_collections import ConfigDict, FrozenConfigDict
 
@@ -27,6 +28,7 @@ from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise_by_ca
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.training import losses
 from cannoise_jax.training.compiler import compiler_options
+from cannoise_jax.training.devices import everywhere
 from cannoise_jax.training.state import (
     Networks,
     State,
@@ -63,17 +65,18 @@ def choose_level(level: str, key: Key[Array, ""], batch: Batch) -> NoiseLevel:
 
 
 def make_train_step(
-    config: ConfigDict, cameras: int, draw: InitialNoise | None = None
+    config: ConfigDict, cameras: int, draw: InitialNoise | None = None, mesh: Mesh | None = None
 ) -> Callable[[State, Batch], tuple[State, dict[str, Array]]]:
     """The jitted `train_step(state, batch) -> (state, metrics)`; the old state's memory is reused.
 
     cameras: how many there are, for a critic that is told which. draw: instead of config.initial_noise.
+    mesh: of devices that share the batch, see `devices`.
     """
-    return _train_step(FrozenConfigDict(config), cameras, draw or config.initial_noise)
+    return _train_step(FrozenConfigDict(config), cameras, draw or config.initial_noise, mesh)
 
 
 @lru_cache(maxsize=4)
-def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoise):
+def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoise, mesh: Mesh | None):
     """Cached, so that a run that is resumed in the same process compiles once."""
     networks, optimisers = make_networks(config), make_optimisers(config)
     draw = initial_noise_by_camera(choice)
@@ -211,7 +214,9 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
             average=jax.tree.map(lambda old, new: new + decay * (old - new), state.average, trained),
         ), aux
 
-    @partial(jax.jit, donate_argnums=0, compiler_options=compiler_options(config))
+    placed = {"out_shardings": everywhere(mesh)} if mesh else {}
+
+    @partial(jax.jit, donate_argnums=0, compiler_options=compiler_options(config), **placed)
     def train_step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
         batch = _stacked(batch)
         keys = jax.random.split(jax.random.fold_in(state.key, state.step), config.critic_updates + 1)

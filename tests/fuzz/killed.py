@@ -112,7 +112,7 @@ def train(folder: str) -> None:
     loop._validate = lambda writer, step, *a, **k: 1 / step
     data = SimpleNamespace(
         train=[],
-        batches=lambda config: Source(),
+        batches=lambda *_: Source(),
         known=1,
         noisy_examples=lambda: np.zeros((1, 32, 32, 4)),
         validation_cameras=("A",),

@@ -115,6 +115,17 @@ def test_resumed_mid_epoch_bit_exactly(at, threads):
                 np.testing.assert_array_equal(batch[name], expected[name])
 
 
+def test_parts_of_a_batch_are_its_rows_and_their_state_is_that_of_the_whole():
+    source = patches()
+    whole = batches(source, 6, seed=5, size=4)
+    expected = take(whole, 12)  # beyond an epoch
+    parts = [batches(source, 6, seed=5, size=4, part=n, parts=3) for n in range(3)]
+    for batch, *rows in zip(expected, *(take(part, 12) for part in parts), strict=True):
+        for name in batch:
+            np.testing.assert_array_equal(np.concatenate([r[name] for r in rows]), batch[name])
+    assert [part.get_state() for part in parts] == [whole.get_state()] * 3
+
+
 def test_windows_are_crops_and_mirrored_crops_of_the_stored_patch():
     source = patches((3, 3), size=6)
     kinds = set()

@@ -43,6 +43,13 @@ def test_batches_go_on_where_they_stopped(cameras):
     assert not np.array_equal(other["clean"], whole[0]["clean"])
 
 
+def test_parts_of_a_batch_are_its_rows(cameras):
+    whole = take(DrawnBatches(cameras, 4, 1, 32), 3)
+    parts = [take(DrawnBatches(cameras, 4, 1, 32, n, 2), 3) for n in range(2)]
+    for batch, *halves in zip(whole, *parts, strict=True):
+        same(jax.tree.map(lambda *rows: np.concatenate(rows), *halves), batch)
+
+
 def test_an_element_is_of_one_camera_and_every_camera_has_its_turn(cameras):
     drawn = take(DrawnBatches(cameras, 3, 0, 32), 4)
     assert sorted(np.concatenate([b["camera"] for b in drawn[:2]])) == list(range(6))
