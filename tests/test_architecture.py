@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -136,6 +137,47 @@ def test_no_verb_asks_for_a_signature_by_its_name():
         place = path.relative_to(PACKAGE).as_posix()
         if not place.startswith((*NAMED, "signatures")):
             assert not literals(path, names), f"{place}: {literals(path, names)}"
+
+
+def defined(module: str) -> list[tuple[str, ast.stmt]]:
+    """Names that a module gives to its own functions, classes and constants."""
+    out: list[tuple[str, ast.stmt]] = []
+    for node in tree(modules()[module]).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        out += [(t.id, node) for t in targets if isinstance(t, ast.Name)]
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            out.append((node.name, node))
+    return out
+
+
+def used(node: ast.AST) -> Counter[str]:
+    """Names that are read, imported, or written in a string that is a name, a dotted one or a type."""
+    found: Counter[str] = Counter()
+    for n in ast.walk(node):
+        if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load):
+            found[n.id] += 1
+        elif isinstance(n, ast.Attribute):
+            found[n.attr] += 1
+        elif isinstance(n, ast.ImportFrom):
+            found.update(alias.name for alias in n.names)
+        elif isinstance(n, ast.Constant) and isinstance(n.value, str) and re.fullmatch(r"[\w.|, ]+", n.value):
+            found.update(re.findall(r"\w+", n.value))
+    return found
+
+
+def test_every_name_is_used_by_the_package_itself():
+    """None is there for its tests alone. A decorated function may be called by what decorates it."""
+    everywhere = sum((used(tree(path)) for path in modules().values()), Counter())
+    everywhere.update(("as_config", "MECHANISMS"))  # of a configuration file; of a user's script
+    dead = [
+        f"{module}.{name}"
+        for module in modules()
+        for name, node in defined(module)
+        if not name.startswith("__")
+        and not getattr(node, "decorator_list", [])
+        and everywhere[name] <= (used(node)[name] if isinstance(node, ast.FunctionDef | ast.ClassDef) else 0)
+    ]
+    assert not dead
 
 
 def test_no_module_imports_itself_in_a_circle():

@@ -123,19 +123,9 @@ def _stated(path: str | Path, tags: list[_Directory], raw: _Decoded) -> tuple[di
     return known, about
 
 
-def optical_black(path: str | Path) -> tuple[BorderRegion, ...]:
-    """The masked pixels around the visible area: a DNG's MaskedAreas, or else all four borders.
-
-    Empty where the file stores none. The pixels nearest to the visible area may see stray light.
-    Raises BadInput.
-    """
-    tags = _directories(path)
-    raw = _decode(path, tags)
-    with reading(path, "tags that make no sense: the file is damaged"):
-        return _masked(tags, raw)
-
-
 def _masked(tags: list[_Directory], raw: _Decoded) -> tuple[BorderRegion, ...]:
+    """The masked pixels around the visible area: a DNG's MaskedAreas, or else all four borders; empty where
+    the file stores none. The pixels nearest to the visible area may see stray light."""
     rows, columns = raw.sensor.shape
     bottom, right = raw.top + raw.size[0], raw.left + raw.size[1]
     masked = _tag(tags, _MASKED_AREAS)
@@ -155,15 +145,8 @@ def _masked(tags: list[_Directory], raw: _Decoded) -> tuple[BorderRegion, ...]:
     )
 
 
-def optical_black_level(path: str | Path) -> PerChannel:
-    """Median of the masked pixels of each mosaic site, DN, mosaic order. Raises BadInput without any."""
-    black = _median_of(optical_black(path))
-    if black is None:
-        raise BadInput(f"{path}: holds no masked pixels of every channel: set the black level by hand")
-    return black
-
-
 def _median_of(regions: tuple[BorderRegion, ...]) -> PerChannel | None:
+    """Median of the masked pixels of each mosaic site, DN, mosaic order; None where a site has none."""
     sites: list[list[np.ndarray]] = [[], [], [], []]
     for region in regions:
         for site in range(4):

@@ -3,7 +3,7 @@ import pytest
 import rawpy
 
 from cannoise_jax.recordings import camera_raw
-from cannoise_jax.recordings.camera_raw import optical_black, optical_black_level, read_camera_raw
+from cannoise_jax.recordings.camera_raw import read_camera_raw
 from cannoise_jax.recordings.load import load_recording
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput
@@ -100,41 +100,35 @@ def test_a_noise_profile_of_an_odd_count_is_left_out(tmp_path, caplog):
 
 def test_masked_areas_that_are_no_areas_are_refused(tmp_path):
     path = write_dng(tmp_path / "a.dng", sensor("RGGB"), black=(0,) * 4, extra={50830: (LONG, [4, 0, 100])})
-    for read in (read_camera_raw, optical_black):
-        with pytest.raises(BadInput, match=r"a\.dng: tags that make no sense"):
-            read(path)
+    with pytest.raises(BadInput, match=r"a\.dng: tags that make no sense"):
+        read_camera_raw(path)
 
 
-def test_masked_border_is_kept_available_with_its_phase(tmp_path):
+def test_a_masked_border_keeps_its_phase(tmp_path):
     active = (5, 8, 101, 152)
-    path = write_dng(tmp_path / "a.dng", sensor("GRBG", active), cfa="GRBG", active=active)
-    recording = read_camera_raw(path)
-    regions = optical_black(path)
-    assert sum(r.pixels.size for r in regions) + recording.frames[0].size == 104 * 160
+    path = write_dng(tmp_path / "a.dng", sensor("GRBG", active), cfa="GRBG", active=active, black=(0,) * 4)
     with rawpy.imread(str(path)) as raw:
         visible = raw.sizes.top_margin, raw.sizes.left_margin
     # Outside the active area a pixel reads 50 + its site counted from the active area's corner.
     shift = 2 * ((visible[0] - active[0]) % 2) + (visible[1] - active[1]) % 2
     expected = tuple(50 + (site ^ shift) for site in range(4))
-    assert optical_black_level(path) == expected
-    assert read_camera_raw(path, black_level=optical_black_level(path)).black_level == expected
+    assert read_camera_raw(path).black_level == expected
 
 
 def test_masked_areas_that_the_file_names(tmp_path):
     active = (4, 8, 100, 152)
     masked = [4, 0, 100, 6, 0, 8, 2, 152]
+    raw = np.full((104, 160), 900, np.uint16)
+    for top, left, bottom, right in np.reshape(masked, (-1, 4)):
+        raw[top:bottom, left:right] = sensor("RGGB", active)[top:bottom, left:right]
     extra = {50830: (LONG, masked)}
-    path = write_dng(tmp_path / "a.dng", sensor("RGGB", active), active=active, extra=extra)
-    regions = optical_black(path)
-    assert [(r.top, r.left, r.pixels.shape) for r in regions] == [(0, -8, (96, 6)), (-4, 0, (2, 144))]
-    assert optical_black_level(path) == (50, 51, 52, 53)
+    path = write_dng(tmp_path / "a.dng", raw, active=active, extra=extra, black=(0,) * 4)
+    assert read_camera_raw(path).black_level == (50, 51, 52, 53)
 
 
 def test_no_masked_pixels(tmp_path):
-    path = write_dng(tmp_path / "a.dng", sensor("RGGB"))
-    assert optical_black(path) == ()
-    with pytest.raises(BadInput, match="no masked pixels"):
-        optical_black_level(path)
+    opened = camera_raw.open_camera_raw(write_dng(tmp_path / "a.dng", sensor("RGGB"), black=(0,) * 4))
+    assert opened.known["black_level"] == (0,) * 4 and not opened.about
 
 
 def test_mosaics_that_are_not_bayer_are_refused_in_one_line(tmp_path):
