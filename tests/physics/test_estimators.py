@@ -40,6 +40,18 @@ def estimated(id, statistics):
     return MECHANISMS[id].estimator(statistics, assumed_baseline())
 
 
+def test_the_interval_of_a_glow_that_is_not_there_is_that_of_noise():
+    """Blocks of 6 pixels of 3 DN know the charge of 10 s to 0.04 e-/s: a glow of one is below 1 e-/s."""
+    for seed in (2, 7, 9, 13, 20):
+        rng = np.random.default_rng(seed)
+        frames = [200 + 3 * rng.standard_normal((6, 48, 64)) for _ in range(2)]
+        found = estimated("amp_glow", [darks(f, t) for f, t in zip(frames, (0.1, 10.0), strict=True)])
+        low, high = found["e_per_s"].ci90
+        assert found["e_per_s"].chance > 0.1 and low < 0.2 and high < 1, (seed, low, high)
+        low, high = found["length"].ci90
+        assert 0 < low <= found["length"].value <= high <= 2, (seed, low, high)
+
+
 CASES = [pytest.param(e, c, id=f"{e.id}{c.note}") for e in ENTRIES for c in e.examples.cases]
 
 

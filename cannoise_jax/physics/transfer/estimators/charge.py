@@ -50,7 +50,7 @@ def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
         return _LONG
     rate, length = float(np.exp(found.at[0])) / found.seconds, float(np.exp(found.at[1]))
     strength = dataclasses.replace(_log_estimate(rate, found.errors[0]), chance=found.chance)
-    return {"e_per_s": strength, "length": _log_estimate(length, found.errors[1])}
+    return {"e_per_s": strength, "length": _log_estimate(length, found.errors[1], found.lengths)}
 
 
 def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarray, "H W"] | None:
@@ -65,11 +65,12 @@ def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarra
 
 
 class _Glow(NamedTuple):
-    """Log peak charge, log length, place on the edge and level of a glow, their errors, the seconds it took,
-    and the chance with which an even dark shows one as good."""
+    """Log peak charge, log length, place on the edge and level of a glow, their errors, the lengths that can
+    be told, the seconds it took, and the chance with which an even dark shows one as good."""
 
     at: np.ndarray
     errors: np.ndarray
+    lengths: tuple[float, float]
     seconds: float
     chance: float
 
@@ -98,21 +99,26 @@ def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | Non
     def cost(p: np.ndarray) -> np.ndarray:
         return ((model(p) - means) / sigma).ravel()
 
+    # Shorter than half a block it is a spot, and of more than two frames a level: of any strength.
+    lengths = 0.5 * max(np.diff(rows).max(), np.diff(columns).max()) / side, 2.0
     top = np.unravel_index(np.argmax(means), means.shape)
     peak = max(float(means[top] - np.median(means)), 1e-6)
     starts = [
         np.array([np.log(peak), np.log(length), around, float(np.median(means))])
-        for around in np.arange(0.05, 4, 0.2) for length in (0.1, 0.4)
+        for around in np.arange(0.05, 4, 0.2) for length in (max(0.1, lengths[0]), 0.4)
     ]  # fmt: skip
     best = min(starts, key=lambda p: float(np.sum(cost(p) ** 2)))
-    fit = optimize.least_squares(cost, best, x_scale=[0.3, 0.3, 0.1, float(sigma.mean())])
+    open_ended = [np.inf, np.inf]
+    bounds = [-np.inf, np.log(lengths[0]), -np.inf, -np.inf], [np.inf, np.log(lengths[1]), *open_ended]
+    scale = [0.3, 0.3, 0.1, float(sigma.mean())]
+    fit = optimize.least_squares(cost, best, x_scale=scale, bounds=bounds)
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
     excess = max(1.0, 2 * fit.cost / max(means.size - 4, 1))
     even = np.sum(means / sigma**2) / np.sum(1 / sigma**2)
     gain = (np.sum(((means - even) / sigma) ** 2) - 2 * fit.cost) / excess
     places = 2 * sum(means.shape)  # blocks along the edge at which a glow may sit
     chance = min(places * float(stats.chi2.sf(gain, 2)), 1.0)
-    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), seconds, chance)
+    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), lengths, seconds, chance)
 
 
 def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -232,13 +238,14 @@ def hessian(
     return out
 
 
-def _log_estimate(value: float, error: float) -> Estimate:
-    """A positive value whose logarithm has a Gaussian error. Where that error exceeds one the value may be
-    zero, which no logarithm reaches: its own error is then taken as Gaussian and the interval cut at zero."""
+def _log_estimate(value: float, error: float, within: tuple[float, float] = (0.0, np.inf)) -> Estimate:
+    """A positive value, within some bounds, whose logarithm has a Gaussian error. Where that error exceeds
+    one the value may be zero, which no logarithm reaches: its own error is then taken as Gaussian."""
     stderr = value * float(error)
-    if error > 1:
-        return Estimate(value, stderr, (max(value - Z90 * stderr, 0.0), value + Z90 * stderr))
-    low, high = value * np.exp(Z90 * error * np.array([-1, 1]))
+    ends = value + Z90 * stderr * np.array([-1, 1])
+    if error <= 1:
+        ends = value * np.exp(Z90 * error * np.array([-1, 1]))
+    low, high = np.clip(ends, *within)
     return Estimate(value, stderr, (float(low), float(high)))
 
 
