@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.outputs import check_takes_files, line_of
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides, place
 from cannoise_jax.recordings.recording import BadInput
 
@@ -48,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
     except BadInput as error:
         print(f"bin/convert: {error}", file=sys.stderr)
         return 2
-    print(_line(output, recording))
+    print(line_of(output, recording))
     return 0
 
 
@@ -71,6 +72,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         raise BadInput(f"{output}: exists: name another file, or replace it with --force")
     if not output.parent.is_dir():
         raise BadInput(f"{output}: no such folder {output.parent}")
+    check_takes_files(output.parent, output)
     loaded = [load_recording(path, **given) for path in inputs]
     recording = join_recordings(loaded)
     _check_modes(inputs)
@@ -119,6 +121,8 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
     chosen = options(arguments)
     if rest and _inside(rest[0], source):
         raise BadInput(f"{rest[0]}: lies inside {source}: name a folder elsewhere for what is converted")
+    if rest and not arguments.dry_run and not rest[0].is_file():
+        check_takes_files(next(p for p in (rest[0], *rest[0].absolute().parents) if p.exists()), rest[0])
     plan = plan_folder(
         source,
         chosen.overrides,
@@ -137,19 +141,13 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
     tell = progress("writing recordings")
     total = sum(len(one.groups) for one in plan.sets)
     for number, (path, recording) in enumerate(write_plan(plan, rest[0], force=arguments.force), start=1):
-        print(_line(path, recording), flush=True)
+        print(line_of(path, recording), flush=True)
         tell(number, total)
     return 0
 
 
 def _inside(path: Path, folder: Path) -> bool:
     return folder.resolve() in (path.resolve(), *path.resolve().parents)
-
-
-def _line(path: Path, recording: Recording) -> str:
-    size = "{} x {}".format(*recording.size)
-    frames = f"{recording.count} frame{'s' * (recording.count > 1)}"
-    return f"{path}: {frames} of {size}, {recording.cfa}, {recording.camera}"
 
 
 def _gathered(argv: list[str]) -> list[str]:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.recordings.recording import Recording
 
 
 def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "the results") -> None:
@@ -21,7 +25,7 @@ def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "th
             raise BadInput(f"{out / name}: is a folder: name another one for {what}")
         if (out / name).exists() and not force:
             raise BadInput(f"{out / name}: exists: name another folder, or replace it with --force")
-    _check_takes_files(nearest, out)
+    check_takes_files(nearest, out)
 
 
 def check_file(path: Path, suffix: str, force: bool) -> None:
@@ -34,7 +38,7 @@ def check_file(path: Path, suffix: str, force: bool) -> None:
         raise BadInput(f"{path}: is a folder: name a file")
     if path.exists() and not force:
         raise BadInput(f"{path}: exists: name another file, or replace it with --force")
-    _check_takes_files(path.parent, path)
+    check_takes_files(path.parent, path)
 
 
 def make_folder(folder: Path) -> None:
@@ -45,8 +49,9 @@ def make_folder(folder: Path) -> None:
         raise BadInput(f"{folder}: cannot be made: {error.strerror}") from error
 
 
-def _check_takes_files(folder: Path, named: Path) -> None:
-    """Raises BadInput where a folder takes no files: of /proc permissions do not tell, nor of a full disk."""
+def check_takes_files(folder: Path, named: Path) -> None:
+    """Raises BadInput where a folder that exists takes no files: of /proc permissions do not tell, nor of a
+    full disk."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -54,3 +59,10 @@ def _check_takes_files(folder: Path, named: Path) -> None:
         raise BadInput(f"{named}: cannot be written (no permission): name another folder") from None
     except OSError as error:
         raise BadInput(f"{named}: cannot be written ({error.strerror}): name another folder") from None
+
+
+def line_of(path: Path, recording: Recording) -> str:
+    """What is said of a recording that was written."""
+    size = "{} x {}".format(*recording.size)
+    frames = f"{recording.count} frame{'s' * (recording.count > 1)}"
+    return f"{path}: {frames} of {size}, {recording.cfa}, {recording.camera}"

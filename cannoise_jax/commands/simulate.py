@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
-from cannoise_jax.commands.outputs import check_file
+from cannoise_jax.commands.outputs import check_file, line_of
 from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place
 from cannoise_jax.recordings.recording import BadInput
 
@@ -45,8 +45,7 @@ def main(argv: list[str] | None = None) -> int:
             print(f"{arguments.out}: the catalogue of mechanisms")
             return 0
         for path, recording in _recordings(arguments):
-            size = "{} x {}".format(*recording.size)
-            print(f"{path}: {recording.count} frames of {size}, {recording.cfa}, {recording.camera}")
+            print(line_of(path, recording))
     except BadInput as error:
         print(f"bin/simulate: {error}", file=sys.stderr)
         return 2

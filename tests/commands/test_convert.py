@@ -139,6 +139,23 @@ def test_overwriting_is_asked_for_and_may_replace_an_input(tmp_path, capsys):
     assert recording.kind == "dark" and (recording.frames[:] == FRAMES).all()
 
 
+def test_a_folder_that_cannot_be_written_is_said_before_anything_is_read(tmp_path, capsys, monkeypatch):
+    def refuse(**_):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr("cannoise_jax.recordings.load.load_recording", lambda *_, **__: pytest.fail("read"))
+    monkeypatch.setattr(
+        "cannoise_jax.recordings.folders.plan.plan_folder", lambda *_, **__: pytest.fail("read")
+    )
+    recording = write_native(tmp_path / "a.h5", FRAMES)
+    for arguments in ((recording, tmp_path / "b.h5"), (tmp_path, tmp_path.parent / "none" / "out")):
+        assert run(*arguments) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "cannot be written (Read-only file system)" in line
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
 def test_a_full_disk(tmp_path):
     """A limit on file size stands in for a full disk; the command runs as users run it."""
     noise = np.random.default_rng(0).integers(0, 65535, (4, 128, 128)).astype(np.uint16)
