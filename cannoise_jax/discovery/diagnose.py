@@ -3,7 +3,6 @@ came out."""
 
 from __future__ import annotations
 
-import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,34 +15,30 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.remainder import with_remainder
-from cannoise_jax.discovery.frames.battery import Prepared, Splits, splits_of, stated_parameters
+from cannoise_jax.discovery.frames.battery import Prepared, Splits, splits_of
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
-from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
+from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.proof.adequacy import doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
+from cannoise_jax.discovery.proof.judged import CALIBRATED, Judged, opened, own_effects, searched, without_own
 from cannoise_jax.discovery.proof.prove import Proof, Proofs, prove, standing, unconfirmed, unproven
 from cannoise_jax.discovery.proof.quality import Quality, composite_proofs, open_panel, quality_of
-from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
+from cannoise_jax.discovery.proof.sides import Sides
 from cannoise_jax.discovery.proof.twosample import differs as told_apart
 from cannoise_jax.discovery.proof.verdict import Verdict, verdict_of
 from cannoise_jax.discovery.search import declare
-from cannoise_jax.discovery.search.fit import Fitted, Step, part_of, stepwise
+from cannoise_jax.discovery.search.fit import Fitted, part_of, stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
-from cannoise_jax.mechanisms import ENTRIES, VOCABULARY
+from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.recordings.usable import LeftOutWarning, usable
-from cannoise_jax.signatures import generic
-from cannoise_jax.signatures.fields import refit
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.signatures.signature import NO_STRENGTH, Asked
 from cannoise_jax.vocabulary import Term
 
-CALIBRATED, STATED = "poisson-gaussian", "nlf"
-"""Simulators by name: calibrated from the recordings, or as the files state it."""
 AFTER = "the simulator handed back"
 
 
@@ -228,60 +223,6 @@ def diagnose(
     )
 
 
-def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
-    """What recordings are searched for: every mechanism of the package, and those from outside, which are
-    looked for by their samplers where they bring no signature of their own."""
-    return (*ENTRIES, *(_searchable(entry) for entry in entries if entry not in ENTRIES))
-
-
-def _searchable(entry: Entry) -> Entry:
-    if entry.looked_for:
-        return entry
-    looks = generic.by_sampling(
-        entry.record, name=f"sampled_{entry.id}", known={}, simulated=entry.term.kind == "sensor"
-    )
-    return dataclasses.replace(entry, signatures=looks)
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """The simulator that is judged, and the recordings that it can draw. stated: whether gain and read noise
-    of the files are judged. handed, drawn: a simulator that was handed over, and frames of it like the
-    recordings."""
-
-    capture: CaptureSet
-    label: str
-    stated: bool
-    handed: Simulator | None = None
-    drawn: CaptureSet | None = None
-
-    def sides(self, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...]) -> Sides:
-        """The simulator before and after, as draws."""
-        if self.handed is not None and self.drawn is not None:
-            return handed_simulators(self.capture, first, steps, own, self.handed, self.drawn)
-        stated = stated_parameters(self.capture, first.baselines) if self.stated else None
-        return simulators(self.capture, first, steps, stated)
-
-
-def opened(
-    capture: CaptureSet,
-    simulator: str | Path | SensorModel | Draw,
-    key: Key[Array, ""],
-    tell: Callable[[str], None],
-) -> Judged:
-    """The simulator as it is judged. Raises BadInput for one that cannot be."""
-    if simulator == STATED and not any(r.shot and r.read for r in capture.recordings):
-        raise BadInput(
-            f"{capture.path or 'recordings'}: state no shot and read: use --simulator {CALIBRATED}"
-        )
-    if simulator in (CALIBRATED, STATED):
-        return Judged(capture, str(simulator), simulator == STATED)
-    handed = open_simulator(simulator, capture)
-    tell("draw: frames of the simulator at the settings of the recordings")
-    drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
-    return Judged(as_simulated(capture, drawn), handed.label, True, handed, drawn)
-
-
 def judged_by(
     raw: Splits, fitted: Fitted, sides: Sides, key: Key[Array, ""]
 ) -> tuple[Key[Array, ""], Prepared, Prepared, Sides, float | None]:
@@ -322,71 +263,6 @@ def checked(
     return gated, found, model
 
 
-def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
-    """The recordings that the simulator could draw."""
-    names = {(r.path, r.kind, r.exposure_s, r.iso) for r in drawn.recordings}
-    kept = tuple(r for r in capture.recordings if (r.path, r.kind, r.exposure_s, r.iso) in names)
-    return CaptureSet(capture.camera, kept, capture.path)
-
-
 def contrasts(prepared: Prepared) -> int:
     """Number of contrasts between frames."""
     return sum(len(f.contrasts) for f in prepared.fields)
-
-
-def own_effects(
-    drawn: CaptureSet | None, entries: tuple[Entry, ...], allowed: frozenset[str], log_alpha: float
-) -> tuple[Step, ...]:
-    """What a simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
-    if drawn is None:
-        return ()
-    prepared = splits_of(drawn, entries=searched(entries)).looking
-    return stepwise(prepared.fields, prepared.signatures, allowed, log_alpha).steps
-
-
-def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
-    """A split with what the simulator has already taken out, and the signatures set aside that cannot be
-    trusted beside it."""
-    fields = prepared.fields
-    for step in own:
-        fields = refit(step.named.signature.absorb(fields, step.named.score))
-    aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
-    return prepared._replace(
-        fields=fields, signatures=tuple(p for p in prepared.signatures if p.name not in aside)
-    )
-
-
-def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
-    """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for
-    one whose amplitude is no strength but a level or a period."""
-    scores = diagnosis.fitted.first.scores
-    mine = [s for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in scores]
-    mine = [s for s in mine if s.decides][:1] or mine
-    share = SHARED.names if diagnosis.remains else 1.0
-    log_p = float(np.log(diagnosis.alpha * share / diagnosis.fitted.first.tests))
-    looks = tuple(p.fields for p in (diagnosis.first, diagnosis.second) if p is not None)
-    share = SHARED.together if diagnosis.second else 1.0
-    found = [
-        s.detectable(Asked(looks, log_p, share, s.weight), scores[s.name], mechanism)
-        for s in mine
-        if s.detectable is not NO_STRENGTH
-    ]
-    best = min(found, default=np.inf)
-    return (float(best), diagnosis.terms[mechanism].unit) if np.isfinite(best) else None
-
-
-def absorbed_by(diagnosis: Diagnosis, mechanism: str) -> list[str]:
-    """Findings that took away what spoke for a mechanism; none where nothing ever spoke for it. Its
-    statistic stood out before anything was taken out, so that no limit says that it is not there."""
-    first, steps = diagnosis.fitted.first, diagnosis.fitted.steps
-    mine = [s for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in first.scores]
-    level = float(np.log(diagnosis.alpha))
-    if not any(first.log_p.get(s.name, 0.0) < level for s in mine):
-        return []
-    names = {s.name for s in mine}
-    over = {s.axes.varies_over for s in mine}
-    taken = [
-        s.named for s in steps if names & {*s.named.signature.covers, *s.named.signature.hides(s.named.score)}
-    ]
-    taken = taken or [s.named for s in steps if s.named.signature.axes.varies_over in over]
-    return list(dict.fromkeys(n.mechanism for n in taken or [s.named for s in steps]))

@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.diagnose import detectable, diagnose
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.report.not_found import detectable
 from cannoise_jax.discovery.search.limits import mde
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.sparse import HOT_SHARE, TELEGRAPH_SHARE, hot_amplitude, telegraph_amplitude

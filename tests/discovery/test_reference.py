@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.diagnose import detectable, diagnose
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.report.document import finding
+from cannoise_jax.discovery.report.not_found import detectable
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.recordings.recording import CaptureSet

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.discovery.diagnose import Diagnosis, absorbed_by, detectable
+from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import outcome
 from cannoise_jax.discovery.report.card import card
+from cannoise_jax.discovery.report.not_found import absorbed_by, detectable
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.search.declare import kinds
 from cannoise_jax.discovery.search.fit import Step, part_of

@@ -1,0 +1,108 @@
+"""The simulator that is judged: opened, drawn from like the recordings, and what it has already."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+from jaxtyping import Array, Key
+
+from cannoise_jax.discovery.frames.battery import Prepared, splits_of, stated_parameters
+from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
+from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
+from cannoise_jax.discovery.search.fit import Step, stepwise
+from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.signatures import generic
+from cannoise_jax.signatures.fields import refit
+
+CALIBRATED, STATED = "poisson-gaussian", "nlf"
+"""Simulators by name: calibrated from the recordings, or as the files state it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The simulator that is judged, and the recordings that it can draw. stated: whether gain and read noise
+    of the files are judged. handed, drawn: a simulator that was handed over, and frames of it like the
+    recordings."""
+
+    capture: CaptureSet
+    label: str
+    stated: bool
+    handed: Simulator | None = None
+    drawn: CaptureSet | None = None
+
+    def sides(self, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...]) -> Sides:
+        """The simulator before and after, as draws."""
+        if self.handed is not None and self.drawn is not None:
+            return handed_simulators(self.capture, first, steps, own, self.handed, self.drawn)
+        stated = stated_parameters(self.capture, first.baselines) if self.stated else None
+        return simulators(self.capture, first, steps, stated)
+
+
+def opened(
+    capture: CaptureSet,
+    simulator: str | Path | SensorModel | Draw,
+    key: Key[Array, ""],
+    tell: Callable[[str], None],
+) -> Judged:
+    """The simulator as it is judged. Raises BadInput for one that cannot be."""
+    if simulator == STATED and not any(r.shot and r.read for r in capture.recordings):
+        raise BadInput(
+            f"{capture.path or 'recordings'}: state no shot and read: use --simulator {CALIBRATED}"
+        )
+    if simulator in (CALIBRATED, STATED):
+        return Judged(capture, str(simulator), simulator == STATED)
+    handed = open_simulator(simulator, capture)
+    tell("draw: frames of the simulator at the settings of the recordings")
+    drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
+    return Judged(as_simulated(capture, drawn), handed.label, True, handed, drawn)
+
+
+def as_simulated(capture: CaptureSet, drawn: CaptureSet) -> CaptureSet:
+    """The recordings that the simulator could draw."""
+    names = {(r.path, r.kind, r.exposure_s, r.iso) for r in drawn.recordings}
+    kept = tuple(r for r in capture.recordings if (r.path, r.kind, r.exposure_s, r.iso) in names)
+    return CaptureSet(capture.camera, kept, capture.path)
+
+
+def own_effects(
+    drawn: CaptureSet | None, entries: tuple[Entry, ...], allowed: frozenset[str], log_alpha: float
+) -> tuple[Step, ...]:
+    """What a simulator has beyond Poisson-Gaussian noise, by the same battery on its own draws."""
+    if drawn is None:
+        return ()
+    prepared = splits_of(drawn, entries=searched(entries)).looking
+    return stepwise(prepared.fields, prepared.signatures, allowed, log_alpha).steps
+
+
+def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
+    """A split with what the simulator has already taken out, and the signatures set aside that cannot be
+    trusted beside it."""
+    fields = prepared.fields
+    for step in own:
+        fields = refit(step.named.signature.absorb(fields, step.named.score))
+    aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
+    return prepared._replace(
+        fields=fields, signatures=tuple(p for p in prepared.signatures if p.name not in aside)
+    )
+
+
+def searched(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
+    """What recordings are searched for: every mechanism of the package, and those from outside, which are
+    looked for by their samplers where they bring no signature of their own."""
+    return (*ENTRIES, *(_searchable(entry) for entry in entries if entry not in ENTRIES))
+
+
+def _searchable(entry: Entry) -> Entry:
+    if entry.looked_for:
+        return entry
+    looks = generic.by_sampling(
+        entry.record, name=f"sampled_{entry.id}", known={}, simulated=entry.term.kind == "sensor"
+    )
+    return dataclasses.replace(entry, signatures=looks)
