@@ -154,13 +154,13 @@ def test_help(capsys):
 
 def test_a_workdir_goes_on_with_its_own_config(tmp_path):
     workdir = tmp_path / "run"
-    started, _ = train._read_flags(["--workdir", str(workdir), "--config.steps=7", "--config.data.scenes=5"])
+    started, *_ = train._read_flags(["--workdir", str(workdir), "--config.steps=7", "--config.data.scenes=5"])
     workdir.mkdir()
     (workdir / "config.json").write_text(started.to_json_best_effort())
-    resumed, where = train._read_flags(["--workdir", str(workdir)])
+    resumed, where, _ = train._read_flags(["--workdir", str(workdir)])
     assert where == workdir and (resumed.steps, resumed.data.scenes) == (7, 5)
     assert resumed.to_json_best_effort(sort_keys=True) == started.to_json_best_effort(sort_keys=True)
-    longer, _ = train._read_flags([f"--workdir={workdir}", "--config.steps=9"])
+    longer, *_ = train._read_flags([f"--workdir={workdir}", "--config.steps=9"])
     assert (longer.steps, longer.data.scenes) == (9, 5)
     for broken in ("{", "[1]"):
         (workdir / "config.json").write_text(broken)
