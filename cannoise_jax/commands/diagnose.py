@@ -83,6 +83,13 @@ def teller(started: float, clock: Callable[[], float] = time.monotonic) -> Calla
     return tell
 
 
+def parsed(argv: list[str]) -> argparse.Namespace:
+    """The flags, as far as they can be judged by themselves. Raises BadInput, or ends with status 2."""
+    arguments = _parser().parse_args(argv)
+    _check(arguments)
+    return arguments
+
+
 def _check(arguments: argparse.Namespace) -> None:
     """Raises BadInput, before minutes are spent on the recordings, for what can be told from the flags."""
     if not 0 < arguments.alpha < 1:

@@ -14,7 +14,7 @@ from cannoise_jax.physics.core.settings import ExtrapolationWarning
 
 COMMANDS = (
     *("bench", "blind", "calibrate", "compare", "convert", "denoise", "diagnose", "evaluate", "sample"),
-    *("simulate", "test", "train"),
+    *("fleet", "simulate", "test", "train"),
 )
 
 

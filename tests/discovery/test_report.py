@@ -109,9 +109,9 @@ def check_finding(f):
 def check_report(r, ids=IDS):
     """Everything that the schema promises."""
     assert set(r) == {
-        "schema", "version", "key", "alpha", "simulator", "inputs", "verdict", "testable", "not_testable",
-        "findings", "not_found", "before", "after", "two_sample", "seconds", "peak_memory_mb", "baseline",
-        "remainder_share", "gate", "remains",
+        "schema", "version", "key", "alpha", "camera", "simulator", "inputs", "verdict", "testable",
+        "not_testable", "findings", "not_found", "before", "after", "two_sample", "seconds", "peak_memory_mb",
+        "baseline", "remainder_share", "gate", "remains",
     }  # fmt: skip
     assert r["schema"] == "cannoise/diagnosis/2" and isinstance(r["key"], int) and 0 < r["alpha"] < 1
     said = ("match", "explained", "partly explained", "differs, no cause found", "not_testable")

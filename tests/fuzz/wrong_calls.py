@@ -77,6 +77,14 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
         ("--recordings", "in", "--out", "out/r", "--simulator", "none.json"),
         ("--recordings", "in", "--out", "out/r", "--key", "x"),
     ),
+    "fleet": (
+        (),
+        ("--recordings", "in/none", "--out", "out/f"),
+        ("--recordings", "", "--out", "out/f"),
+        ("--recordings", "in/a.h5", "--out", "out/f"),
+        ("--recordings", "in", "--out", "out/f", "--processes", "0"),
+        ("--recordings", "in", "--out", "out/f", "--nothing"),
+    ),
     "compare": (
         (),
         ("--recordings", "in/none"),

@@ -28,8 +28,6 @@ def read_report(path: str | Path) -> dict[str, Any]:
         raise BadInput(f"{path}: is no JSON file: name a report.json or its folder") from error
     if not isinstance(report, dict) or not str(report.get("schema", "")).startswith("cannoise/diagnosis/"):
         raise BadInput(f"{path}: is no report of bin/diagnose")
-    if report.get("remains") is None:
-        raise BadInput(f"{path}: says nothing of what still differs: diagnose the recordings again")
     return report
 
 
@@ -37,8 +35,12 @@ def side_by_side(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:
     """Both reports as plain data: measures of the simulator that each hands back, and every line that
     differs in one of them; nearer: A, B or neither. A measure counts where both 90 % intervals lie apart.
 
-    Raises BadInput for reports of other recordings: their measures are not alike.
+    Raises BadInput for reports of other recordings, whose measures are not alike, and for one without them.
     """
+    for report in (a, b):
+        if report["remains"] is None:
+            about = report["inputs"][0]["file"]
+            raise BadInput(f"{about}: its report says nothing of what still differs: diagnose it again")
     if _files(a) != _files(b):
         raise BadInput("the reports are of other recordings: diagnose the same ones with both simulators")
     area = _apart(*(r["after"]["two_sample_auc_ci90"] for r in (a, b)))

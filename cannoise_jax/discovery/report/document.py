@@ -51,7 +51,7 @@ def document(
 ) -> dict[str, Any]:
     """The report as plain data; no NaN or infinity, what does not apply is None.
 
-    schema, version, key, alpha (family-wise), simulator: of the run. inputs: file, kind, frames,
+    schema, version, key, alpha (family-wise), camera, simulator: of the run. inputs: file, kind, frames,
     frames_used, settings (iso, exposure_s, temperature_c, reference) and sha256 of every recording, and the
     files of one that was made from single files, each with its own: then sha256 is that of all, end to end.
     verdict: see `verdict`. baseline: of the simulator that is handed back; gate: how it was chosen;
@@ -103,6 +103,7 @@ def document(
             "version": version,
             "key": key,
             "alpha": diagnosis.alpha,
+            "camera": diagnosis.capture.camera,
             "simulator": diagnosis.simulator,
             "inputs": inputs,
             "verdict": diagnosis.verdict,

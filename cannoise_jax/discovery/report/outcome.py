@@ -96,8 +96,8 @@ def _interval(change: Any) -> dict[str, Any]:
 def remains(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """What differs before and after by the layer that knows no names, largest share first; None: not looked.
 
-    left: nats that are left of those before (above 1: more than before); nearer: log score of the noise
-    after less before, nats a pixel.
+    pixels: of all frames that were looked at; left: nats that are left of those before (above 1: more than
+    before); nearer: log score of the noise after less before, nats a pixel.
     """
     found = diagnosis.remains
     if found is None:
@@ -105,6 +105,7 @@ def remains(diagnosis: Diagnosis) -> dict[str, Any] | None:
     nearer = found.nearer
     return {
         "held_back": found.held_back,
+        "pixels": sum(s.size[0] * s.size[1] * s.frames for s in found.before.bank.seen.values()),
         "before": [difference_document(d) for d in found.before.differences],
         "after": [difference_document(d) for d in found.after.differences],
         "left": found.left,
