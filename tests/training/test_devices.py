@@ -17,6 +17,7 @@ from cannoise_jax.training.devices import join, make_mesh
 from tests.training.shared_run import CI, STOP, config, run
 
 ROOT = CI.parents[1]
+CODE = ("cannoise_jax/training", "cannoise_jax/networks", "cannoise_jax/recordings/pipeline.py", "configs")
 
 
 @pytest.fixture(scope="module")
@@ -51,24 +52,32 @@ def start(folder, file, *more, devices=1):
     )  # fmt: skip
 
 
-def assert_alike(found, wanted):
-    """To rounding: sums over the batch in another order, the more so the more steps have used them."""
+def differ(found, wanted):
+    """The largest relative difference of two courses of the losses, which is rounding: sums over the batch in
+    another order."""
     assert [line["step"] for line in found] == [line["step"] for line in wanted] == [1, 2, 3, 4, 5, 6]
     for ours, theirs in zip(found, wanted, strict=True):
         assert ours == pytest.approx(theirs, rel=2e-4, abs=1e-7)
+    pairs = [(a[name], b[name]) for a, b in zip(found, wanted, strict=True) for name in b]
+    return max(abs(a - b) / abs(b) for a, b in pairs if b)
 
 
-def test_eight_devices_follow_one_and_must_divide_the_batch(data, alone, tmp_path):
+def tell(tables, what, largest):
+    columns = ("losses of", "largest relative difference from one device")
+    tables.add("several_devices", columns, [(what, f"{largest:.1g}")], CODE)
+
+
+def test_eight_devices_follow_one_and_must_divide_the_batch(data, alone, tmp_path, tables):
     program = start(tmp_path, data[1], devices=8)
     printed, errors = program.communicate(timeout=600)
     assert program.returncode == 0, errors
     assert printed.split() == ["6"]
     lines = [line for line in errors.splitlines() if line.startswith("bin/train")]
     assert len(lines) == 1 and "config.batch_size: 4: 8 devices share a batch" in lines[0]
-    assert_alike(losses(tmp_path), alone)
+    tell(tables, "eight devices", differ(losses(tmp_path), alone))
 
 
-def test_two_processes_follow_one_stop_together_and_one_resumes(data, alone, tmp_path):
+def test_two_processes_follow_one_stop_together_and_one_resumes(data, alone, tmp_path, tables):
     with socket.socket() as free:
         free.bind(("localhost", 0))
         address = f"localhost:{free.getsockname()[1]}"
@@ -78,7 +87,7 @@ def test_two_processes_follow_one_stop_together_and_one_resumes(data, alone, tmp
         assert status == 0, errors
         assert printed.split()[-1] == str(STOP)  # one had the signal
     assert run(tmp_path, data[0]).finished
-    assert_alike(losses(tmp_path), alone)
+    tell(tables, "two processes, resumed by one", differ(losses(tmp_path), alone))
 
 
 def test_devices_that_are_not_there_are_refused():
