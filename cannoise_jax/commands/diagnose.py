@@ -83,11 +83,12 @@ def teller(started: float, clock: Callable[[], float] = time.monotonic) -> Calla
     return tell
 
 
-def parsed(argv: list[str]) -> argparse.Namespace:
-    """The flags, as far as they can be judged by themselves. Raises BadInput, or ends with status 2."""
-    arguments = _parser().parse_args(argv)
-    _check(arguments)
-    return arguments
+def check_flags(argv: list[str], asked: str) -> None:
+    """Raises BadInput, or ends with status 2, for flags that `main` would refuse before it reads a recording;
+    asked: the command that hands them on."""
+    parser = _parser()
+    parser.prog = asked
+    _check(parser.parse_args(argv))
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -42,10 +42,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: Any, flags: list[str]) -> int:
-    diagnose.parsed(["--recordings", "each", "--out", "own", *flags])
+    diagnose.check_flags(["--recordings", "each", "--out", "own", *flags], "bin/fleet")
     sets, out = _sets(arguments.recordings), arguments.out
     check_folder(out, (), arguments.force, "the reports")
-    _check_flags(out / "fleet.json", flags, arguments.force)
+    _check_table(out / "fleet.json", flags, arguments.force)
     found = {} if arguments.force else {name: row for name in sets if (row := _finished(name, out))}
     if found:
         print(f"{len(found)} of {len(sets)} have their report already")
@@ -158,7 +158,7 @@ def _sets(source: Path) -> dict[str, Path]:
     return {p.relative_to(above).as_posix(): p for p in places}
 
 
-def _check_flags(path: Path, flags: list[str], force: bool) -> None:
+def _check_table(path: Path, flags: list[str], force: bool) -> None:
     """Raises BadInput where a folder holds the reports of other flags, which do not belong in one table."""
     if force or not path.exists():
         return

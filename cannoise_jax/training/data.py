@@ -247,9 +247,7 @@ def _sidd_store(config: ConfigDict, workdir: Path) -> PatchStore:
     if folder.is_dir():
         return open_patches(folder)
     if jax.process_count() > 1:
-        raise BadInput(
-            f"{folder}: missing: one process stores the patches first: train a step without others"
-        )
+        raise BadInput(f"{folder}: missing: start the run by one process, which stores them, then by several")
     captures = load_sidd(config.data.path)
     recordings = [(r, scene_id(r)) for captured in captures for r in captured.recordings]
     scenes = [scene for _, scene in recordings]
