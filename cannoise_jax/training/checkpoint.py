@@ -22,11 +22,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
-from jax.sharding import Sharding
+from jax.sharding import Sharding, SingleDeviceSharding
 from orbax.checkpoint import checkpoint_managers
 
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.training.devices import everywhere
+from cannoise_jax.training.devices import on_arrays
 from cannoise_jax.training.state import State
 
 SCORE = "validation_kl"
@@ -108,12 +108,12 @@ class Checkpoints:
     def restore(self, like: State, step: int, where: Sharding | None = None) -> tuple[State, dict[str, Any]]:
         """The state and the iterator's state of a step; `like` gives shapes and dtypes.
 
-        where: the devices that shall hold it, whichever held it when it was stored; default: this process's
-          first.
+        where: the devices that shall hold it, whichever held it when it was stored; None: bound to none, as
+          a first state, so that what was compiled for that serves it too.
         Raises BadInput where the checkpoint does not fit, which a config of other sizes causes, and where it
         is damaged: every number is held against its checksum before anything is returned.
         """
-        placed = {"sharding": where or everywhere(None)}
+        placed = {"sharding": where or SingleDeviceSharding(jax.local_devices()[0])}
         abstract = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, **placed), like._asdict())
         record = self._record(step)
         try:
@@ -134,7 +134,9 @@ class Checkpoints:
             raise _damaged(self.folder / str(step), _short(error)) from error
         if _state_sha256(state) != record["state_sha256"]:
             raise _damaged(self.folder / str(step), "its numbers do not match their checksum")
-        return jax.tree.map(_anew, state), record["iterator"]
+        if where is None:
+            state = on_arrays(lambda x: jnp.array(np.asarray(x)), state)
+        return state, record["iterator"]
 
     def _record(self, step: int) -> dict[str, Any]:
         """What goes with a step: iterator, score, checksums. Raises BadInput where it is damaged."""
@@ -154,13 +156,6 @@ class Checkpoints:
     def close(self) -> None:
         """Waits for the manager's threads."""
         self._manager.close()
-
-
-def _anew(leaf: Any) -> Any:
-    """An array bound to no device, as of a first state: what was compiled for that serves this too."""
-    if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        return jax.random.wrap_key_data(_anew(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf))
-    return jnp.array(np.asarray(leaf))
 
 
 def _state_sha256(state: State) -> str:

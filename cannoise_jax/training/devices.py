@@ -6,12 +6,13 @@ one run, on one machine or many, see each other's devices between `join` and `le
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
-from jax.sharding import Mesh, NamedSharding, PartitionSpec, Sharding, SingleDeviceSharding
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from cannoise_jax.recordings.recording import BadInput
 
@@ -68,23 +69,32 @@ def is_first() -> bool:
     return jax.process_index() == 0
 
 
-def everywhere(mesh: Mesh | None) -> Sharding:
+def everywhere(mesh: Mesh) -> NamedSharding:
     """The same numbers on every device."""
-    return NamedSharding(mesh, PartitionSpec()) if mesh else SingleDeviceSharding(jax.local_devices()[0])
+    return NamedSharding(mesh, PartitionSpec())
+
+
+def on_arrays(function: Callable[[jax.Array], jax.Array], tree: Any) -> Any:
+    """The tree with `function` of every array, of typed keys that of their numbers."""
+
+    def one(x: jax.Array) -> jax.Array:
+        if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key):
+            return jax.random.wrap_key_data(function(jax.random.key_data(x)), impl=jax.random.key_impl(x))
+        return function(x)
+
+    return jax.tree.map(one, tree)
 
 
 def copied(tree: Any, mesh: Mesh | None) -> Any:
-    """The first process's numbers on every device; typed keys among them."""
+    """The first process's numbers on every device."""
     if mesh is None:
         return tree
 
-    def copy(x: Any) -> jax.Array:
-        if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key):
-            return jax.random.wrap_key_data(copy(jax.random.key_data(x)), impl=jax.random.key_impl(x))
+    def copy(x: jax.Array) -> jax.Array:
         alike = multihost_utils.broadcast_one_to_all(np.asarray(x))
         return jax.make_array_from_process_local_data(everywhere(mesh), np.asarray(alike))
 
-    return jax.tree.map(copy, tree)
+    return on_arrays(copy, tree)
 
 
 def shared_out(batch: dict[str, Any], mesh: Mesh | None) -> dict[str, Any]:

@@ -184,7 +184,7 @@ def train(
     source = data.batches(config, jax.process_index(), jax.process_count())
     if is_first():
         _write_config(config, workdir)
-    checkpoints = Checkpoints(workdir)
+    checkpoints, where = Checkpoints(workdir), everywhere(mesh) if mesh else None
     newest = checkpoints.newest()
     if newest is None:
         state = init_state(config, data.known, jnp.asarray(data.noisy_examples()))
@@ -192,7 +192,7 @@ def train(
             state = started(config, state, data.known)
         state = copied(state, mesh)
     else:
-        state, position = checkpoints.restore(abstract_state(config, data.known), newest, everywhere(mesh))
+        state, position = checkpoints.restore(abstract_state(config, data.known), newest, where)
         source.set_state(position)
     train_step = make_train_step(config, data.known, None, mesh)
     validation_cameras = data.validation_cameras or data.cameras
@@ -228,7 +228,7 @@ def train(
                 _save(checkpoints, state, metrics if step > int(newest or 0) else {}, source, scored)
         best = checkpoints.best() if finished else None
         if best is not None and best != step:
-            state, _ = checkpoints.restore(state, best, everywhere(mesh))
+            state, _ = checkpoints.restore(state, best, where)
         return Outcome(finished, own_copy(state, mesh), int(state.step))
     finally:
         checkpoints.close()

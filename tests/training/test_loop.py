@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import Mesh
 
 from cannoise_jax.networks.statistics import noise_statistics
 from cannoise_jax.recordings.pipeline import ArrayPatches, Subset
@@ -21,6 +22,7 @@ from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import loop
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.data import load_data
+from cannoise_jax.training.devices import everywhere
 from cannoise_jax.training.state import abstract_state, init_state
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -262,6 +264,17 @@ def test_the_best_checkpoint_and_the_newest_are_kept(first_state, tmp_path):
     assert iterator == {"next_index": 2}
     assert digest(restored) == digest(state)
     assert (jax.random.key_data(restored.key) == jax.random.key_data(state.key)).all()
+    checkpoints.close()
+
+
+def test_a_checkpoint_is_restored_where_it_shall_be(first_state, tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(first_state._replace(step=jnp.asarray(1)), {"next_index": 1}, None)
+    where = everywhere(Mesh(np.array(jax.devices()[:1]), ("batch",)))
+    state, _ = checkpoints.restore(first_state, 1, where)
+    assert all(leaf.sharding == where for leaf in jax.tree.leaves(state._replace(key=())))
+    state, _ = checkpoints.restore(first_state, 1)
+    assert not any(leaf.committed for leaf in jax.tree.leaves(state._replace(key=())))
     checkpoints.close()
 
 
