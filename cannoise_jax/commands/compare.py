@@ -61,13 +61,13 @@ def main(argv: list[str] | None = None) -> int:
 
 def _of_reports(arguments: argparse.Namespace) -> int:
     """Two reports of diagnoses of the same recordings."""
-    from cannoise_jax.discovery.compare.reports import lines, read_report, side_by_side
+    from cannoise_jax.discovery.compare.reports import lines, read_compared, side_by_side
 
     if len(arguments.reports) != 2 or arguments.recordings is not None or arguments.simulator:
         raise BadInput("reports: give two of them and nothing to draw from")
     if arguments.out is not None:
         check_folder(arguments.out, _FILES[:1], arguments.force, "the comparison")
-    result = side_by_side(*(read_report(path) for path in arguments.reports))
+    result = side_by_side(*(read_compared(path) for path in arguments.reports))
     print("\n".join(lines(result)))
     if arguments.out is not None:
         from cannoise_jax.recordings.atomic import texts_in_place

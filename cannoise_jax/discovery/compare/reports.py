@@ -16,8 +16,7 @@ _NAME = "report.json"
 
 def read_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a diagnosis, or that in a folder. Raises BadInput for what is none."""
-    path = Path(path)
-    path = path / _NAME if path.is_dir() else path
+    path = _file(path)
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -31,16 +30,25 @@ def read_report(path: str | Path) -> dict[str, Any]:
     return report
 
 
+def _file(path: str | Path) -> Path:
+    path = Path(path)
+    return path / _NAME if path.is_dir() else path
+
+
+def read_compared(path: str | Path) -> dict[str, Any]:
+    """As `read_report`, of one that says what still differs. Raises BadInput for others."""
+    report = read_report(path)
+    if report.get("remains") is None:
+        raise BadInput(f"{_file(path)}: says nothing of what still differs: diagnose the recordings again")
+    return report
+
+
 def side_by_side(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:
     """Both reports as plain data: measures of the simulator that each hands back, and every line that
     differs in one of them; nearer: A, B or neither. A measure counts where both 90 % intervals lie apart.
 
-    Raises BadInput for reports of other recordings, whose measures are not alike, and for one without them.
+    Raises BadInput for reports of other recordings: their measures are not alike.
     """
-    for report in (a, b):
-        if report["remains"] is None:
-            about = report["inputs"][0]["file"]
-            raise BadInput(f"{about}: its report says nothing of what still differs: diagnose it again")
     if _files(a) != _files(b):
         raise BadInput("the reports are of other recordings: diagnose the same ones with both simulators")
     area = _apart(*(r["after"]["two_sample_auc_ci90"] for r in (a, b)))
