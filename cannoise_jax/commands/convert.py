@@ -122,7 +122,7 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
     if rest and _inside(rest[0], source):
         raise BadInput(f"{rest[0]}: lies inside {source}: name a folder elsewhere for what is converted")
     if rest and not arguments.dry_run and not rest[0].is_file():
-        check_takes_files(next(p for p in (rest[0], *rest[0].absolute().parents) if p.exists()), rest[0])
+        check_takes_files(rest[0], rest[0])
     plan = plan_folder(
         source,
         chosen.overrides,

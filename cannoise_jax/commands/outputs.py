@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "the results") -> None:
     """Raises BadInput where files of these names could not be written into a folder, or exist (without
     force). Makes nothing."""
-    nearest = next(p for p in (out, *out.parents) if p.exists())
+    nearest = _nearest(out)
     if not nearest.is_dir():
         raise BadInput(f"{nearest}: is a file: name a folder for {what}")
     if not out.exists() and not out.parent.is_dir() and not out.parent.parent.is_dir():
@@ -25,7 +25,12 @@ def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "th
             raise BadInput(f"{out / name}: is a folder: name another one for {what}")
         if (out / name).exists() and not force:
             raise BadInput(f"{out / name}: exists: name another folder, or replace it with --force")
-    check_takes_files(nearest, out)
+    check_takes_files(out, out)
+
+
+def _nearest(path: Path) -> Path:
+    """The path, or what lies nearest above it, that exists."""
+    return next(p for p in (path, *path.parents) if p.exists())
 
 
 def check_file(path: Path, suffix: str, force: bool) -> None:
@@ -50,10 +55,10 @@ def make_folder(folder: Path) -> None:
 
 
 def check_takes_files(folder: Path, named: Path) -> None:
-    """Raises BadInput where a folder that exists takes no files: of /proc permissions do not tell, nor of a
-    full disk."""
+    """Raises BadInput where a folder, or the nearest one above it that exists, takes no files: of /proc
+    permissions do not tell, nor of a full disk."""
     try:
-        with tempfile.TemporaryFile(dir=folder):
+        with tempfile.TemporaryFile(dir=_nearest(folder)):
             pass
     except PermissionError:
         raise BadInput(f"{named}: cannot be written (no permission): name another folder") from None
