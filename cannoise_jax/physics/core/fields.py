@@ -55,14 +55,16 @@ def group_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Arr
 
 def site_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Array]:
     """Covariance at the lags of the place: `power` where both pixels share a number."""
+    alike = place(point.over).alike
+    if not alike:
+        return {}
     count = int(np.prod(site_shape(point, size)))
     # Numbers of sites are exact in float32 up to 2^24.
     index = spread(jnp.arange(count, dtype=jnp.float32).reshape(1, *site_shape(point, size)), point, size)[0]
-    lags = {}
-    for dy, dx in place(point.over).alike:
-        there = jnp.pad(index, ((0, 2), (2, 2)), constant_values=-1)
-        lags[dy, dx] = power * (index == there[dy : dy + size[0], 2 + dx : 2 + dx + size[1]])
-    return lags
+    there = jnp.pad(index, ((0, 2), (2, 2)), constant_values=-1)
+    return {
+        (dy, dx): power * (index == there[dy : dy + size[0], 2 + dx : 2 + dx + size[1]]) for dy, dx in alike
+    }
 
 
 def kernel_correlations(kernel) -> dict[tuple[int, int], float]:
