@@ -11,6 +11,7 @@ Masked pixels are zero in the fields; `kept` is the share of the others.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -75,13 +76,52 @@ def parity_bands(field: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "4 a b"]:
 
 def energies(field: Float[np.ndarray, "h w"], kept: float = 1.0) -> Float[np.ndarray, "4 i j"]:
     """Mean square of the coefficients of every band at row scale i and column scale j; 1 for white noise."""
+    sums = _each_scale(field, lambda part, i, j: np.einsum("bij,bij->b", part, part, dtype=np.float64))
+    return sums / (counts(field.shape) * kept)
+
+
+_SOFT = 0.05
+"""Of the mean square, added to squares before their logarithm is taken: codes make zeros."""
+_FEW = 4
+
+
+def sparsity(
+    field: Float[np.ndarray, "h w"], mean_square: Float[np.ndarray, "4 i j"], kept: float = 1.0
+) -> Float[np.ndarray, "4 i j"]:
+    """Mean logarithm of the squares of the coefficients of `energies`, each in units of `mean_square`: less
+    than of any normal noise of that mean square where a structure is strong in few places. 0 where a field
+    has fewer than `_FEW` of them."""
+    unit = np.maximum(mean_square * kept, 1e-9).astype(np.float32)
+
+    def typical(part, i, j):
+        square = part * part / unit[:, i, j, None, None]
+        square += np.float32(_SOFT)
+        return np.log(square, out=square).mean((1, 2), dtype=np.float64)
+
+    return _each_scale(field, typical) * (counts(field.shape) >= _FEW)
+
+
+@lru_cache(maxsize=1)
+def sparsity_variance() -> float:
+    """Of one coefficient of white noise in `sparsity` about its own mean square, to first order that of
+    log(x^2 + s) - b x^2, where b is what the logarithm changes with the unit."""
+    at = np.linspace(-8, 8, 16001)
+    weight = np.exp(-(at**2) / 2) / np.exp(-(at**2) / 2).sum()
+    square = at**2 + _SOFT
+    slope = float(weight @ (at**2 / square))
+    values = np.log(square) - slope * at**2
+    return float(weight @ values**2 - (weight @ values) ** 2)
+
+
+def _each_scale(field: np.ndarray, of: Callable[[np.ndarray, int, int], np.ndarray]) -> np.ndarray:
+    """A number for each band of the coefficients at each row and column scale."""
     bands = parity_bands(field)
     rows, columns = scales(bands.shape[1]), scales(bands.shape[2])
     out = np.zeros((4, len(rows), len(columns)))
     for j, along in enumerate(_haar(bands)):
         for i, part in enumerate(_haar(np.swapaxes(along, 1, 2))):
-            out[:, i, j] = np.einsum("bij,bij->b", part, part, dtype=np.float64)
-    return out / (counts(field.shape) * kept)
+            out[:, i, j] = of(part, i, j)
+    return out
 
 
 @lru_cache(maxsize=32)

@@ -13,7 +13,7 @@ from scipy import ndimage
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
-from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt
+from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, uneven
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -52,6 +52,25 @@ def test_one_that_only_resembles_what_is_there_is_doubted_and_why_is_said():
     found = doubt(full, borne_by(full, less))
     assert found is not None and found.left > LEFT
     assert any("rows" in line for line in found.against)
+
+
+def tears(rng):
+    """One step along each frame at a row of its own: the mean energies of slow noise along rows."""
+
+    def alter(dn, signal, kind, t):
+        dn[rng.integers(8, dn.shape[0] - 8) :] += 4 * SIGMA * rng.standard_normal()
+        return dn
+
+    return alter
+
+
+@pytest.mark.parametrize(("alter", "doubted"), [(tears, True), (row_offsets(SIGMA), False)])
+def test_steps_in_few_places_are_no_noise_along_rows(alter, doubted):
+    full, less = both(alter)
+    against = uneven(full, borne_by(full, less))
+    assert (against is not None) == doubted
+    if against is not None:
+        assert any("few places" in line for line in against.against)
 
 
 def test_what_another_mechanism_bears_on_far_more_speaks_of_that_one():

@@ -91,3 +91,23 @@ def test_a_wave_is_one_peak_of_the_periodogram():
     power = bank.power(field)
     assert np.unravel_index(power.argmax(), power.shape) == (5, 7)
     assert power.max() == pytest.approx(64 * 96 / 4, rel=1e-4)
+
+
+def test_sparsity_is_that_of_noise_whatever_its_spectrum_and_falls_where_few_places_are_strong():
+    rng = np.random.default_rng(4)
+    size = (96, 128)
+    slow = [np.cumsum(rng.standard_normal(size), 0).astype(np.float32) for _ in range(12)]
+    white = [rng.standard_normal(size).astype(np.float32) for _ in range(12)]
+    stepped = [w + 3 * (np.arange(96)[:, None] >= rng.integers(96)) for w in white]
+
+    def of(fields):
+        mean = np.mean([bank.energies(f.astype(np.float32)) for f in fields], 0)
+        return np.mean([bank.sparsity(f.astype(np.float32), mean) for f in fields], 0)
+
+    count = bank.counts(size) * 12
+    error = np.sqrt(bank.sparsity_variance() / count)
+    plain, steps = of(white), of(stepped)
+    chosen = count > 200
+    assert np.all(np.abs(of(slow) - plain)[chosen] < 6 * error[chosen])
+    whole_rows = (slice(0, 1), slice(1, 3), slice(-1, None))
+    assert np.all(steps[whole_rows] < plain[whole_rows] - 0.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ def measure(
     power = None
     if n and seen.kept.any():
         kept = seen.kept.astype(np.float32)
-        rows = [_unit(z, kept, share, coarse) for z in seen.z]
+        rows = _units(list(seen.z), kept, share, coarse)
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             families[f"{TEMPORAL}: {name}"] = Family(law, np.stack([r[name] for r in rows]), width)
         power = np.sum([bank.power(z, share) for z in seen.z], 0)
@@ -80,7 +81,7 @@ def measure(
     if seen.static is not None and seen.static_kept.any():
         share = float(max(seen.static_kept.mean(), 1e-6))
         kept = seen.static_kept.astype(np.float32)
-        row = _unit(seen.static, kept, share, coarse)
+        (row,) = _units([seen.static], kept, share, coarse)
         if coarse:
             row["tails"] = _tails(seen.static + kept * _spread_codes(seen, variance, step))
         for name, law, width in _unit_families(seen.kept.shape, size * share):
@@ -129,6 +130,7 @@ def _unit_families(shape: tuple[int, int], pixels: float) -> list[tuple[str, str
     orders = np.repeat([2.0, 6.0, 24.0], len(bank.MOMENTS)) / pixels
     return [
         ("structure", "energy", bank.counts(shape).ravel()),
+        ("sparsity", "mean", bank.sparsity_variance() / bank.counts(shape).ravel()),
         ("neighbours", "mean", 1 / pairs),
         ("neighbours by parity", "mean", 1 / near),
         ("moments", "mean", orders),
@@ -156,6 +158,15 @@ def _unit(z: np.ndarray, kept: np.ndarray, share: float, coarse: bool) -> dict[s
         "moments": moments.ravel(),
         "tails": _tails(z if coarse else own),
     }
+
+
+def _units(fields: Sequence[np.ndarray], kept: np.ndarray, share: float, coarse: bool) -> list[dict]:
+    """Several fields of a recording: how unevenly structures are spread is told over all of them."""
+    out = [_unit(z, kept, share, coarse) for z in fields]
+    strength = np.mean([u["structure"] for u in out], 0).reshape(bank.counts(kept.shape).shape)
+    return [
+        {**u, "sparsity": bank.sparsity(z, strength, share).ravel()} for u, z in zip(out, fields, strict=True)
+    ]
 
 
 def _tails(z: np.ndarray) -> np.ndarray:

@@ -112,6 +112,8 @@ def _pieces(compared: Compared, j: Judgement, found: np.ndarray) -> list[_Piece]
     time, _, family = j.family.rpartition(": ")
     if family == "structure":
         return _structure(compared, j, found, time)
+    if family == "sparsity":
+        return _sparsity(compared, j, found, time)
     if family == "moments":
         return _moments(compared, j, found, time)
     if family in ("neighbours", "neighbours by parity"):
@@ -178,6 +180,34 @@ def _structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) -
         out.append(
             _Piece((what, time), sign, recorded, simulated, "DN rms", j.where, nats, float(j.z[best]), note)
         )
+    return out
+
+
+def _sparsity(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> list[_Piece]:
+    size = compared.seen[j.where].size
+    sides = [bank.scales(bank.cropped_side(n) // 2) for n in size]
+    family = compared.recorded[j.where].families[j.family]
+    groups: dict[tuple[str, int], list[int]] = defaultdict(list)
+    for k in found:
+        band, row, column = np.unravel_index(k, bank.counts(size).shape)
+        what = words.structure(int(band), sides[0][row], sides[1][column], size)
+        if what is not None:
+            sign = 1 if j.recorded[k] < j.simulated[k] else -1
+            groups[(f"{what} that are strong in few places", sign)].append(int(k))
+    out = []
+    for (what, sign), mine in groups.items():
+        k = np.array(mine)
+        best = k[np.argmax(np.abs(j.z[k]))]
+        nats = len(family.values) * np.sum((j.recorded[k] - j.simulated[k]) ** 2 / family.size[k]) / 2
+        _, row, column = np.unravel_index(best, bank.counts(size).shape)
+        a, b = (100 * float(np.exp(v[best])) for v in (j.recorded, j.simulated))
+        out.append(
+            _Piece(
+                (what, time), sign, a, b,
+                "% of the mean square in a typical place", j.where, float(nats), float(j.z[best]),
+                words.block(sides[0][row], sides[1][column]),
+            )
+        )  # fmt: skip
     return out
 
 

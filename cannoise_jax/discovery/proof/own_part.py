@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.discovery.compare.judge import Judgement
-from cannoise_jax.discovery.compare.measure import STATIC, Family
+from cannoise_jax.discovery.compare.measure import STATIC, TEMPORAL, Family
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.signatures import bank
 
@@ -125,6 +125,12 @@ def own_part(each: list[Borne]) -> Part:
     # Twice the nats of two equal normal laws are chi-squared.
     more = number > 0 and float(stats.chi2.sf(2 * left_over, number)) < _CHANCE
     return Part(max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more)
+
+
+def drawn_structures(each: Sequence[Borne]) -> list[tuple[Borne, Bool[np.ndarray, "k"]]]:
+    """The energies of what is redrawn that come nearer with the mechanism."""
+    mine = [(b, b.own & (b.before > b.after)) for b in each if b.judged.family == f"{TEMPORAL}: structure"]
+    return [(b, cells) for b, cells in mine if cells.any()]
 
 
 def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
