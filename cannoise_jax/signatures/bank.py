@@ -82,7 +82,8 @@ def energies(field: Float[np.ndarray, "h w"], kept: float = 1.0) -> Float[np.nda
 
 _SOFT = 0.05
 """Of the mean square, added to squares before their logarithm is taken: codes make zeros."""
-_FEW = 4
+_FEW, _AREA = 4, 64
+"""Coefficients of a field, and pixels of a block, below which nothing or single pixels are told of."""
 
 
 def sparsity(
@@ -90,15 +91,19 @@ def sparsity(
 ) -> Float[np.ndarray, "4 i j"]:
     """Mean logarithm of the squares of the coefficients of `energies`, each in units of `mean_square`: less
     than of any normal noise of that mean square where a structure is strong in few places. 0 where a field
-    has fewer than `_FEW` of them."""
+    has fewer than `_FEW` of them, or blocks are so small that this is said of the tails of single pixels."""
     unit = np.maximum(mean_square * kept, 1e-9).astype(np.float32)
+    count = counts(field.shape)
+    told = (count >= _FEW) & (count * _AREA <= count.sum())
 
     def typical(part, i, j):
+        if not told[0, i, j]:
+            return np.zeros(4)
         square = part * part / unit[:, i, j, None, None]
         square += np.float32(_SOFT)
         return np.log(square, out=square).mean((1, 2), dtype=np.float64)
 
-    return _each_scale(field, typical) * (counts(field.shape) >= _FEW)
+    return _each_scale(field, typical)
 
 
 @lru_cache(maxsize=1)
