@@ -75,6 +75,11 @@ class Correlated(NamedTuple):
     law: str
 
 
+_ROUNDING = 1e-6
+"""Of sums over pixels by Fourier transforms, as a share of the sum of squares: sixty times what weights on
+one pixel in eighty leave where no pair is that far apart."""
+
+
 def pair_weight(field: Fields, law: str) -> np.ndarray:
     """Square root of the weight of a pair: 1, the share of read noise or of shot noise, or the latter times
     the electrons."""
@@ -92,6 +97,7 @@ def pair_weight(field: Fields, law: str) -> np.ndarray:
 def lag_sums(fields: tuple[Fields, ...], law: str) -> tuple[np.ndarray, np.ndarray]:
     """Per lag: U = sum of weighted products of neighbours, and its null variance I."""
     score, information = np.zeros(len(LAGS)), np.zeros(len(LAGS))
+    rounding = 0.0
     for f in fields:
         if not len(f.contrasts) or not (f.lit or law in _DARK_TOO):
             continue
@@ -111,7 +117,9 @@ def lag_sums(fields: tuple[Fields, ...], law: str) -> tuple[np.ndarray, np.ndarr
             bias = 1 / (h * w) - (1 / w if dy == 0 else 0.0) - (1 / h if dx == 0 else 0.0)
             score[k] += auto[dy, dx] - bias * pairs[dy, dx]
             information[k] += squares[dy, dx]
-    return score, information
+        rounding += _ROUNDING * squares[0, 0]
+    known = information > rounding  # else no pair is that far apart, and the transforms leave their rounding
+    return np.where(known, score, 0.0), np.where(known, information, 0.0)
 
 
 def template_score(fields: tuple[Fields, ...], *, law: str, template: Template) -> Score[Correlated] | None:
@@ -161,7 +169,7 @@ def any_score(fields: tuple[Fields, ...], *, law: str) -> Score[Correlated] | No
     if not information.max() > 0:
         return None
     z = score / np.sqrt(np.maximum(information, 1e-30))
-    k = int(np.argmax(np.abs(z)))
+    k = int(np.argmax(np.where(information > 0, np.abs(z), -1.0)))
     rho = score / np.maximum(information, 1e-30)
     log_p = sidak(normal_log_p(float(z[k])), len(LAGS))
     strong = np.abs(z) > 3.5

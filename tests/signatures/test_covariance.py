@@ -34,6 +34,13 @@ def test_weak_correlations_gain_half_their_squared_z_values():
     assert score.gain == pytest.approx(squares, rel=0.1)
 
 
+def test_pixels_without_neighbours_tell_of_none():
+    rows, columns = np.indices(SIZE)
+    alone = (rows % 9 == 0) & (columns % 9 == 0)
+    fields = tuple(f._replace(usable=alone) for f in with_contrasts(lambda x: x))
+    assert any_score(fields, law="white") is None
+
+
 @pytest.mark.parametrize("amplitude", [0.3, 1.0])
 def test_a_wave_gains_no_more_than_the_likelihood_of_its_own_spectrum(amplitude):
     """All of it lies in two coefficients of each contrast: nothing that spreads it can explain more."""
