@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import fft
 
 _CELL = 16
@@ -86,18 +86,24 @@ _FEW, _AREA = 4, 64
 """Coefficients of a field, and pixels of a block, below which nothing or single pixels are told of."""
 
 
+@lru_cache(maxsize=32)
+def told(size: tuple[int, int]) -> Bool[np.ndarray, "4 i j"]:
+    """Which energies `sparsity` is told of: enough coefficients, of blocks that no single pixel makes."""
+    count = counts(size)
+    return (count >= _FEW) & (count * _AREA <= count.sum())
+
+
 def sparsity(
     field: Float[np.ndarray, "h w"], mean_square: Float[np.ndarray, "4 i j"], kept: float = 1.0
 ) -> Float[np.ndarray, "4 i j"]:
     """Mean logarithm of the squares of the coefficients of `energies`, each in units of `mean_square`: less
-    than of any normal noise of that mean square where a structure is strong in few places. 0 where a field
-    has fewer than `_FEW` of them, or blocks are so small that this is said of the tails of single pixels."""
+    than of any normal noise of that mean square where a structure is strong in few places. 0 where it is not
+    `told`."""
     unit = np.maximum(mean_square * kept, 1e-9).astype(np.float32)
-    count = counts(field.shape)
-    told = (count >= _FEW) & (count * _AREA <= count.sum())
+    asked = told(field.shape)
 
     def typical(part, i, j):
-        if not told[0, i, j]:
+        if not asked[0, i, j]:
             return np.zeros(4)
         square = part * part / unit[:, i, j, None, None]
         square += np.float32(_SOFT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +58,7 @@ def measure(
     power = None
     if n and seen.kept.any():
         kept = seen.kept.astype(np.float32)
-        rows = _units(list(seen.z), kept, share, coarse)
+        rows = _units(seen.z, kept, share, coarse)
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             families[f"{TEMPORAL}: {name}"] = Family(law, np.stack([r[name] for r in rows]), width)
         power = np.sum([bank.power(z, share) for z in seen.z], 0)
@@ -81,7 +80,7 @@ def measure(
     if seen.static is not None and seen.static_kept.any():
         share = float(max(seen.static_kept.mean(), 1e-6))
         kept = seen.static_kept.astype(np.float32)
-        (row,) = _units([seen.static], kept, share, coarse)
+        (row,) = _units(seen.static[None], kept, share, coarse)
         if coarse:
             row["tails"] = _tails(seen.static + kept * _spread_codes(seen, variance, step))
         for name, law, width in _unit_families(seen.kept.shape, size * share):
@@ -160,7 +159,9 @@ def _unit(z: np.ndarray, kept: np.ndarray, share: float, coarse: bool) -> dict[s
     }
 
 
-def _units(fields: Sequence[np.ndarray], kept: np.ndarray, share: float, coarse: bool) -> list[dict]:
+def _units(
+    fields: Float[np.ndarray, "u h w"], kept: np.ndarray, share: float, coarse: bool
+) -> list[dict[str, np.ndarray]]:
     """Several fields of a recording: how unevenly structures are spread is told over all of them."""
     out = [_unit(z, kept, share, coarse) for z in fields]
     strength = np.mean([u["structure"] for u in out], 0).reshape(bank.counts(kept.shape).shape)

@@ -130,24 +130,28 @@ def _scale(compared: Compared, where: str, time: str) -> float:
     return sigma / np.sqrt(seen.frames) if time == "fixed" else sigma
 
 
+def _cell(size: tuple[int, int], k: int) -> tuple[int, bank.Scale, bank.Scale]:
+    """Band, row scale and column scale of one of the energies."""
+    band, *at = (int(i) for i in np.unravel_index(k, bank.counts(size).shape))
+    rows, columns = (bank.scales(bank.cropped_side(n) // 2)[i] for n, i in zip(size, at, strict=True))
+    return band, rows, columns
+
+
 def _structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> list[_Piece]:
     seen = compared.seen[j.where]
-    size = bank.counts(seen.size)
-    shape, count = size.shape, size.ravel()
+    count = bank.counts(seen.size).ravel()
     pixels = float(count.sum())
     units = len(compared.recorded[j.where].families[j.family].values)
     scale = _scale(compared, j.where, time)
-    sides = [bank.scales(bank.cropped_side(n) // 2) for n in seen.size]
     # The level of all fine scales is the noise of a pixel; what a scale has beyond it is its own.
     fine = np.flatnonzero(np.isin(np.arange(count.size), found) & (count >= pixels / 64 / 4))
     a, b = (np.sum((v * count)[count >= pixels / 64 / 4]) for v in (j.recorded, j.simulated))
     level = float(a / b) if fine.size and b > 0 else 1.0
     groups: dict[tuple[str, int], list[int]] = defaultdict(list)
     for k in found:
-        band, row, column = np.unravel_index(k, shape)
         ratio = j.recorded[k] / max(j.simulated[k] * level, 1e-9)
         own = abs(np.log(ratio)) > 2.5 * np.sqrt(2 * (1 + 1 / compared.sets) / (units * count[k]))
-        what = words.structure(int(band), sides[0][row], sides[1][column], seen.size)
+        what = words.structure(*_cell(seen.size, k), seen.size)
         if count[k] >= pixels / 64 / 4 and not own or what is None:
             continue
         if own:
@@ -175,8 +179,7 @@ def _structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) -
         ratio = np.maximum(j.recorded[k], 1e-6) / np.maximum(j.simulated[k] * level, 1e-6)
         nats = float(np.sum(units * count[k] / 2 * (ratio - 1 - np.log(ratio))))
         best = k[np.argmax(np.abs(j.z[k]))]
-        band, row, column = np.unravel_index(best, shape)
-        note = words.block(sides[0][row], sides[1][column])
+        note = words.block(*_cell(seen.size, best)[1:])
         out.append(
             _Piece((what, time), sign, recorded, simulated, "DN rms", j.where, nats, float(j.z[best]), note)
         )
@@ -185,12 +188,10 @@ def _structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) -
 
 def _sparsity(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> list[_Piece]:
     size = compared.seen[j.where].size
-    sides = [bank.scales(bank.cropped_side(n) // 2) for n in size]
     family = compared.recorded[j.where].families[j.family]
     groups: dict[tuple[str, int], list[int]] = defaultdict(list)
     for k in found:
-        band, row, column = np.unravel_index(k, bank.counts(size).shape)
-        what = words.structure(int(band), sides[0][row], sides[1][column], size)
+        what = words.structure(*_cell(size, k), size)
         if what is not None:
             sign = 1 if j.recorded[k] < j.simulated[k] else -1
             groups[(f"{what} that are strong in few places", sign)].append(int(k))
@@ -199,13 +200,12 @@ def _sparsity(compared: Compared, j: Judgement, found: np.ndarray, time: str) ->
         k = np.array(mine)
         best = k[np.argmax(np.abs(j.z[k]))]
         nats = len(family.values) * np.sum((j.recorded[k] - j.simulated[k]) ** 2 / family.size[k]) / 2
-        _, row, column = np.unravel_index(best, bank.counts(size).shape)
         a, b = (100 * float(np.exp(v[best])) for v in (j.recorded, j.simulated))
         out.append(
             _Piece(
                 (what, time), sign, a, b,
                 "% of the mean square in a typical place", j.where, float(nats), float(j.z[best]),
-                words.block(sides[0][row], sides[1][column]),
+                words.block(*_cell(size, best)[1:]),
             )
         )  # fmt: skip
     return out
