@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 _ROUNDS = 30
+_NEAR = 1e-13  # relative change of a round that is the last
 
 
 def whittle(power: Float[np.ndarray, "... n"], dof: Float[np.ndarray, "... n"], spectrum: np.ndarray) -> Any:
@@ -25,5 +26,8 @@ def white_level(
     for _ in range(_ROUNDS):
         spectrum = colour + white
         slope = np.sum(dof * (power - spectrum) / spectrum**2, -1, keepdims=True)
+        before = white
         white = np.maximum(white + slope / np.sum(dof / spectrum**2, -1, keepdims=True), 0.05 * white)
+        if np.all(np.abs(white - before) <= _NEAR * before):
+            break
     return white
