@@ -345,7 +345,7 @@ def _model(arrays):
     cameras = {
         name: Camera(
             jnp.asarray(arrays[f"cameras/{i}/reference"]),
-            {iso: Setting(*jnp.asarray(arrays[f"cameras/{i}/{j}"])) for j, iso in enumerate(isos)},
+            {iso: Setting(*map(jnp.asarray, arrays[f"cameras/{i}/{j}"])) for j, iso in enumerate(isos)},
         )
         for i, (name, isos) in enumerate(description["cameras"].items())
     }

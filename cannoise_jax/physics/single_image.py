@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from itertools import combinations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -58,6 +59,7 @@ def local_mean(x: Float[Array, "*b h w c"]) -> Float[Array, "*b h-2 w-2 c"]:
     return (x[..., :-2, :] + x[..., 1:-1, :] + x[..., 2:, :]) / 9
 
 
+@jax.jit
 def estimate_nlf(
     noisy: Float[Array, "*b h w c"],
 ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:

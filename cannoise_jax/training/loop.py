@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
+from jaxtyping import Array, Bool
 from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
@@ -277,8 +278,13 @@ def _save(checkpoints: Checkpoints, state: State, metrics, source, score: float 
 def _check_state(state: State, metrics, checkpoints: Checkpoints) -> None:
     _check_finite({name: float(value) for name, value in metrics.items()}, int(state.step), checkpoints)
     trained = (state.generator, state.encoder, state.critic)
-    if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(trained)):
+    if not bool(_all_finite(trained)):
         _check_finite({"a parameter": np.nan}, int(state.step), checkpoints)
+
+
+@jax.jit
+def _all_finite(tree) -> Bool[Array, ""]:
+    return jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(tree)]).all()
 
 
 def _check_finite(numbers: dict[str, float], step: int, checkpoints: Checkpoints) -> None:

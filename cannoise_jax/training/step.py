@@ -53,13 +53,13 @@ def choose_level(level: str, key: Key[Array, ""], batch: Batch) -> NoiseLevel:
     shown = batch.get("shown", jnp.ones(count))
     if level == "given":
         return NoiseLevel(batch["shot"], batch["read"], jnp.ones(count), jnp.ones(count))
-    estimated = jax.vmap(estimate_nlf)(batch["anchor"])
+    shot, read = jax.vmap(estimate_nlf)(batch["anchor"])
     if level == "estimated":
-        return NoiseLevel(*estimated, jnp.zeros(count), shown)
+        return NoiseLevel(shot, read, jnp.zeros(count), shown)
     known = jax.random.bernoulli(key, shape=(count,))
     shot, read = (
         jnp.where(known[:, None], given, found)
-        for given, found in zip((batch["shot"], batch["read"]), estimated, strict=True)
+        for given, found in ((batch["shot"], shot), (batch["read"], read))
     )
     return NoiseLevel(shot, read, known.astype(jnp.float32), jnp.where(known, 1.0, shown))
 
