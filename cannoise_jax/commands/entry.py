@@ -3,9 +3,9 @@ word of how far it is."""
 
 from __future__ import annotations
 
-import _thread
 import functools
 import os
+import signal
 import sys
 import threading
 import time
@@ -92,7 +92,9 @@ class _Unread:
 def _again(waiting: list[threading.Timer], swallowed: Any) -> None:
     """Ctrl-C inside a callback that cannot raise (JAX has one in the garbage collector) comes once more."""
     if issubclass(swallowed.exc_type, KeyboardInterrupt):
-        later = threading.Timer(_SOON_S, _thread.interrupt_main)  # at once would still be inside of it
+        # At once would still be inside of it; a signal to the main thread also ends what it waits for.
+        main = threading.main_thread().ident
+        later = threading.Timer(_SOON_S, signal.pthread_kill, (main, signal.SIGINT))
         later.daemon = True
         waiting.append(later)
         later.start()

@@ -8,7 +8,10 @@ per channel, that of a scene its reference after an affine refit per channel.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.discovery.frames.contrasts import (
@@ -144,26 +147,46 @@ def full_level(baseline: GroupBaseline) -> float:
     return min((p.signal for p in baseline.levels if p.full), default=np.inf)
 
 
+class Modelled(NamedTuple):
+    """What the baseline says of one recording, DN and DN^2: expected may lie below black, signal does not."""
+
+    expected: Float[np.ndarray, "h w"]
+    signal: Float[np.ndarray, "h w"]
+    variance: Float[np.ndarray, "h w"]
+
+
+def modelled(stacked: Stack, baseline: GroupBaseline) -> Modelled:
+    """Signal and variance of every pixel under the fitted baseline."""
+    channel = channel_index(stacked.mean.shape)
+    expected = expected_signal(stacked, baseline.black)
+    signal = np.maximum(expected, 0)
+    gain, read = baseline.gain[channel], baseline.read_dn[channel]
+    return Modelled(expected, signal, gain * signal + read**2 + stacked.step**2 / 12)
+
+
+def smooth_part(stacked: Stack, baseline: GroupBaseline, by: Modelled) -> Float[np.ndarray, "h w"] | None:
+    """The mean that a fixed pattern is seen beside, DN; None for scenes without a reference of their own."""
+    recording, size = stacked.recording, stacked.mean.shape
+    if recording.kind in DARK or recording.kind == "flat":
+        return by.expected + mosaic_map(baseline.black, size)
+    if recording.clean is None or recording.reference == "burst_mean":
+        return None
+    steady = by.signal < 0.9 * full_level(baseline)
+    return affine(stacked, reference(recording), np.sqrt(by.variance), channel_index(size), steady)
+
+
 def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
     """The fields of one recording under the fitted baseline."""
     recording, size = stacked.recording, stacked.mean.shape
     channel = channel_index(size)
-    expected = expected_signal(stacked, baseline.black)
-    signal = np.maximum(expected, 0)
-    gain, read = baseline.gain[channel], baseline.read_dn[channel]
-    variance = gain * signal + read**2 + stacked.step**2 / 12
+    by = modelled(stacked, baseline)
+    signal, variance = by.signal, by.variance
     clean = None if recording.clean is None else reference(recording)
-    static, mean = None, signal + baseline.black[channel]
+    smooth = smooth_part(stacked, baseline, by)
+    static = None if smooth is None else stacked.mean - smooth
+    mean = signal + baseline.black[channel] if smooth is None else smooth
     if recording.kind in DARK:
-        mean = expected + mosaic_map(baseline.black, size)
         variance = own_variance(stacked, channel, variance, mean)
-        static = stacked.mean - mean
-    elif recording.kind == "flat":
-        mean = expected + mosaic_map(baseline.black, size)
-        static = stacked.mean - mean
-    elif clean is not None and recording.reference != "burst_mean":
-        mean = affine(stacked, clean, np.sqrt(variance), channel, signal < 0.9 * full_level(baseline))
-        static = stacked.mean - mean
     sigma = np.sqrt(variance).astype(np.float32)
     usable = stacked.usable & (signal < 0.9 * full_level(baseline))
     # Near the rail the noise decides which pixels clip: the rest would be a biased sample.
@@ -184,7 +207,7 @@ def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
         mean=mean.astype(np.float32),
         signal=signal.astype(np.float32),
         sigma=sigma,
-        shot=(gain * signal / variance).astype(np.float32),
+        shot=(baseline.gain[channel] * signal / variance).astype(np.float32),
         usable=usable,
         contrasts=contrasts,
         static=None if static is None else (static * scaled).astype(np.float32),

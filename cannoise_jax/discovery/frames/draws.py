@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.calibrate import standardise
+from cannoise_jax.discovery.frames.calibrate import modelled, smooth_part
 from cannoise_jax.discovery.frames.contrasts import stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.signatures.fields import Fields, frame_fields
 
-CHUNK = 4
-"""Frames drawn at once: one compiled program serves recordings of any length."""
+_CHUNK, _PIXELS = 4, 1 << 18
+"""Frames drawn at once, so that one compiled program serves recordings of any length, and of small frames as
+many more as have so many pixels in all: drawing a few pixels takes as long as drawing many."""
 
 Frames = dict[int, np.ndarray]
 """Drawn frames by number of the recording, `uint16[T, H, W]`, DN."""
@@ -28,23 +29,28 @@ that it cannot draw."""
 
 
 def drawing(model: SensorModel, key: Key[Array, ""]) -> Drawing:
-    """Draws of a sensor model, `CHUNK` frames at a time."""
+    """Draws of a sensor model, some frames at a time."""
 
     def draw(number: int, clean, settings: Settings) -> np.ndarray:
-        parts = []
-        for start in range(0, settings.frames, CHUNK):
+        parts, chunk = [], frames_at_once(np.size(clean))
+        for start in range(0, settings.frames, chunk):
             k = jax.random.fold_in(jax.random.fold_in(key, number), start)
             parts.append(
-                np.asarray(model.sample(k, jnp.asarray(clean), dataclasses.replace(settings, frames=CHUNK)))
+                np.asarray(model.sample(k, jnp.asarray(clean), dataclasses.replace(settings, frames=chunk)))
             )
         return np.concatenate(parts)[: settings.frames]
 
     return draw
 
 
-def draw_like(draw: Drawing, prepared: Prepared) -> Frames:
+def frames_at_once(pixels: int) -> int:
+    """How many frames of so many pixels are drawn by one call, 4 to 64."""
+    return _CHUNK << int(np.clip(np.log2(_PIXELS / (_CHUNK * pixels)), 0, 4))
+
+
+def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
     """As many frames as every recording of the split has, of its expected signal and at its settings; where
-    they are seen against frames before, as many of those first."""
+    they are seen against frames before, as many of those first; times: all that so many times."""
     black = {b.iso: b.black for b in prepared.baselines}
     out = {}
     for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
@@ -54,7 +60,7 @@ def draw_like(draw: Drawing, prepared: Prepared) -> Frames:
             prepared.isos[r.iso],
             r.exposure_s if r.exposure_s is not None else 0.01,
             r.temperature_c,
-            field.before + field.frames,
+            times * (field.before + field.frames),
         )
         clean = field.signal if field.lit else np.zeros(r.size, np.float32)
         frames = draw(field.number, (clean / span).astype(np.float32), settings)
@@ -79,7 +85,9 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
         weight = (field.usable / field.sigma).astype(np.float32)
         static, mean = None, field.mean
         if field.static is not None:
-            mean = standardise(taken, baselines[r.iso], field.group).mean
+            smooth = smooth_part(taken, baselines[r.iso], modelled(taken, baselines[r.iso]))
+            assert smooth is not None  # as the recording, the draw has a fixed pattern
+            mean = smooth.astype(np.float32)
             static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
         out.append(field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static))
     return tuple(out)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.draws import as_fields, draw_like, spread_codes
+from cannoise_jax.discovery.frames.draws import as_fields, draw_like, frames_at_once, spread_codes
 from cannoise_jax.discovery.proof.heldout import Scored
 from cannoise_jax.discovery.proof.patch_network import SIDE
 from cannoise_jax.discovery.proof.prove import Proof, Proofs, frame_interval
@@ -33,8 +33,10 @@ _PIT_BINS = 20
 _PIT_MOST = 40_000
 _LEVEL_BINS = 8
 """Bins of like signal."""
-_LEARNED = 400_000
-"""Drawn pixels of each recording from which the composite score learns, at least."""
+_LEARNED, _LEAST_LEARNED, _TIMES_SCORED = 400_000, 60_000, 30
+"""Drawn pixels of each recording from which the composite score learns: so many times those that it scores,
+within these bounds. A score of n pixels is uncertain by some 0.7 / sqrt(n) nats a pixel; what is learned
+from N pixels for some 370 bins costs about 185 / N nats, a fifth of that or less."""
 _LEAST_USABLE = 0.05
 """Share of the pixels that must not lie at a rail for a recording to be compared."""
 
@@ -231,16 +233,26 @@ def _pit(real: np.ndarray, fake: np.ndarray) -> np.ndarray:
 def composite_scores(key: Key[Array, ""], half: Prepared, draw: Drawings) -> Float[np.ndarray, "t"]:
     """Composite score of every frame held back, nats per pixel, learned from draws of the simulator: batches
     of as many frames as each recording has, for the mean of a batch is taken out of it."""
-    batches: list[tuple[Fields, ...]] = []
-    while short := {f.number for f in half.fields if len(batches) * f.frames * f.mean.size < _LEARNED}:
-        k = len(batches)
-        part = _only(half, short)
-        batches.append(as_fields(part, draw_like(draw(jax.random.fold_in(key, k)), part)))
     out = []
-    for f in half.fields:
-        same = [g for batch in batches for g in batch if g.number == f.number]
-        out.append(_composite(f, same))
+    for number, field in enumerate(half.fields):
+        alone = _only(half, {field.number})
+        out.append(_composite(field, _learned(jax.random.fold_in(key, number), alone, draw)))
     return np.concatenate(out)
+
+
+def _learned(key: Key[Array, ""], alone: Prepared, draw: Drawings) -> list[Fields]:
+    """Drawn batches of one recording, as many pixels in all as the score learns from, or more."""
+    (field,) = alone.fields
+    scored = field.frames * field.mean.size
+    missing = -(-int(np.clip(_TIMES_SCORED * scored, _LEAST_LEARNED, _LEARNED)) // scored)
+    most = max(frames_at_once(field.mean.size) // (field.before + field.frames), 1)
+    out: list[Fields] = []
+    while len(out) < missing:
+        times = min(most, missing - len(out))
+        frames = draw_like(draw(jax.random.fold_in(key, len(out))), alone, times)[field.number]
+        for batch in np.split(frames, times):
+            out += as_fields(alone, {field.number: batch})
+    return out
 
 
 def _composite(real: Fields, drawn: list[Fields]) -> Float[np.ndarray, "t"]:
