@@ -58,7 +58,8 @@ def test_nothing_is_added_where_nothing_is_missing():
     maps = mended.mechanisms[0].maps
     taken_over = (1 - float(maps["keep"].ravel()[0])) * 4.5**2
     assert abs(float(np.mean(maps["spectrum"])) - taken_over) < 0.02 * 4.5**2
-    assert np.std(maps["offset"]) < 0.1 * 4.5 / np.sqrt(12)
+    # Of the noise of a mean of twelve frames a tenth comes through, up to a sixth (8 sets of recordings).
+    assert np.std(maps["offset"]) < 0.2 * 4.5 / np.sqrt(12)
 
 
 HEAT_E_S = 3000.0 * (np.random.default_rng(2).random((96, 128)) < 0.01)
