@@ -17,7 +17,7 @@ from cannoise_jax.discovery.frames.contrasts import stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.signatures.fields import Fields, frame_fields
 
-_CHUNK, _PIXELS = 4, 1 << 18
+_CHUNK, _PIXELS = 4, 1 << 17
 """Frames drawn at once, so that one compiled program serves recordings of any length, and of small frames as
 many more as have so many pixels in all: drawing a few pixels takes as long as drawing many."""
 
