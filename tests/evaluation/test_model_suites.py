@@ -14,7 +14,7 @@ from cannoise_jax.sampling import make_model
 
 @pytest.fixture(scope="module")
 def request_():
-    bench = make_bench(0, 3, 1, 6)
+    bench = make_bench(0, 2, 1, 4)
     generator = Generator(1 / 64, hidden=4, spectral=False, row_noise=False, physics=False)
     encoder = Encoder(1 / 64, hidden=8)
     image, key = jnp.ones((1, 32, 32, 4)), jax.random.key(0)
