@@ -81,9 +81,8 @@ def evaluate_model(
     numbers are computed for every camera and ISO, a camera's are the mean over its patches, and so on up.
 
     sampler: the learned model, `(key, clean, reference_noisy, shot, read) -> noise` or one `ByCamera`, called
-      on batches of
-      `batch` patches with references `[b, k, h, w, 4]` (jit it); None leaves its columns out. shot and read
-      are the published ones: a model that reads its level off the references looks at neither.
+      on batches of `batch` patches with references `[b, k, h, w, 4]` (jit it); None leaves its columns out.
+      shot and read are the published ones: a model that reads its level off the references looks at neither.
     given: the same model, where it obeys shot and read that it is given; None: it cannot.
     references: k, how many noisy images of the camera the model is shown.
     camera_names: by camera index. recalibrated: from `baselines.calibrate_by_setting` on training recordings;

@@ -32,8 +32,7 @@ BLACK_CLIPPING = Mechanism(
     sentence="Codes below black are cut off, so darks keep only the upper half of their noise and their mean "
     "is too high.",
     reference="Foi, Clipped noisy images: heteroskedastic modeling and practical denoising, Signal "
-    "Processing "
-    "89, 2609 (2009)",
+    "Processing 89, 2609 (2009)",
     needs=("dark", "pair"),
     confused_with=("poisson_skew", "bookkeeping", "read_noise_error"),
     amplitude=lambda values, context: values["level_dn"],
@@ -81,8 +80,7 @@ QUANTIZATION = Mechanism(
     parameters=(Parameter("step_dn", "DN", 4.0, 1.0, 4096.0, "log", "spacing of the codes"),),
     equation=r"y \to q\,\mathrm{round}(y/q)",
     sentence="The converter has fewer bits than the file: codes come in steps, which add a twelfth of a "
-    "squared "
-    "step to the variance.",
+    "squared step to the variance.",
     reference="EMVA 1288 release 4.0, section 2.3 (quantization noise)",
     needs=("pair",),
     confused_with=("missing_codes", "lossy_compression", "read_noise_error", "heavy_tails"),

@@ -145,8 +145,7 @@ DEMOSAICING = Mechanism(
     equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn}} y \ \mathrm{on\ every\ second\ pixel\ of\ a\ "
     r"colour}",
     sentence="Half of the samples were never measured but interpolated: their noise is halved and copied "
-    "from "
-    "their neighbours, in a regular lattice.",
+    "from their neighbours, in a regular lattice.",
     reference="Popescu and Farid, Exposing Digital Forgeries in Color Filter Array Interpolated Images, IEEE "
     "TSP 53, 3948 (2005)",
     needs=("pair",),

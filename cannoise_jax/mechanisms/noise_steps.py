@@ -40,8 +40,7 @@ GAIN_ERROR = Mechanism(
     parameters=(Parameter("error", "1", 0.05, -0.9, 10.0, "identity", "true over assumed gain, minus one"),),
     equation=r"\mathrm{var} = (1+\epsilon)\,K\,(y-b) + K^2 s^2",
     sentence="The number of electrons behind each DN is not what the metadata says, so shot noise is larger "
-    "or "
-    "smaller than predicted in proportion at every signal level.",
+    "or smaller than predicted in proportion at every signal level.",
     reference="EMVA 1288 release 4.0, section 2.2 (photon transfer)",
     needs=("pair",),
     confused_with=("in_camera_denoising", "crosstalk", "brighter_fatter", "excess_noise", "reference_error"),
@@ -68,8 +67,7 @@ READ_NOISE_ERROR = Mechanism(
     ),
     equation=r"s \to (1+\epsilon)\,s",
     sentence="The electronics are noisier or quieter than specified, by the same amount in every pixel and "
-    "at "
-    "every signal level.",
+    "at every signal level.",
     reference="EMVA 1288 release 4.0, section 2.2 (temporal dark noise)",
     needs=("dark", "pair"),
     confused_with=(

@@ -62,8 +62,7 @@ GREEN_IMBALANCE = dataclasses.replace(
         ),
         equation=r"\mu_{Gr} \to \mu_{Gr}(1+a),\quad \mu_{Gb} \to \mu_{Gb}(1-a)",
         sentence="Green pixels beside red and beside blue see different light leak in, so a fine "
-        "checkerboard "
-        "appears on green areas.",
+        "checkerboard appears on green areas.",
         reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 3",
         needs=("flat", "pair_independent"),
         confused_with=("channel_offset", "crosstalk", "prnu"),

@@ -73,8 +73,7 @@ DUAL_GAIN = Mechanism(
     ),
     equation=r"s \to s\,r,\quad K \to K\,g \quad \mathrm{for\ ISO} \geq \mathrm{ISO}_s",
     sentence="From one ISO on the pixel switches to a smaller capacitor: more volts per electron, so less "
-    "read "
-    "noise.",
+    "read noise.",
     reference="Feng et al., Learnability Enhancement for Low-light Raw Denoising, TPAMI 2023 (Sony A7S2 "
     "table)",
     needs=("iso", "dark"),
@@ -92,9 +91,8 @@ ENTRIES: tuple[Entry, ...] = (
              29, "sensor", "DN", RMS, ("row_pink_noise",), listed=15),
         mechanism_from_grammar(
             Point("readout", "signal", "row", "redrawn"), id="row_noise", default=0.5,
-            sentence="Every row is read at its own instant, and what the supply does at that instant "
-            "shifts the whole "
-            "row.",
+            sentence="Every row is read at its own instant, and what the supply does at that instant shifts "
+            "the whole row.",
             reference=_ELD, needs=("dark", "pair"),
             confused_with=("row_pink_noise", "row_fpn", "flicker", "banding", "pink_noise"),
             equation=r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
@@ -216,8 +214,7 @@ ENTRIES: tuple[Entry, ...] = (
         mechanism_from_grammar(
             Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"), id="banding", default=0.5,
             sentence="A clock, supply or radio couples into the readout: a regular pattern of stripes, "
-            "slanted or "
-            "straight.",
+            "slanted or straight.",
             reference="EMVA 1288 release 4.0, section 8.3 (spectrogram)",
             needs=("dark", "pair"), confused_with=("flicker", "row_pink_noise", "demosaicing"),
             equation=r"y_n \to y_n + A\cos(2\pi f n + \phi_t),\ n = iW + j",

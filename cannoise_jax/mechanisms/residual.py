@@ -16,16 +16,18 @@ from cannoise_jax.vocabulary import Term
 KNOTS = 6
 """Signals at which lit frames are described, at most; between them and the dark it is interpolated."""
 DARK = ("offset", "rate", "spread", "growth", "spectrum", "keep")
-"""offset: DN; rate: DN/s; spread: DN^2 of noise that single pixels have beyond the others, growth: DN^2/s
-that every pixel gains by the exposure, shot noise of its charge included; spectrum: power of the noise that
-pixels share, DN^2 by spatial
-frequency, its mean the variance that it adds; keep: share of the variance of the baseline's read noise that
-stays beside it."""
+"""offset: DN; rate: DN/s.
+spread: DN^2 of noise that single pixels have beyond the others.
+growth: DN^2/s that every pixel gains by the exposure, shot noise of its charge included.
+spectrum: power of the noise that pixels share, DN^2 by spatial frequency, its mean the variance that it adds.
+keep: share of the variance of the baseline's read noise that stays beside it."""
 LIT = ("level", "fixed", "alone", "power", "unit", "left")
-"""At one signal: that of every pixel, DN; what stays, DN; DN^2 of noise of single pixels beyond the
-others; power
-of the noise that pixels share; the variance of every pixel over the mean, by which both are multiplied;
-share of the variance of the baseline that stays beside it."""
+"""At one signal:
+level: the signal of every pixel, DN; fixed: what stays, DN.
+alone: DN^2 of noise of single pixels beyond the others.
+power: of the noise that pixels share.
+unit: the variance of every pixel over the mean, by which both are multiplied.
+left: share of the variance of the baseline that stays beside it."""
 MAPS = (*DARK, *(f"{name}{k}" for k in range(KNOTS) for name in LIT), "pixels")
 """Maps that are one pixel large say nothing (shares: they are one number). pixels: of the frame that the
 spectra are of: those of a part of it are others."""

@@ -35,8 +35,7 @@ CROSSTALK = Mechanism(
     parameters=(Parameter("fraction", "1", 0.02, 0.0, 0.8, "logit", "share of the charge given away"),),
     equation=r"e_{ij} \to (1-\alpha)\,e_{ij} + \frac{\alpha}{4}\sum_{\mathrm{nn}} e",
     sentence="Part of each pixel's signal shows up in its neighbours, colours mix, and the noise of "
-    "neighbours "
-    "is alike.",
+    "neighbours is alike.",
     reference="Moore, Ninkov and Forrest, Quantum efficiency overestimation and deterministic cross talk "
     "resulting from interpixel capacitance, Opt. Eng. 45, 076402 (2006)",
     needs=("pair", "flat"),
@@ -72,8 +71,7 @@ BRIGHTER_FATTER = Mechanism(
     parameters=(Parameter("a00", "1/e-", 2e-6, 0.0, 1e-3, "log", "relative loss of variance per electron"),),
     equation=r"\mathrm{var} = \mu + a_{00}\mu^2,\quad \mathrm{cov}_{ij} = a_{ij}\mu^2,\quad \sum a_{ij} = 0",
     sentence="A full pixel repels new electrons into its neighbours: shot noise bends down at high signal "
-    "and "
-    "neighbours move together.",
+    "and neighbours move together.",
     reference="Astier et al., The shape of the photon transfer curve of CCD sensors, A&A 629, A36 (2019)",
     needs=("flat",),
     confused_with=("crosstalk", "nonlinearity", "gain_error"),

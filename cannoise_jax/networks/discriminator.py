@@ -3,8 +3,8 @@
 The table puts an instance norm on D's one-channel output. The spatial mean of each score map is then the
 norm's bias, for every input, and the Wasserstein loss has no gradient at all. Spectral norm on every layer
 also bounds the slope that the gradient penalty wants at one, and instance norm in the hidden layers hides the
-noise's level, which is the first thing a camera's published noise level function gets wrong. The default
-therefore
+noise's level, which is the first thing a camera's published noise level function gets wrong.
+The default therefore
 - sees noise in units of the initial noise's sigma, and log sigma and the clean image beside it;
 - has no norm on its output, and `spectral` and `norm` as fields for the other layers;
 - has a full-resolution pointwise branch, averaged over 8x8 pixels: a test of the marginal distribution, which

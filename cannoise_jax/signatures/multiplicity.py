@@ -14,14 +14,13 @@ class Multiplicity(NamedTuple):
     effective: independent tests for each one of the battery, for several look at the same frames through like
       templates: the upper end of the 90 % interval, 0.66 to 0.81, of the r that makes 1 - (1 - p)^r uniform
       over 240 sets without an effect (capture sets of the blind proof).
-    names, layer, network: shares of the error rate of a run of the search for mechanisms, of the
-    comparison that
-      knows no names, and of the two-sample test.
-    looking, together: shares of the first of these for the frames that look, and for all frames. They add
-    up to
-      one, so that the rate of the whole is kept whatever the two looks have in common.
-    suspect: family-wise p of the frames that look from which on a second look is worth its time; candidate: p
-      of a single signature, of those frames, from which on it takes part. Both save time and cost no error.
+    names, layer, network: shares of the error rate of a run of the search for mechanisms, of the comparison
+      that knows no names, and of the two-sample test.
+    looking, together: shares of the first of these for the frames that look, and for all frames.
+      They add up to one, so that the rate of the whole is kept whatever the two looks have in common.
+    suspect: family-wise p of the frames that look from which on a second look is worth its time.
+    candidate: p of a single signature, of those frames, from which on it takes part.
+      These two save time and cost no error.
     """
 
     rare: float = 0.3

@@ -1,11 +1,11 @@
 """The remainder: what a simulator leaves out, measured and drawn as it was measured (`mechanisms.residual`).
 
 Fixed maps are the recorded means less the simulator's, drawn towards zero by as much as noise of the mean
-makes of
-them (Wiener, frequency by frequency); spectra are those of the recorded contrasts less the simulator's, so
-that what
-the simulator already has is not added twice. Noise that has too little power at some frequencies cannot be
-had by adding to it: most of the white read noise is handed over to the spectrum first.
+makes of them (Wiener, frequency by frequency).
+Spectra are those of the recorded contrasts less the simulator's, so that what the simulator already has is
+not added twice.
+Noise that has too little power at some frequencies cannot be had by adding to it: most of the white read
+noise is handed over to the spectrum first.
 """
 
 from __future__ import annotations
@@ -36,13 +36,18 @@ _LOWEST, _SPARE, _LEAST_LEFT = 0.02, 0.02, 0.02
 
 
 class _Part(NamedTuple):
-    """One recording beside the simulator's draws: fixed residual (DN), its variance by noise, exposure,
-    signal (DN),
-    power beyond the simulator's (DN^2), variance of every pixel over that of the bulk where the simulator
-    has none that stand out, variance of the bulk (DN^2), number of contrasts;
-    read, own: variance of the simulator's read noise, and of all its noise (DN^2); gain: DN/e-; unit:
-    variance of every pixel over the mean, by which all of these are divided; loud: variance of every pixel
-    over the bulk's as the simulator has it, 1 where it does not stand out."""
+    """One recording beside the simulator's draws.
+
+    dark: whether it is without light.
+    residual: what stays in the mean beyond the simulator's, DN; noise: its variance by noise, DN^2.
+    exposure_s: of the recording; signal: of every pixel, DN.
+    excess: power beyond the simulator's, DN^2.
+    ratio: variance of every pixel over that of the bulk where the simulator has none that stand out.
+    level: variance of the bulk, DN^2; contrasts: their number.
+    read, own: variance of the simulator's read noise, and of all its noise, DN^2; gain: DN/e-.
+    unit: variance of every pixel over the mean, by which all of these are divided.
+    loud: variance of every pixel over the bulk's as the simulator has it, 1 where it does not stand out.
+    """
 
     dark: bool
     residual: Float[np.ndarray, "h w"] | None
@@ -202,8 +207,7 @@ def _part(
     residual = None
     if known is not None:
         # Of darks the level is the simulator's to tell; of flats the light took it. What the simulator has
-        # of a
-        # pattern is in its draws.
+        # of a pattern is in its draws.
         residual = raw.mean - (expected if dark else fitted) - (drawn.mean - expected)
         residual = np.where(raw.usable, residual, 0.0)
     excess = _power(raw, own, bulk) - _power(drawn, theirs, typical) if n else np.zeros(raw.mean.shape)
@@ -269,10 +273,11 @@ def _fixed(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _still(darks: list[_Part], rate: np.ndarray) -> tuple[np.ndarray, list[_Part]]:
-    """Variance of every pixel that grows by the second (DN^2/s), and the darks without it: the charge
-    brings shot
-    noise of its own, and the bulk may become noisier beyond that. A clamp may let the level fall while
-    charge is collected."""
+    """Variance of every pixel that grows by the second (DN^2/s), and the darks without it.
+
+    The charge brings shot noise of its own, and the bulk may become noisier beyond that.
+    A clamp may let the level fall while charge is collected.
+    """
     moving = [p for p in darks if p.contrasts]
     shot = darks[0].gain * np.maximum(rate - min(float(np.median(rate)), 0.0), 0.0)
     growing = max(_slope(moving) - _bulk(shot), 0.0) + shot
@@ -338,10 +343,10 @@ def _of_lit(p: _Part) -> tuple[np.ndarray, ...]:
 
 
 def _spectrum(parts: list[_Part], frames_too: bool) -> np.ndarray:
-    """Power that the recorded noise has beyond the simulated, DN^2 (below zero: less): broad shapes
-    smoothed, and
-    single frequencies where they stand out. frames_too: with what whole frames share; of lit ones it is
-    the lamp's.
+    """Power that the recorded noise has beyond the simulated, DN^2 (below zero: less).
+
+    Broad shapes are smoothed, and single frequencies are kept where they stand out.
+    frames_too: with what whole frames share; of lit ones it is the lamp's.
     """
     n = sum(p.contrasts for p in parts)
     weight = np.array([p.contrasts / p.level**2 for p in parts])

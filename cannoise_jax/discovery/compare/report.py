@@ -42,10 +42,10 @@ def compare(
 ) -> Comparison:
     """What still differs between recordings and a simulator, in numbers and with the sign.
 
-    simulated: a sensor model or its sensor.json, 'poisson-gaussian', a function (key, clean, settings) ->
-    DN or
-    its `module:function`, a training folder, or a capture set (or folder) of simulated frames. alpha: chance
-    that equal laws are said to differ. Raises as `compare_bank`.
+    simulated: a sensor model or its sensor.json, 'poisson-gaussian', a function (key, clean, settings) -> DN
+      or its `module:function`, a training folder, or a capture set (or folder) of simulated frames.
+    alpha: chance that equal laws are said to differ.
+    Raises as `compare_bank`.
     """
     bank = compare_bank(recordings, simulated, key, alpha=alpha, tell=tell)
     return Comparison(bank, tuple(differences(bank)))

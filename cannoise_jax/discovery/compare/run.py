@@ -31,10 +31,13 @@ Chosen = list[tuple[list[int], list[int]]]
 
 
 class Seen(NamedTuple):
-    """What is kept of one recording for the report: its name and kind, the simulator's noise per site (DN)
-    and
-    the mean of its logarithm over the pixels, mean signal above black (DN), pixels and frames; degree of the
-    surface that stands for the light, 0 where none does."""
+    """What is kept of one recording for the report.
+
+    name, kind, exposure_s: of the recording; size, frames: its rows and columns, and how many.
+    sigma: the simulator's noise per site, DN; log_sigma: the mean of its logarithm over the pixels.
+    signal: mean above black, DN.
+    degree: of the surface that stands for the light, 0 where none does.
+    """
 
     name: str
     kind: str
@@ -49,7 +52,9 @@ class Seen(NamedTuple):
 
 class Compared(NamedTuple):
     """The bank of the recordings and of every set of the simulator, by recording, and what was judged.
-    held_back: whether all frames were kept from whoever made the simulator."""
+
+    held_back: whether all frames were kept from whoever made the simulator.
+    """
 
     label: str
     camera: str

@@ -1,5 +1,4 @@
-"""Spectra as a few recordings show them: noise taken out of maps, shapes told from the chance of single
-frequencies."""
+"""Spectra as few recordings show them: noise out of maps, shapes told from the chance of frequencies."""
 
 from __future__ import annotations
 
@@ -15,9 +14,11 @@ noise."""
 
 
 def wiener(values: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """A map drawn towards its mean, frequency by frequency, by the share of its power that is noise, and
-    what the
-    frames leave open drawn at random, so that it has the pattern's own power; what stands out is kept."""
+    """A map drawn towards its mean, frequency by frequency, by the share of its power that is noise.
+
+    What the frames leave open is drawn at random, so that the map has the pattern's own power.
+    What stands out is kept.
+    """
     centre = float(np.median(values))
     away = values - centre
     scale = max(robust_std(away, 0), np.sqrt(noise))
@@ -31,11 +32,14 @@ def wiener(values: np.ndarray, noise: float, seed: int) -> np.ndarray:
 
 
 def smooth(power: np.ndarray, n: int, level: float, errors: float) -> np.ndarray:
-    """A spectrum (of `n` fields together) as white as it may be: broad shapes, rows, columns, those of odd
-    against
-    even pixels, and single frequencies depart from white only where they stand out of their scatter; no
-    power at all is left where that does not. level: power that is not in `power`, but that it scatters by;
-    errors: from which it stands out."""
+    """A spectrum (of `n` fields together) as white as it may be.
+
+    Broad shapes, rows, columns, those of odd against even pixels, and single frequencies depart from white
+    only where they stand out of their scatter.
+    White that does not stand out either is no power at all.
+    level: power that is not in `power`, but that it scatters by.
+    errors: standard errors from which it stands out.
+    """
     h, w = power.shape
     own_rows, own_columns = ([0, m // 2] if m % 2 == 0 else [0] for m in (h, w))
     plane = power.copy()

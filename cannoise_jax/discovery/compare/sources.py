@@ -28,12 +28,13 @@ Frames = UInt16[np.ndarray, "t h w"]
 
 
 class Source(NamedTuple):
-    """A simulator to compare with. frames(set, number, clean, settings): its frames of one recording, None
-    for
-    one that it does not draw; sets: how many it can give, None: any number; black, white: its own levels, DN,
-    None: those of the recordings. asked: whether frames of given light can be asked for (a folder has its
-    own); read, gain: variance of the
-    read noise (DN^2) and gain (DN/e-) of the first gain setting of a camera model.
+    """A simulator to compare with.
+
+    frames(set, number, clean, settings): its frames of one recording; None for one that it does not draw.
+    sets: how many it can give; None: any number.
+    black, white: its own levels, DN; None: those of the recordings.
+    asked: whether frames of given light can be asked for (a folder has its own).
+    read, gain: variance of the read noise (DN^2) and gain (DN/e-) of a camera model's first gain setting.
     """
 
     label: str

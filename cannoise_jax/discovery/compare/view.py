@@ -59,11 +59,12 @@ class Raw(NamedTuple):
 class View(NamedTuple):
     """One recording as the bank sees it; standardised, masked pixels zero.
 
-    z: contrasts, kept: pixels of them; static: mean over frames minus the expected one, times the root of the
-    number of frames (None: not known), static_kept: pixels of it, outlying: the map before any was set aside.
-    steadiness: mean square of every pixel's contrasts
-    over that of the bulk; single: pixels of each frame whose value lies off
-    alone. level: mean of every frame and site, DN (of contrasts alone where `static` is None).
+    z: contrasts; kept: pixels of them.
+    static: mean over frames minus the expected one, times the root of the number of frames; None: not known.
+    static_kept: pixels of it; outlying: the map before any was set aside.
+    steadiness: mean square of every pixel's contrasts over that of the bulk.
+    single: pixels of each frame whose value lies off alone.
+    level: mean of every frame and site, DN (of contrasts alone where `static` is None).
     """
 
     z: Float[np.ndarray, "n h w"]

@@ -23,7 +23,7 @@ def _of_frames(record: Mechanism) -> bool:
 
 def _of_lit_rows(record: Mechanism) -> bool:
     """Whether it is what rows of light share: out of the fitted baseline where it is strong, see
-    `stacks.without_flicker`."""
+    `contrasts.without_flicker`."""
     point = record.point
     return point.over == "row" and point.combine == "multiply" and point.time != "frozen"
 

@@ -160,11 +160,12 @@ def prepare(
 ) -> Prepared:
     """Reads the chosen frames of every recording once, fits the baseline and builds fields and signatures.
 
-    chosen: frame numbers per recording; recordings without any are left out. judge_stated: whether gain and
-    read noise of the files are to be judged; of `drawn`, frames of a simulator, instead where given. before:
-    frames per recording whose mean the chosen ones are seen against as well. entries: mechanisms that are
-    looked for. Raises BadInput for recordings
-    of fewer than `LEAST_SIDE` rows or columns.
+    chosen: frame numbers per recording; recordings without any are left out.
+    judge_stated: whether gain and read noise of the files are to be judged.
+    drawn: frames of a simulator, whose gain and read noise are judged instead of those of the files.
+    before: frames per recording whose mean the chosen ones are seen against as well.
+    entries: mechanisms that are looked for.
+    Raises BadInput for recordings of fewer than `LEAST_SIDE` rows or columns.
     """
     first = capture.recordings[0]
     for r in capture.recordings:

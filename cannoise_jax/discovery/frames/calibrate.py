@@ -1,9 +1,9 @@
 """The nuisance fit: black level, gain and read noise per channel, and the mean of every recording.
 
 Gain and read noise come from differences between frames alone, which no fixed pattern, shading or wrong
-reference can reach (photon transfer, EMVA 1288 release 4.0, section 6); the mean of a flat is a smooth
-surface
-per channel, that of a scene its reference after an affine refit per channel.
+reference can reach (photon transfer, EMVA 1288 release 4.0, section 6).
+The mean of a flat is a smooth surface per channel.
+The mean of a scene is its reference after an affine refit per channel.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Check: what differs between the frames held back and draws of a simulator, whatever its name.
 
-The layer of `compare` at the end of a run: it looks at the simulator that was judged and at the one that
-is handed
-back, at the settings of the frames held back. Where few were held back, some of the frames that looked
-lend their mean, so that one frame shows what is new in it.
+The layer of `compare` at the end of a run: it looks at the simulator that was judged and at the one that is
+handed back, at the settings of the frames held back.
+Where few were held back, some of the frames that looked lend their mean, so that one frame shows what is new
+in it.
 """
 
 from __future__ import annotations

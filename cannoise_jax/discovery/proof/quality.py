@@ -85,11 +85,12 @@ class Quality(NamedTuple):
 class Panel:
     """What every candidate for the extended simulator is measured by, all of them alike.
 
-    halves: the recordings that looked and those held back which show new noise in both and which the
-    simulator
-    draws; span: of the signal, DN; patches: to a decision of the two-sample test, control: its area for the
-    row noise put in, None and nan where frames are too small or too few for the test; plain: draws of the
-    simulator that is judged.
+    halves: the recordings that looked and those held back, of those that show new noise in both and that the
+      simulator draws.
+    span: of the signal, DN.
+    patches: to a decision of the two-sample test; None where frames are too small or too few for it.
+    control: its area for the row noise put in; nan where there is no test.
+    plain: draws of the simulator that is judged.
     """
 
     key: Key[Array, ""]

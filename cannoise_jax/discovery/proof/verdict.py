@@ -22,11 +22,14 @@ def verdict_of(
     differs_after: bool | None,
     remainder: bool,
 ) -> Verdict:
-    """named, unnamed: whether findings with and without a name are in the simulator that is handed back.
-    differs_before, differs_after: whether the layer or the two-sample test tells the recordings from draws
-    of the
-    simulator before and after (None: it was not looked at). remainder: whether what no name explains had
-    to be added."""
+    """What a run comes to.
+
+    tested: whether anything could be tested.
+    named, unnamed: whether findings with and without a name are in the simulator that is handed back.
+    differs_before, differs_after: whether the layer or the two-sample test tells the recordings from draws of
+      the simulator before and after; None: it was not looked at.
+    remainder: whether what no name explains had to be added.
+    """
     if not tested:
         return NOT_TESTABLE
     if named:

@@ -51,19 +51,23 @@ def document(
 ) -> dict[str, Any]:
     """The report as plain data; no NaN or infinity, what does not apply is None.
 
-    schema, version, key, alpha (family-wise), camera, simulator: of the run. inputs: file, kind, frames,
-    frames_used, settings (iso, exposure_s, temperature_c, reference) and sha256 of every recording, and the
-    files of one that was made from single files, each with its own: then sha256 is that of all, end to end.
-    verdict: see `verdict`. baseline: of the simulator that is handed back; gate: how it was chosen;
-    remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain. testable: ids;
-    not_testable: mechanism and needs, what to
-    record. Every id that the run may name is in exactly one of them, and every testable one in findings or
-    not_found. findings: by held-out gain, largest first, see `finding`. not_found: mechanism and
-    smallest_detectable, the amplitude (value, unit) that this run finds with probability 0.5, None where it
-    is no strength; ambiguous marks members of an ambiguous finding's group, part_of what is the slow part of
-    a finding, absorbed_by findings that took away what spoke for it (then nothing excludes it). before,
-    after: see `quality`;
-    two_sample: see `two_sample`. seconds, peak_memory_mb: of the process, given by the caller.
+    schema, version, key, alpha (family-wise), camera, simulator: of the run.
+    inputs: file, kind, frames, frames_used, settings (iso, exposure_s, temperature_c, reference) and sha256
+      of every recording, and the files of one that was made from single files, each with its own: then sha256
+      is that of all, end to end.
+    verdict: see `verdict`.
+    baseline: of the simulator that is handed back; gate: how it was chosen.
+    remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain.
+    testable: ids; not_testable: mechanism and needs, what to record.
+      Every id that the run may name is in exactly one of them, and every testable one in findings or
+      not_found.
+    findings: by held-out gain, largest first, see `finding`.
+    not_found: mechanism and smallest_detectable, the amplitude (value, unit) that this run finds with
+      probability 0.5, None where it is no strength; ambiguous marks members of an ambiguous finding's group,
+      part_of what is the slow part of a finding, absorbed_by findings that took away what spoke for it (then
+      nothing excludes it).
+    before, after: see `quality`; two_sample: see `two_sample`.
+    seconds, peak_memory_mb: of the process, given by the caller.
     """
     steps = diagnosis.fitted.steps
     listed_n = listed_steps(diagnosis)
@@ -193,17 +197,22 @@ def two_sample(diagnosis: Diagnosis) -> dict[str, Any] | None:
 def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
     """One finding, fitted on the frames that did not select it (on the others where there are none).
 
-    mechanism: the first candidate. class: sensor, capture or bookkeeping. outcome: FOUND, AMBIGUOUS (the
-    candidates cannot be separated) or UNKNOWN_STRUCTURE (with `card`). candidates: mechanism and
-    probability, descending, summing to 1, unknown included. where: axis, and what that axis has of index,
-    bbox, channel, period_px and direction, range, period. amplitude and parameters: value, unit, ci90.
-    p_value: family-wise. log_e_value: natural log, of findings with a likelihood. heldout_gain_nats: on
-    heldout_pixels pixels of the other frames; heldout_basis: of the codes' likelihood, of the finding's own
-    statistic, or the change of the composite score. heldout_gain_nats_per_pixel: value and ci90.
-    confirmed: whether that interval of
-    the finding's own evidence lies above zero. sign: what of it the simulator has. share: of the whole gain,
-    in_simulator: whether it is in the one that is handed back, see `outcome`. sentence:
-    for a reader.
+    mechanism: the first candidate.
+    class: sensor, capture or bookkeeping.
+    outcome: FOUND, AMBIGUOUS (the candidates cannot be separated) or UNKNOWN_STRUCTURE (with `card`).
+    candidates: mechanism and probability, descending, summing to 1, unknown included.
+    where: axis, and what that axis has of index, bbox, channel, period_px and direction, range, period.
+    amplitude and parameters: value, unit, ci90.
+    p_value: family-wise.
+    log_e_value: natural log, of findings with a likelihood.
+    heldout_gain_nats: on heldout_pixels pixels of the other frames.
+    heldout_basis: of the codes' likelihood, of the finding's own statistic, or the change of the composite
+      score.
+    heldout_gain_nats_per_pixel: value and ci90.
+    confirmed: whether that interval of the finding's own evidence lies above zero.
+    sign: what of it the simulator has.
+    share: of the whole gain; in_simulator: whether it is in the one that is handed back, see `outcome`.
+    sentence: for a reader.
     """
     mechanism, steps = step.named.mechanism, diagnosis.fitted.steps
     # A few pixels may not show again in few frames: their strength is then that of the frames that looked.

@@ -9,7 +9,7 @@ frequency and a new phase in every frame. Of what smears neighbours only the cor
 counts: a smeared mean could as well be that of the reference.
 
 What every signature of the battery needs to find an effect is another matter: it searches places and
-frequencies, keeps frames back and trusts fewer of the files' statements, see `diagnose.detectable`.
+frequencies, keeps frames back and trusts fewer of the files' statements, see `not_found.detectable`.
 """
 
 from __future__ import annotations

@@ -37,9 +37,8 @@ class Point:
 
     over: the sites that carry one number each. "raster" orders the pixels as they are read; "frame" is one
       number per frame; "block" cuts the frame into `blocks` = (down, across) amplifier regions.
-    time: "frozen" belongs to the camera unit; "redrawn" in every frame; "telegraph" jumps between two
-    levels at
-      fixed sites; "drifting" is redrawn with a memory of the frames before.
+    time: "frozen" belongs to the camera unit; "redrawn" in every frame; "telegraph" jumps between two levels
+      at fixed sites; "drifting" is redrawn with a memory of the frames before.
     combine: "add" or "multiply" into what the stage carries. signal: exponent p of a further factor
       (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
     spectrum: along the sites; "kernel": pixels correlate with their neighbours, as white noise does after a

@@ -27,9 +27,10 @@ _PERIOD = 8
 class Ruler(NamedTuple):
     """What scores are measured with: fixed for all models compared.
 
-    mean, sigma: DN per pixel, of a baseline. level: light level of every pixel, 0 to levels - 1. edges: of
-    the
-    bins of the standardised residual. step: of the codes, DN.
+    mean, sigma: DN per pixel, of a baseline.
+    level: light level of every pixel, 0 to levels - 1.
+    edges: of the bins of the standardised residual.
+    step: of the codes, DN.
     """
 
     mean: Float[np.ndarray, "h w"]
@@ -99,9 +100,11 @@ def _means(z: np.ndarray):
 
 
 def profile(simulated: np.ndarray, by: Ruler) -> Profile:
-    """Learns a model from its frames `[T, H, W]`, DN: the more, the smaller the error of the score. At least
-    twice
-    the frames that will be scored; every count is raised by one half so that nothing is impossible."""
+    """Learns a model from its frames `[T, H, W]`, DN: the more, the smaller the error of the score.
+
+    Give at least twice the frames that will be scored.
+    Every count is raised by one half so that nothing is impossible.
+    """
     z, bins, codes = _parts(simulated, by)
     levels, width = int(by.level.max()) + 1, len(by.edges) + 1
     joint = np.broadcast_to(by.level, bins.shape) * width + bins

@@ -147,7 +147,7 @@ def _beside(finding: Finding, elsewhere: Mapping[str, Point], dark: FrameStatist
 
 def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding]) -> SensorModel:
     """The camera model: the baseline of every measured ISO, and the mechanisms found at the first of them,
-    with the frozen maps of the unit that was recorded (`transfer_maps`).
+    with the frozen maps of the unit that was recorded (`transfer.maps`).
 
     Raises BadInput where no setting has a baseline, with what to record.
     """

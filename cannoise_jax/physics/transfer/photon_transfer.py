@@ -2,8 +2,8 @@
 
 Quantities and symbols follow EMVA 1288 release 4.0 (linear camera model): system gain K, temporal dark noise
 sigma_d, DSNU1288, PRNU1288, dark current mu_I, saturation; in DN as stored and in electrons. Temporal noise
-comes from changes between frames (see `transfer_frames`), the slope from `transfer_fit` with its rule for
-outliers, fixed patterns from `transfer_spatial`. What the recordings cannot give is `NotMeasurable` and says
+comes from changes between frames (see `transfer.frames`), the slope from `transfer.fit` with its rule for
+outliers, fixed patterns from `transfer.spatial`. What the recordings cannot give is `NotMeasurable` and says
 what to record.
 """
 

@@ -26,7 +26,7 @@ _FAR = 6.0
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """e_per_s, from the growth of the mean with exposure; from that of the variance where the two disagree
-    (see `transfer_dark`). Channels are averaged."""
+    (see `transfer.dark`). Channels are averaged."""
     if baseline is None:
         return _SERIES
     darks = darks_by_exposure(statistics)

@@ -67,7 +67,7 @@ def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
 
 def black_level_errors(statistics: Sequence[FrameStatistics]) -> tuple[Estimate, ...] | NotMeasurable:
     """True minus stated black level of each mosaic site, DN, from the means of darks frame by frame: what all
-    pixels of a frame do together is in the errors. Of the exposure of the flats, see `transfer_black`."""
+    pixels of a frame do together is in the errors. Of the exposure of the flats, see `transfer.black`."""
     dark, black = reference_dark(statistics), black_level(statistics)
     if dark is None:
         return repeated_darks(statistics)

@@ -86,7 +86,7 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     is known (exposure time of one light, or their references).
 
     Flats of several lights follow no such curve, or one that has its top among them: nothing is said of them.
-    Every flat is taken above the black level at its own exposure (`transfer_black`), whose error all share.
+    Every flat is taken above the black level at its own exposure (`transfer.black`), whose error all share.
     """
     flats = [s for s in statistics if s.recording.kind == "flat" and _exposure(s.recording) is not None]
     if len({_exposure(s.recording) for s in flats}) < 3:

@@ -54,7 +54,7 @@ def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | N
 
 
 def steady_pixels(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
-    """Pixels that pass the rule for outliers of `transfer_fit` and never touched a rail."""
+    """Pixels that pass the rule for outliers of `transfer.fit` and never touched a rail."""
     keep = np.zeros(s.mean.shape, bool)
     for c in range(4):
         _, inside = robust_mean_square(pixel_variance(s, c), s.dof)
