@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from cannoise_jax.blind.chain import Context, Effect, tile
+from cannoise_jax.recordings.recording import DARK
 
 
 def _multiply(mechanism: str, amplitude: float, field, stage: str = "photons") -> Effect:
@@ -66,7 +67,7 @@ def flicker(amplitude: float) -> Effect:
     """Mains flicker through a rolling shutter: mu (1 + m cos(2 pi i/period + phase)), phase redrawn."""
 
     def field(c: Context) -> np.ndarray:
-        if c.shot.kind in ("dark", "bias"):
+        if c.shot.kind in DARK:
             return np.zeros((1, 1, 1))
         period = c.frozen("flicker").uniform(0.15, 0.45) * c.size[0]
         phase = c.rng.uniform(0, 2 * np.pi, (c.shot.frames, 1, 1))

@@ -11,7 +11,7 @@ import numpy as np
 
 from cannoise_jax.blind.chain import Camera, Context, Effect, Shot
 from cannoise_jax.blind.shifts import Exposed
-from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
 
 INJECTED = ("column_noise", "row_noise", "banding", "amplifier_mismatch", "column_fpn", "dsnu", "column_gain")
 """Effects that can be added to stored codes: their light and charge need not be drawn again."""
@@ -89,7 +89,7 @@ def exposed(capture: CaptureSet, camera: Camera) -> list[Exposed]:
 
 
 def _electrons(r: Recording, camera: Camera) -> np.ndarray:
-    if r.kind in ("dark", "bias"):
+    if r.kind in DARK:
         return np.zeros(r.size)
     mean = np.asarray(r.frames[:], np.float64).mean(0)
     return np.maximum(mean - camera.black_map(r.size), 0) / camera.gain

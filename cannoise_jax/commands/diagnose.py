@@ -20,6 +20,7 @@ from cannoise_jax.commands.parser import (
     folder,
     options,
 )
+from cannoise_jax.discovery.report import FILES
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ _LOOKS = 25
 """How long a run takes beyond the first look, in units of that: 15 to 45 on recordings of three cameras."""
 _LONG_S = 5.0
 _BUILT_IN = ("poisson-gaussian", "nlf")
-_FILES = ("report.json", "report.html", "sensor.json")
 
 
 @command("diagnose")
@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
 
     tell = teller(started)
     try:
-        check_folder(arguments.out, _FILES, arguments.force, "the report")
+        check_folder(arguments.out, FILES, arguments.force, "the report")
         _check(arguments)
         report, camera = _diagnosed(arguments, tell, started)
     except (BadInput, ValueError, OSError, OverflowError) as error:

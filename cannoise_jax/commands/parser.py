@@ -11,12 +11,12 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from cannoise_jax.recordings.recording import CFA_PATTERNS, KINDS
+from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, KINDS
 
 if TYPE_CHECKING:
     from cannoise_jax.recordings.folders.store import Options
 
-_COLDEST_C, _HOTTEST_C = -273.15, 1000.0
+HOTTEST_C = 1000.0
 _HIGHEST_DN = 65535.0
 
 
@@ -158,7 +158,7 @@ def _between(least: float, most: float, words: str, *, open_: bool = False) -> C
 
 
 level = _between(0, _HIGHEST_DN, "give a value in DN, above 0 and at most 65535", open_=True)
-celsius = _between(_COLDEST_C, _HOTTEST_C, "give degrees Celsius, -273.15 or more, as 20")
+celsius = _between(COLDEST_C, HOTTEST_C, "give degrees Celsius, -273.15 or more, as 20")
 seconds = _between(0, 1e9, "give a time in seconds, 0 or more")
 above_zero = _between(0, 1e9, "give a number above 0", open_=True)
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file, line_of
-from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.commands.parser import HOTTEST_C, OneLineParser, add_mechanisms_flag, place
+from cannoise_jax.recordings.recording import COLDEST_C, BadInput
 
 if TYPE_CHECKING:
     import jax
@@ -100,7 +100,7 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
     if not 0 <= arguments.exposure <= _LARGEST:
         raise BadInput(f"--exposure {arguments.exposure}: a finite time in seconds, 0 or more, is needed")
-    if arguments.temperature is not None and not -273.15 <= arguments.temperature <= 1000:
+    if arguments.temperature is not None and not COLDEST_C <= arguments.temperature <= HOTTEST_C:
         raise BadInput(f"--temperature {arguments.temperature}: write degrees Celsius, as 20")
     if arguments.unit is not None and not 0 <= arguments.unit < 2**32:
         raise BadInput("--unit: must be a whole number from 0 to 4294967295")

@@ -15,8 +15,8 @@ from typing import Any
 
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 from cannoise_jax.recordings.packing import to_shifted_cfa
+from cannoise_jax.recordings.recording import COLDEST_C
 
-_ABSOLUTE_ZERO_C = -273.15
 _TENTH_DB = re.compile(r"\b(zwo|asi\d|player ?one)", re.IGNORECASE)
 _MONO = re.compile(r"\b(ASI\d+MM|QHY\d+M\b|\w+M-PRO MONO)|\bmono(chrome)?\b", re.IGNORECASE)
 _NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
@@ -61,7 +61,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "egain": _egain(header, decibels is not None or iso is not None),
         "exposure_s": _number(header, _EXPOSURE, 0),
         "temperature_c": _number(
-            header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), _ABSOLUTE_ZERO_C
+            header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), COLDEST_C
         ),
     }
 
@@ -88,7 +88,7 @@ def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "offset": _number(header, ("OFFSET", "BLKLEVEL"), 0),
         "mode": _text(header, "READOUTM", "RDMODE") or None,
         "gain_setting": None if scaled else gain,
-        "set_temperature_c": _number(header, ("SET-TEMP",), _ABSOLUTE_ZERO_C),
+        "set_temperature_c": _number(header, ("SET-TEMP",), COLDEST_C),
         "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
     }
 

@@ -14,10 +14,8 @@ from astropy.utils.exceptions import AstropyWarning
 from cannoise_jax.recordings.fits_header import about_of, known_of, section
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import reading
-from cannoise_jax.recordings.opened import Opened, whole_numbers
+from cannoise_jax.recordings.opened import MOST_PIXELS, Opened, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, per_channel
-
-_MOST_PIXELS = 1 << 30
 
 
 class _Part(NamedTuple):
@@ -44,7 +42,7 @@ def assembled(path: str | Path, file: fits.HDUList, numbers: list[int]) -> Opene
     parts = [_part(path, n, file[n]) for n in numbers]
     top, left = (min(p.place[axis].start for p in parts) for axis in (0, 1))
     height, width = (max(p.place[axis].stop for p in parts) - start for axis, start in ((0, top), (1, left)))
-    if height * width > _MOST_PIXELS or sum(_area(p.place) for p in parts) != height * width:
+    if height * width > MOST_PIXELS or sum(_area(p.place) for p in parts) != height * width:
         raise BadInput(
             f"{path}: the DETSEC of its {len(parts)} images overlap or leave gaps: give one image a file"
         )

@@ -19,6 +19,7 @@ import numpy as np
 from cannoise_jax.recordings import plausible
 from cannoise_jax.recordings.recording import (
     CFA_PATTERNS,
+    COLDEST_C,
     KINDS,
     REFERENCES,
     BadInput,
@@ -109,7 +110,7 @@ def make_recording(
         gain_db=_optional(path, stated, "gain_db"),
         egain=_optional(path, stated, "egain", least=1e-6),
         exposure_s=_optional(path, stated, "exposure_s", least=0),
-        temperature_c=_optional(path, stated, "temperature_c", least=-273.15),
+        temperature_c=_optional(path, stated, "temperature_c", least=COLDEST_C),
         shot=_optional_channels(path, stated, "shot", least=0),
         read=_optional_channels(path, stated, "read"),
         code_step=_code_step(path, stated),

@@ -14,7 +14,8 @@ import numpy as np
 
 from cannoise_jax.recordings.recording import BadInput, Frames
 
-_MOST_PIXELS = 1 << 30
+MOST_PIXELS = 1 << 30
+"""Of a file: more, and what it says of its size is not believed before memory is asked for it."""
 _DENSEST = 2000
 """No compression that the formats use packs more bytes than this into one (deflate: 1032)."""
 BROKEN_ARRAYS = (
@@ -59,7 +60,7 @@ def check_claim(path: str | Path, shape: tuple[int, ...], itemsize: int) -> None
     """Raises BadInput for frames larger than any sensor's, or than the file can hold, unread."""
     pixels = math.prod(shape[-2:]) if len(shape) > 1 else math.prod(shape)
     size = Path(path).stat().st_size
-    if pixels > _MOST_PIXELS:
+    if pixels > MOST_PIXELS:
         raise BadInput(f"{path}: claims frames of {_by(shape[-2:])} pixels: no sensor has that many")
     claimed = math.prod(shape) * itemsize
     holds = _DENSEST * size

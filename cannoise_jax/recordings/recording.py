@@ -19,6 +19,8 @@ KINDS = ("scene", "flat", "dark", "bias")
 DARK = ("dark", "bias")
 """Kinds that no light fell on."""
 REFERENCES = ("independent", "burst_mean")
+COLDEST_C = -273.15
+"""Absolute zero."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]

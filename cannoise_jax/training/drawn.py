@@ -16,10 +16,9 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from cannoise_jax.physics.synthetic.prior import DrawnCamera, another_setting, draw_camera, record_drawn
-from cannoise_jax.physics.synthetic.scenes import Split, draw_scenes, mosaic
+from cannoise_jax.physics.synthetic.scenes import PATCH, Split, draw_scenes, mosaic
 from cannoise_jax.recordings.packing import pack
 
-PATCH = 64
 _CHUNK = 32
 """Patches recorded at once."""
 _CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")

@@ -28,7 +28,7 @@ from jaxtyping import Array, Key
 
 from cannoise_jax.evaluation.baselines import SATURATED
 from cannoise_jax.physics.synthetic.half_real import half_real_recording
-from cannoise_jax.physics.synthetic.scenes import SPLITS, draw_scenes, mosaic
+from cannoise_jax.physics.synthetic.scenes import PATCH, SPLITS, draw_scenes, mosaic
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.load import load_capture_set
@@ -44,7 +44,6 @@ from cannoise_jax.recordings.recording import (
 )
 from cannoise_jax.recordings.references import referenced_frames
 
-PATCH = 64
 _SHARES = (0.7, 0.8)
 """Where validation and test frames begin."""
 _LONGEST_S = 1.0

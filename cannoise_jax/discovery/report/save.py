@@ -8,6 +8,7 @@ import resource
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cannoise_jax.discovery.report import FILES
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -17,8 +18,6 @@ from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import Diagnosis
-
-FILES = ("report.json", "report.html", "sensor.json")
 
 
 def save(

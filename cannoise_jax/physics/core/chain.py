@@ -12,11 +12,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.core.mechanism import Context, Noise
+from cannoise_jax.physics.core.mechanism import ACTS_ON, Context, Noise
 from cannoise_jax.physics.core.poisson_gaussian import centred_uniform, sample_normal, sample_poisson
 from cannoise_jax.recordings.recording import BadInput
 
-_ACTS_ON = ("mean", "charge", "signal", "code")
 _LINES = ("row", "column", "frame")
 _APART = 8
 _SHOT, _READ = 1, 2
@@ -66,7 +65,7 @@ def inside(context: Context, noise: Noise) -> Context:
 def along_chain(model) -> list[int]:
     """Places of the mechanisms in the order in which the chain calls them."""
     acts = [fitted.record.acts_on for fitted in model.mechanisms]
-    return sorted(range(len(acts)), key=lambda i: _ACTS_ON.index(acts[i]))
+    return sorted(range(len(acts)), key=lambda i: ACTS_ON.index(acts[i]))
 
 
 def seen_at(context: Context, mean: Array, variance: Array | None = None) -> Context:

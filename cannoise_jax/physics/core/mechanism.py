@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,8 @@ from jaxtyping import Array, Float, Key
 Stage = Literal["photons", "pixel", "readout", "converter", "digital"]
 STAGES: tuple[Stage, ...] = ("photons", "pixel", "readout", "converter", "digital")
 ActsOn = Literal["mean", "charge", "signal", "code"]
+ACTS_ON: tuple[ActsOn, ...] = get_args(ActsOn)
+"""In the order of the signal chain."""
 Transform = Literal["identity", "log", "logit"]
 
 Values = Mapping[str, Any]

@@ -17,12 +17,11 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
-from cannoise_jax.recordings.recording import CFA_PATTERNS
+from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C
 
 HIGHEST_CODE = 65535
 _MAY_BE_NONE = ("doubling_c", "reference_iso", "reference_temperature_c")
 _ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
-_COLDEST_C = -273.15
 _BRIGHTEST, _DARKEST = 4.0, -0.5
 """Median and least value of a clean mosaic: scenes beyond the white level are fine, codes in DN are not."""
 
@@ -169,8 +168,8 @@ def check_taken(clean: Any, settings: Settings) -> None:
         raise ValueError(f"exposure_s must be 0 or more, got {seconds:g}")
     if settings.temperature_c is not None:
         celsius = known(settings.temperature_c, "temperature_c")
-        if celsius is not None and not celsius >= _COLDEST_C:
-            raise ValueError(f"temperature_c must be {_COLDEST_C:g} or more, got {celsius:g}")
+        if celsius is not None and not celsius >= COLDEST_C:
+            raise ValueError(f"temperature_c must be {COLDEST_C:g} or more, got {celsius:g}")
     if not is_whole(settings.frames, 2**31 - 1) or settings.frames < 1:
         raise ValueError(f"frames must be a whole number from 1, got {reprlib.repr(settings.frames)}")
     shape = np.shape(clean)

@@ -6,10 +6,8 @@ import functools
 from collections.abc import Mapping
 
 from cannoise_jax.physics.core.grammar import TIMES
-from cannoise_jax.physics.core.mechanism import STAGES, Mechanism
+from cannoise_jax.physics.core.mechanism import ACTS_ON, STAGES, Mechanism
 from cannoise_jax.physics.core.places import SITES
-
-_ACTS_ON = ("mean", "charge", "signal", "code")
 
 
 @functools.cache
@@ -41,7 +39,7 @@ def check_record(record: Mechanism) -> None:
     names = [p.name for p in record.parameters]
     if not names or (record.scales or names[0]) not in names:
         raise ValueError(f"{record.id}: has no strength: `scales` names one of its parameters ({names})")
-    choices = {"stage": STAGES, "acts_on": _ACTS_ON, "over": SITES, "time": TIMES}
+    choices = {"stage": STAGES, "acts_on": ACTS_ON, "over": SITES, "time": TIMES}
     for axis, known in choices.items():
         value = getattr(record.point, axis, None)
         if value not in known:
@@ -53,4 +51,4 @@ def chain_position(record: Mechanism) -> tuple[int, int, int]:
     those from outside, come last of their stage."""
     ids = list(packaged())
     order = ids.index(record.id) if record.id in ids else len(ids)
-    return _ACTS_ON.index(record.acts_on), STAGES.index(record.stage), order
+    return ACTS_ON.index(record.acts_on), STAGES.index(record.stage), order

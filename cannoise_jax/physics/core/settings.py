@@ -18,12 +18,10 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Scaling, scaling_factor
 from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
+from cannoise_jax.recordings.recording import COLDEST_C
 
 Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
-
-
-COLDEST_C = -273.15
 
 
 def _check(value: Any, words: str, holds: Callable[[float], bool]) -> None:

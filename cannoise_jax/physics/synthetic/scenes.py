@@ -32,6 +32,9 @@ _PHOTOGRAPHS: dict[Split, tuple[str, ...]] = {
     "test": ("rocket.jpg", "hubble_deep_field.jpg"),
 }
 
+PATCH = 64
+"""Side of a training patch in packed pixels; 128 on the mosaic."""
+
 # Linear sRGB to the colours of a typical sensor: rows sum to one, so grey stays grey before white balance.
 _SRGB_TO_SENSOR = np.array([[0.58, 0.34, 0.08], [0.16, 0.68, 0.16], [0.04, 0.27, 0.69]])
 

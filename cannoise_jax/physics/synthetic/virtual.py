@@ -30,12 +30,9 @@ from jaxtyping import Array, Float, Int32, Key, UInt16
 
 from cannoise_jax.physics.core.presets import by_iso, read_table
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.synthetic.scenes import SPLITS, Split, draw_scenes, mosaic, numpy_generator
+from cannoise_jax.physics.synthetic.scenes import PATCH, SPLITS, Split, draw_scenes, mosaic, numpy_generator
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput
-
-PATCH = 64
-"""Side of a training patch in packed pixels; 128 on the mosaic."""
 
 
 class Nlf(NamedTuple):

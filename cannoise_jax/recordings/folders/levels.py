@@ -9,7 +9,7 @@ import numpy as np
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
 from cannoise_jax.recordings.folders.lights import level_of
-from cannoise_jax.recordings.recording import PerChannel, per_channel
+from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
 _COLOURED = 0.01
@@ -53,7 +53,7 @@ def _cfa(groups: Sequence[Group]) -> tuple[str | None, str]:
     if stated:
         return stated.pop(), ""
     lit = [s.medians for g in groups if g.kind == "flat" for s in g.shots]
-    dark = [s.medians for g in groups if g.kind in ("bias", "dark") for s in g.shots]
+    dark = [s.medians for g in groups if g.kind in DARK for s in g.shots]
     if not lit:
         return None, "the colour order: state it with --cfa (MONO for a monochrome sensor)"
     light = np.median(lit, axis=0) - (np.median(dark, axis=0) if dark else 0.0)
@@ -75,7 +75,7 @@ def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:
         if origin is None and len(set(stated)) == 1:
             return level, ""
         return level, f"black level {_four(level)} DN: median of {origin or 'what the files state'}"
-    dark = [g for g in groups if g.kind in ("bias", "dark")]
+    dark = [g for g in groups if g.kind in DARK]
     if not dark:
         return None, "the black level: add bias or dark frames, or state it with --black-level"
 

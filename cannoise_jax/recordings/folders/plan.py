@@ -12,11 +12,10 @@ from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
 from cannoise_jax.recordings.load import UNREAD
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.recording import DARK, BadInput
 
 _MOST_NAMED = 3
 _LIT = ("flat", "scene")
-_DARK = ("bias", "dark")
 
 
 @dataclass(frozen=True)
@@ -223,7 +222,7 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
 
     def rank(mode: tuple) -> tuple:
         own = by_mode[mode]
-        lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (_LIT, _DARK))
+        lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (_LIT, DARK))
         return lit and dark, lit, sum(g.frames for g in own)
 
     order = sorted(by_mode, key=rank, reverse=True)
@@ -266,12 +265,12 @@ def _labelled(groups: Sequence[Group]) -> tuple[Group, ...]:
 def _apart(sets: Sequence[CaptureGroups]) -> list[str]:
     """Darks that the black level would be taken from, were they of the main set."""
     main, *others = sets
-    if any(g.kind in _DARK for g in main.groups):
+    if any(g.kind in DARK for g in main.groups):
         return []
     return [
         f"{one.groups[0].shots[0].name}: of no use to {main.groups[0].shots[0].name}, for {one.reason}"
         for one in others
-        if any(g.kind in _DARK for g in one.groups)
+        if any(g.kind in DARK for g in one.groups)
     ]
 
 
@@ -285,7 +284,7 @@ def _lacks(one: CaptureGroups) -> list[str]:
     if warm and max(warm) - min(warm) > 5:
         notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
     flats = [s for g in groups if g.kind == "flat" for s in g.shots if not s.whole]
-    darks = [s for g in groups if g.kind in _DARK for s in g.shots if not s.whole]
+    darks = [s for g in groups if g.kind in DARK for s in g.shots if not s.whole]
     if flats and darks:
         floor = max(max(s.medians) for s in darks)
         dim = [s.name for s in flats if max(s.medians) <= floor]
