@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.compare.measure import STATIC, TEMPORAL, Family, Measured
+from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TEMPORAL, Family, of
+from cannoise_jax.discovery.compare.measure import Measured, Statistics
 from cannoise_jax.signatures import laws
 
 FLOOR = 4.0
@@ -46,7 +47,7 @@ class Peak(NamedTuple):
     z: float
 
 
-def judged(recorded: Family, simulated: list[Family]) -> laws.Judged:
+def judged(recorded: Statistics, simulated: list[Statistics]) -> laws.Judged:
     """One family by its law."""
     real, drawn = recorded.values, np.stack([s.values for s in simulated])
     if recorded.law == "energy":
@@ -63,7 +64,9 @@ _SEEN = 5.0
 """Standard deviations from which a difference of the noise is taken out of the static map."""
 
 
-def without_noise(family: str, recorded: Family, moving: laws.Judged, simulated: list[Family]) -> Family:
+def without_noise(
+    family: Family, recorded: Statistics, moving: laws.Judged, simulated: list[Statistics]
+) -> Statistics:
     """A static map's statistics without what the noise in its mean adds where that noise is not the
     simulator's: rows that are redrawn leave rows in a mean of few frames, which are no fixed pattern."""
     shift = np.where(np.abs(moving.z) > _SEEN, moving.recorded - moving.simulated, 0.0)
@@ -75,10 +78,8 @@ def without_noise(family: str, recorded: Family, moving: laws.Judged, simulated:
         return recorded._replace(values=recorded.values * drawn / np.maximum(expected, 1e-9))
     if recorded.law != "mean":
         return recorded
-    frames = np.ones(1)
-    if family.endswith("moments"):
-        # Of independent frames, skewness of a mean falls with the root of their number, kurtosis with it.
-        frames = np.repeat([1.0, recorded.frames**0.5, recorded.frames], recorded.size.size // 3)
+    falls = [recorded.frames**power for power in family.falls]
+    frames = np.repeat(falls, recorded.size.size // len(falls))
     return recorded._replace(values=recorded.values - shift / frames)
 
 
@@ -101,9 +102,10 @@ def judge(
         for family, values in real.families.items():
             drawn = [s.families[family] for s in simulated[name] if family in s.families]
             if drawn:
-                moving = own.get(family.replace(STATIC, TEMPORAL))
-                if family.startswith(STATIC) and moving is not None:
-                    values = without_noise(family, values, moving, drawn)
+                known = FAMILIES[family]
+                moving = own.get(of(TEMPORAL, known.name))
+                if known.part == STATIC and moving is not None:
+                    values = without_noise(known, values, moving, drawn)
                 own[family] = judged(values, drawn)
                 every[family].append((name, own[family]))
     for results in every.values():

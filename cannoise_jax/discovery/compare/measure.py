@@ -8,15 +8,43 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.discovery.compare.families import (
+    BY_PARITY,
+    CODES,
+    IN_ONE_FRAME,
+    LEVEL,
+    MOMENTS,
+    NEIGHBOURS,
+    NEXT_FRAME,
+    NEXT_LAGS,
+    QUIET_CHANCES,
+    RAILS,
+    SMOOTH_MAPS,
+    SPARSITY,
+    STANDING_OUT,
+    STANDING_SIGMAS,
+    STATIC,
+    STRUCTURE,
+    TAIL_SIGMAS,
+    TAILS,
+    TEMPORAL,
+    UNSTEADY,
+    UNSTEADY_CHANCES,
+    of,
+)
 from cannoise_jax.discovery.compare.view import RESIDUES, View
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
 
 
-class Family(NamedTuple):
-    """One family of one recording. law: `energy`, `mean` or `count`. values: by unit and statistic. size:
-    degrees of freedom of an energy, variance of a unit's mean under white noise, 1 for counts. frames: of
-    which a static map is the mean."""
+class Statistics(NamedTuple):
+    """One family of one recording.
+
+    law: `energy`, `mean` or `count`.
+    values: by unit and statistic.
+    size: degrees of freedom of an energy, variance of a unit's mean under white noise, 1 for counts.
+    frames: of which a static map is the mean.
+    """
 
     law: str
     values: Float[np.ndarray, "u k"]
@@ -28,17 +56,10 @@ class Measured(NamedTuple):
     """The families of one recording by name, the summed periodogram of its contrasts and how many they are,
     and its static map for the comparison between recordings (None: not known)."""
 
-    families: dict[str, Family]
+    families: dict[str, Statistics]
     power: Float[np.ndarray, "h v"] | None
     contrasts: int
     static: Float[np.ndarray, "h w"] | None
-
-
-TEMPORAL, STATIC = "frame to frame", "fixed"
-TAILS = (-3.5, -2.5, 2.5, 3.5)
-UNSTEADY = (1e-2, 1e-3, 1e-4, 1e-6)
-STANDING = (-20.0, -10.0, -5.0, 5.0, 10.0, 20.0, 40.0, 80.0)
-_NEXT = [(dy, dx) for dy in (0, 1, 2) for dx in (-2, -1, 0, 1, 2)]
 
 
 BROAD = 0.75
@@ -51,7 +72,7 @@ def measure(
     """Every family of one view. level_known: whether the mean of the frames is the simulator's to tell;
     degree: of the surface that was taken out of the static map; variance: of a pixel of every site, DN^2;
     step: of the codes, DN."""
-    families: dict[str, Family] = {}
+    families: dict[str, Statistics] = {}
     n, size = len(seen.z), seen.kept.size
     coarse = is_coarse(variance, step)
     share = float(max(seen.kept.mean(), 1e-6))
@@ -60,40 +81,40 @@ def measure(
         kept = seen.kept.astype(np.float32)
         rows = _units(seen.z, kept, share, coarse)
         for name, law, width in _unit_families(seen.kept.shape, size * share):
-            families[f"{TEMPORAL}: {name}"] = Family(law, np.stack([r[name] for r in rows]), width)
+            families[of(TEMPORAL, name)] = Statistics(law, np.stack([r[name] for r in rows]), width)
         power = np.sum([bank.power(z, share) for z in seen.z], 0)
-        limits = np.array([stats.chi2.isf(p, n) / n for p in UNSTEADY])
+        limits = np.array([stats.chi2.isf(p, n) / n for p in UNSTEADY_CHANCES])
         over = [(seen.steadiness[seen.usable] > t).sum() for t in limits]
-        under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in (1e-2, 1e-3)]
-        families["pixels: unsteady"] = _count(np.array([[*over, *under]]))
+        under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in QUIET_CHANCES]
+        families[UNSTEADY] = _count(np.array([[*over, *under]]))
         frames = seen.single.size
         if frames > 1:
-            families["pixels: one frame only"] = _count(seen.single[:, None])
+            families[IN_ONE_FRAME] = _count(seen.single[:, None])
         if frames > 2:
-            families["next frame: products"] = _next(seen._replace(z=seen.z[: frames - 1]), share)
-    families["rails"] = _count(seen.rails)
+            families[NEXT_FRAME] = _next(seen._replace(z=seen.z[: frames - 1]), share)
+    families[RAILS] = _count(seen.rails)
     broad = np.repeat([np.sqrt(np.mean(variance)) > BROAD * m * step for m in RESIDUES], RESIDUES)
-    families["codes"] = _count((seen.codes * broad)[None])
+    families[CODES] = _count((seen.codes * broad)[None])
     if level_known and seen.static is not None:
         own = np.asarray(variance) / max(size * share / 4, 1)
-        families["level"] = Family("mean", seen.level, own)
+        families[LEVEL] = Statistics("mean", seen.level, own)
     if seen.static is not None and seen.static_kept.any():
         share = float(max(seen.static_kept.mean(), 1e-6))
         kept = seen.static_kept.astype(np.float32)
         (row,) = _units(seen.static[None], kept, share, coarse)
         if coarse:
-            row["tails"] = _tails(seen.static + kept * _spread_codes(seen, variance, step))
+            row[TAILS] = _tails(seen.static + kept * _spread_codes(seen, variance, step))
         for name, law, width in _unit_families(seen.kept.shape, size * share):
-            if name == "structure":
+            if name == STRUCTURE:
                 width = width * ~absorbed(seen.kept.shape, degree).ravel()
-            families[f"{STATIC}: {name}"] = Family(law, row[name][None], width, seen.single.size)
+            families[of(STATIC, name)] = Statistics(law, row[name][None], width, seen.single.size)
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
             noise = _smooth_noise(seen, 1 / (size * share), first.size)
-            families[f"{STATIC}: smooth maps"] = Family("mean", first, noise)
+            families[of(STATIC, SMOOTH_MAPS)] = Statistics("mean", first, noise)
         values = seen.outlying[seen.usable]  # type: ignore[index]
-        counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING]
-        families["pixels: standing out"] = _count(np.array([counts]))
+        counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING_SIGMAS]
+        families[STANDING_OUT] = _count(np.array([counts]))
     return Measured(families, power, n, seen.static)
 
 
@@ -115,9 +136,9 @@ def absorbed(shape: tuple[int, int], degree: int) -> np.ndarray:
     return np.broadcast_to(np.outer(rows, columns), (4, rows.size, columns.size))
 
 
-def _count(values: np.ndarray) -> Family:
+def _count(values: np.ndarray) -> Statistics:
     values = np.asarray(values, float)
-    return Family("count", values, np.ones(values.shape[1]))
+    return Statistics("count", values, np.ones(values.shape[1]))
 
 
 def _unit_families(shape: tuple[int, int], pixels: float) -> list[tuple[str, str, np.ndarray]]:
@@ -128,12 +149,12 @@ def _unit_families(shape: tuple[int, int], pixels: float) -> list[tuple[str, str
     near = np.tile(pairs[bank.near_lags()], 3)
     orders = np.repeat([2.0, 6.0, 24.0], len(bank.MOMENTS)) / pixels
     return [
-        ("structure", "energy", bank.counts(shape).ravel()),
-        ("sparsity", "mean", bank.sparsity_variance() / bank.counts(shape).ravel()),
-        ("neighbours", "mean", 1 / pairs),
-        ("neighbours by parity", "mean", 1 / near),
-        ("moments", "mean", orders),
-        ("tails", "count", np.ones(len(TAILS))),
+        (STRUCTURE, "energy", bank.counts(shape).ravel()),
+        (SPARSITY, "mean", bank.sparsity_variance() / bank.counts(shape).ravel()),
+        (NEIGHBOURS, "mean", 1 / pairs),
+        (BY_PARITY, "mean", 1 / near),
+        (MOMENTS, "mean", orders),
+        (TAILS, "count", np.ones(len(TAIL_SIGMAS))),
     ]
 
 
@@ -151,11 +172,11 @@ def _unit(z: np.ndarray, kept: np.ndarray, share: float, coarse: bool) -> dict[s
     moments = bank.hermite(own, kept)
     moments[0] = bank.maps((z * z - 1) * kept, kept)
     return {
-        "structure": bank.energies(z, share).ravel(),
-        "neighbours": together,
-        "neighbours by parity": apart,
-        "moments": moments.ravel(),
-        "tails": _tails(z if coarse else own),
+        STRUCTURE: bank.energies(z, share).ravel(),
+        NEIGHBOURS: together,
+        BY_PARITY: apart,
+        MOMENTS: moments.ravel(),
+        TAILS: _tails(z if coarse else own),
     }
 
 
@@ -164,14 +185,14 @@ def _units(
 ) -> list[dict[str, np.ndarray]]:
     """Several fields of a recording: how unevenly structures are spread is told over all of them."""
     out = [_unit(z, kept, share, coarse) for z in fields]
-    strength = np.mean([u["structure"] for u in out], 0).reshape(bank.counts(kept.shape).shape)
+    strength = np.mean([u[STRUCTURE] for u in out], 0).reshape(bank.counts(kept.shape).shape)
     return [
-        {**u, "sparsity": bank.sparsity(z, strength, share).ravel()} for u, z in zip(out, fields, strict=True)
+        {**u, SPARSITY: bank.sparsity(z, strength, share).ravel()} for u, z in zip(out, fields, strict=True)
     ]
 
 
 def _tails(z: np.ndarray) -> np.ndarray:
-    return np.array([(z < t).sum() if t < 0 else (z > t).sum() for t in TAILS], float)
+    return np.array([(z < t).sum() if t < 0 else (z > t).sum() for t in TAIL_SIGMAS], float)
 
 
 def _spread_codes(seen: View, variance: np.ndarray, step: float) -> np.ndarray:
@@ -183,26 +204,26 @@ def _spread_codes(seen: View, variance: np.ndarray, step: float) -> np.ndarray:
     )
 
 
-def _next(seen: View, share: float) -> Family:
+def _next(seen: View, share: float) -> Statistics:
     """Mean products of a frame with the next one at small lags, whole frames' means out."""
     n = len(seen.z)
     matrix = helmert(n + 1).astype(np.float32)
     kept = seen.kept
-    total = np.zeros(len(_NEXT))
+    total = np.zeros(len(NEXT_LAGS))
     before = None
     h, w = kept.shape
     for t in range(n + 1):
         frame = np.tensordot(matrix[:, t], seen.z, 1)
         frame = bank.without_lines(frame) * kept
         if before is not None:
-            for k, (dy, dx) in enumerate(_NEXT):
+            for k, (dy, dx) in enumerate(NEXT_LAGS):
                 a = before[: h - dy, max(-dx, 0) : w - max(dx, 0)]
                 b = frame[dy:, max(dx, 0) : w - max(-dx, 0)]
                 total[k] += float(np.einsum("ij,ij->", a, b)) / (a.size * share)
         before = frame
-    variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * n) for dy, dx in _NEXT])
+    variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * n) for dy, dx in NEXT_LAGS])
     total /= n * max(float(np.mean(seen.z**2)) / share, 1e-9)
-    return Family("mean", total[None], variance)
+    return Statistics("mean", total[None], variance)
 
 
 def shared(first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:

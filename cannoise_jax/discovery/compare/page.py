@@ -9,6 +9,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 
+from cannoise_jax.discovery.compare.families import STRUCTURE, TEMPORAL, of
 from cannoise_jax.discovery.compare.report import Comparison, better_line, percent, sign_in_words, value
 from cannoise_jax.discovery.compare.score import Better
 from cannoise_jax.signatures import bank
@@ -67,9 +68,7 @@ def picture(found: Comparison) -> str:
     """Recorded over simulated power by block height and width, of the recording that differs most: one square
     a size, blue where the simulator has too little."""
     mine = [
-        j
-        for j in found.bank.judgements
-        if j.family == "frame to frame: structure" and j.where in found.bank.seen
+        j for j in found.bank.judgements if j.family == of(TEMPORAL, STRUCTURE) and j.where in found.bank.seen
     ]
     if not mine:
         return ""

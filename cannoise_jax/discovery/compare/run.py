@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from cannoise_jax.discovery.compare.families import SHARED
 from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.measure import Family, Measured, is_coarse, measure, shared
+from cannoise_jax.discovery.compare.measure import Measured, Statistics, is_coarse, measure, shared
 from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.frames.calibrate import gain_groups
@@ -218,10 +219,10 @@ def _between(
         rows, columns = seen[first].size
         size = 1 / np.array([rows * columns, rows, columns])
 
-        def family(a: Measured, b: Measured, size=size) -> Family:
+        def family(a: Measured, b: Measured, size=size) -> Statistics:
             assert a.static is not None and b.static is not None
-            return Family("mean", shared(a.static, b.static)[None], size)
+            return Statistics("mean", shared(a.static, b.static)[None], size)
 
-        recorded[second].families["shared with another recording"] = family(recorded[first], recorded[second])
+        recorded[second].families[SHARED] = family(recorded[first], recorded[second])
         for a, b in zip(simulated[first], simulated[second], strict=True):
-            b.families["shared with another recording"] = family(a, b)
+            b.families[SHARED] = family(a, b)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import special, stats
 
-from cannoise_jax.discovery.compare.measure import STATIC, TEMPORAL
+from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, TEMPORAL, of
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.discovery.frames.battery import split_frames
 
@@ -36,7 +36,7 @@ class Better(NamedTuple):
         return "B" if self.low > 0 else "A" if self.high < 0 else "neither"
 
 
-def scores(compared: Compared, family: str = f"{TEMPORAL}: structure") -> dict[str, Float[np.ndarray, "u"]]:
+def scores(compared: Compared, family: str = of(TEMPORAL, STRUCTURE)) -> dict[str, Float[np.ndarray, "u"]]:
     """Log score of every contrast (or of the static map) of every recording, nats per pixel."""
     out = {}
     for name, measured in compared.recorded.items():
@@ -73,7 +73,7 @@ def better(a: Compared, b: Compared) -> Better | None:
     values = np.concatenate(list((kept if held else gains).values()))
     mean, low, high = _interval(values)
     fixed = None
-    one, two = (scores(c, f"{STATIC}: structure") for c in (a, b))
+    one, two = (scores(c, of(STATIC, STRUCTURE)) for c in (a, b))
     maps = [float(two[n][0] - one[n][0]) for n in one if n in two]
     if len(maps) > 1:
         fixed = _interval(np.array(maps))

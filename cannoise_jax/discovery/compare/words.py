@@ -1,15 +1,14 @@
-"""What the statistics are called in the table."""
+"""What the statistics are called in the table: names of lines, and which statistic shows one best."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from cannoise_jax.discovery.compare.measure import STANDING, TAILS, UNSTEADY
-from cannoise_jax.discovery.compare.view import RESIDUES
 from cannoise_jax.signatures.bank import MOMENTS, Scale
 
+TEMPORAL, STATIC = "frame to frame", "fixed"
+"""What is redrawn in every frame, and what stays."""
 MOMENT_UNITS = ("of the variance", "skewness", "excess kurtosis")
-PER_FRAME = ("tails", "pixels: one frame only", "one frame only", "rails", "codes")
 
 
 def structure(band: int, row: Scale, column: Scale, size: tuple[int, int]) -> str | None:
@@ -44,8 +43,8 @@ def moments(order: int, time: str) -> list[tuple[str, Callable[[int], bool]]]:
     """Lines of the moments of one order, and which places of `bank.MOMENTS` they take in."""
     smooth = len(MOMENTS) - 3
     if order == 0:
-        name = "noise" if time != "fixed" else "fixed pattern"
-        alone = "fixed pattern of single pixels" if time == "fixed" else "noise of a pixel"
+        name = "noise" if time != STATIC else "fixed pattern"
+        alone = "fixed pattern of single pixels" if time == STATIC else "noise of a pixel"
         return [
             (alone, lambda k: k == 0),
             (f"{name} uneven over the frame", lambda k: 0 < k < smooth),
@@ -64,44 +63,55 @@ def place(name: str) -> str:
     return " and ".join(parts)
 
 
-def simple(family: str, index: int) -> tuple[str, str]:
-    """Name of a count or mean, and what the statistic at this index is."""
-    if family == "tails":
-        limit = TAILS[index]
-        side = "below" if limit < 0 else "above"
-        return "heavy tails", f"values {side} {limit:+.1f} sigma"
-    if family == "unsteady":
-        if index < len(UNSTEADY):
-            return "pixels noisier than the others", f"beyond a chance of {UNSTEADY[index]:g}"
-        return "pixels quieter than the others", "below a chance of " + ("0.01", "0.001")[
-            index - len(UNSTEADY)
-        ]
-    if family == "one frame only":
-        return "pixels that are off in one frame only", "six sigma and more"
-    if family == "standing out":
-        limit = STANDING[index]
-        name = "hot pixels" if limit > 0 else "dark pixels"
-        return name, f"{abs(limit):g} sigma of the mean and more"
-    if family == "rails":
-        return "clipped values", ("at code 0", "at the white level")[index]
-    if family == "codes":
-        for m in RESIDUES:
-            if index < m:
-                return "unevenly filled codes", f"codes {index} modulo {m}"
-            index -= m
-    if family == "products":
-        return "memory of the frame before", f"{index // 5} down, {index % 5 - 2:+d} across"
-    if family == "smooth maps":
-        return "smooth fixed pattern", place(MOMENTS[index + 1])
-    if family == "shared with another recording":
-        return "fixed pattern shared by recordings", ("pixel by pixel", "row means", "column means")[index]
-    return family, ""
+def tail(limit: float) -> tuple[str, str]:
+    """Values beyond so many standard deviations."""
+    return "heavy tails", f"values {'below' if limit < 0 else 'above'} {limit:+.1f} sigma"
 
 
-def time(family: str) -> str:
-    """Whether a family is of what stays or of what is redrawn."""
-    fixed = ("fixed", "pixels: standing out", "shared with another recording")
-    return "fixed" if family.startswith(fixed) else "frame to frame"
+def unsteady(chance: float, above: bool) -> tuple[str, str]:
+    """Pixels whose mean square lies beyond a chance."""
+    if above:
+        return "pixels noisier than the others", f"beyond a chance of {chance:g}"
+    return "pixels quieter than the others", f"below a chance of {chance:g}"
+
+
+def in_one_frame(index: int) -> tuple[str, str]:
+    """Pixels that are outliers of single frames."""
+    return "pixels that are off in one frame only", "six sigma and more"
+
+
+def standing_out(limit: float) -> tuple[str, str]:
+    """Pixels beyond so many standard deviations of the mean of the frames."""
+    return "hot pixels" if limit > 0 else "dark pixels", f"{abs(limit):g} sigma of the mean and more"
+
+
+def rails(index: int) -> tuple[str, str]:
+    """Pixels at either end of the codes."""
+    return "clipped values", ("at code 0", "at the white level")[index]
+
+
+def code(index: int, modulo: Sequence[int]) -> tuple[str, str]:
+    """One residue of the stored codes, counted through all residues of every modulus."""
+    for m in modulo:
+        if index < m:
+            break
+        index -= m
+    return "unevenly filled codes", f"codes {index} modulo {m}"
+
+
+def memory(down: int, across: int) -> tuple[str, str]:
+    """Products of a frame and the next one, so many rows and columns apart."""
+    return "memory of the frame before", f"{down} down, {across:+d} across"
+
+
+def smooth(name: str) -> tuple[str, str]:
+    """A smooth part of the fixed map."""
+    return "smooth fixed pattern", place(name)
+
+
+def shared(index: int) -> tuple[str, str]:
+    """Fixed maps of two recordings, one against the other."""
+    return "fixed pattern shared by recordings", ("pixel by pixel", "row means", "column means")[index]
 
 
 def frequency(y: float, x: float) -> str:

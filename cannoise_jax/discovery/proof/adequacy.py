@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Array, Key
 
+from cannoise_jax.discovery.compare.families import SPARSITY, TEMPORAL, of
 from cannoise_jax.discovery.compare.run import Chosen, Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
@@ -181,7 +182,7 @@ def uneven(whole: Compared, each: list[Borne]) -> Doubt | None:
     mine = drawn_structures(each)
     found, weights, shifts, z = [], [], [], []
     for b, moved in mine:
-        j = by.get((b.judged.family.replace("structure", "sparsity"), b.judged.where))
+        j = by.get((of(TEMPORAL, SPARSITY), b.judged.where))
         if j is None or j.z.shape != moved.shape:
             continue
         cells = moved & bank.told(whole.seen[j.where].size).ravel()

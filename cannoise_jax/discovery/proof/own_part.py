@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, STRUCTURE, TEMPORAL, of
 from cannoise_jax.discovery.compare.judge import Judgement
-from cannoise_jax.discovery.compare.measure import STATIC, TEMPORAL, Family
+from cannoise_jax.discovery.compare.measure import Statistics
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.signatures import bank
 
@@ -75,10 +76,10 @@ def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozen
         weight = np.clip(0.5 * j.z**2 / np.maximum(two, 1e-9), 0.0, 1.0) * (two > 1) + (two <= 1)
         one, two = weight * one, weight * two
         own, claimed = _moved(one, two), np.zeros(one.shape, bool)
-        if full.seen[j.where].kind in speaks_for and j.family.startswith(STATIC):
+        if full.seen[j.where].kind in speaks_for and FAMILIES[j.family].part == STATIC:
             claimed = one > _BEARS
         share = np.where(own & ~claimed, share_of(one, two), 1.0)
-        if j.family.endswith("structure"):
+        if full.recorded[j.where].families[j.family].law == "energy":
             own |= _broken(own, full.seen[j.where].size)
         out.append(Borne(j, one, two, own | claimed, claimed, share))
     return out
@@ -129,7 +130,7 @@ def own_part(each: list[Borne]) -> Part:
 
 def drawn_structures(each: Sequence[Borne]) -> list[tuple[Borne, Bool[np.ndarray, "k"]]]:
     """The energies of what is redrawn that come nearer with the mechanism."""
-    mine = [(b, b.own & (b.before > b.after)) for b in each if b.judged.family == f"{TEMPORAL}: structure"]
+    mine = [(b, b.own & (b.before > b.after)) for b in each if b.judged.family == of(TEMPORAL, STRUCTURE)]
     return [(b, cells) for b, cells in mine if cells.any()]
 
 
@@ -149,7 +150,7 @@ def _broken(own: Bool[np.ndarray, "k"], size: tuple[int, int]) -> Bool[np.ndarra
     return out.ravel()
 
 
-def mismatch(j: Judgement, family: Family) -> Float[np.ndarray, "k"]:
+def mismatch(j: Judgement, family: Statistics) -> Float[np.ndarray, "k"]:
     """Nats between the recorded and the simulated value of every statistic, see `compare.table`."""
     a, b, units = j.recorded, j.simulated, len(family.values)
     if family.law == "energy":
