@@ -13,7 +13,7 @@ from scipy import ndimage, stats
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.recorded import Occurred, Recorded
-from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.score import OF_A_CURVE, Score
 from cannoise_jax.signatures.signature import FILES, Axes, Signature, unchanged
 
 _LEAST = 20.0
@@ -100,7 +100,7 @@ def compression_score(fields, *, codes: Occurred, black: float, span: float) -> 
     return Score(
         log_p=float(np.clip(both, -700, 0)),
         gain=-log_p if grows < -5 else 0.0,
-        penalty=7.0,
+        penalty=OF_A_CURVE,
         amplitude=at_white,
         error=error,
         shift=codes.step / 5,

@@ -18,6 +18,7 @@ from cannoise_jax.signatures.least import (
 from cannoise_jax.signatures.means import linear_score, minus, project
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import (
+    KNOWN_SHAPE,
     Score,
     chi2_log_sf,
     normal_log_p,
@@ -105,7 +106,7 @@ def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score[float] 
     return Score(
         log_p=normal_log_p(z),
         gain=0.5 * z**2,
-        penalty=float(0.5 * np.log(1e5)) / 2,
+        penalty=KNOWN_SHAPE,
         amplitude=abs(curvature),
         error=error,
         shift=error,

@@ -9,6 +9,7 @@ import numpy as np
 
 from cannoise_jax.signatures.recorded import GroupBaseline, Recorded
 from cannoise_jax.signatures.score import (
+    OF_A_CURVE,
     ONE_PARAMETER,
     Score,
     chi2_log_sf,
@@ -100,7 +101,7 @@ def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) ->
     return Score(
         log_p=chi2_log_sf(chi2, dof),
         gain=gain,
-        penalty=7.0,
+        penalty=OF_A_CURVE,
         amplitude=float(np.sqrt(max(chi2 / dof - 1, 0))),
         error=0.0,
         shift=1.0,
@@ -132,7 +133,7 @@ def saturation_score(
     return Score(
         log_p=log_p,
         gain=gain,
-        penalty=7.0,
+        penalty=OF_A_CURVE,
         amplitude=float(value),
         error=0.02 * value,
         shift=1.0,

@@ -21,7 +21,7 @@ from cannoise_jax.signatures.hot import without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.score import SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 _LOST = 0.5
@@ -103,7 +103,7 @@ def dead_score(fields: tuple[Fields, ...]) -> Score | None:
     return Score(
         log_p=max(log_p, -700.0),
         gain=max(gain, 0.0),
-        penalty=2.0,
+        penalty=SHARE_OF_FEW,
         amplitude=share,
         error=float(np.sqrt(max(number, 1))) * unit,
         shift=unit,

@@ -37,6 +37,9 @@ _REACHES = tuple(0.05 * 2 ** (n / 3) for n in range(10))
 """Lengths of the exponential fall over the longer side of the frame."""
 _TRIALS = 24
 """Independent ones among the templates."""
+_COST = float(np.log(_TRIALS) + 0.5 * np.log(1e5)) / 2
+"""Nats of one of the templates and its strength, 4.5: half of the log of their number beside `KNOWN_SHAPE`,
+which is a half as well. The whole log, as the p-value counts them, would be 1.6 more."""
 _OPEN = 0.02
 """Posterior weight, against the best, down to which a template may be the glow."""
 
@@ -134,7 +137,7 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     return Score(
         log_p=sidak(normal_log_p(float(z[k]), 1), _TRIALS),
         gain=0.5 * max(float(z[k]), 0.0) ** 2,
-        penalty=float(np.log(_TRIALS) + 0.5 * np.log(1e5)) / 2,
+        penalty=_COST,
         amplitude=abs(amplitude),
         error=error,
         shift=float(1 / np.sqrt(i[k])),

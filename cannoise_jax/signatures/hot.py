@@ -27,7 +27,7 @@ from cannoise_jax.signatures.rare import (
     log_ratio_of,
     spread_of,
 )
-from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.score import SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import (
     NO_CLOSED_FORM,
     OFFSETS,
@@ -213,7 +213,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
     return Score(
         log_p=max(hot_log_p(mixture, int(seen.sum())), -700.0),
         gain=gain,
-        penalty=max(gain - mixture, 2.0),
+        penalty=max(gain - mixture, SHARE_OF_FEW),
         amplitude=float(amplitude),
         error=float(amplitude / np.sqrt(events)),
         shift=float(seconds / root / np.sqrt(np.sqrt(u.size / 2))),

@@ -68,6 +68,11 @@ def frame_jitter(fields: tuple[Fields, ...]) -> float:
     return max(excess / number, 0.0) if number else 0.0
 
 
+_FOUR_LEVELS = 7.0
+"""Nats of the offsets of four channels against their mean: 2.3 for each of three, 0.5 log(n) of n = 106
+values; `ONE_OF_SEVERAL` for each would be 7.5."""
+
+
 def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: bool) -> Score | None:
     """Black level against the stated one: what channels share (bookkeeping) or differ in (channel offset)."""
     levels, jitter = dark_levels(fields), recorded.jitter
@@ -106,7 +111,7 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: boo
     return Score(
         log_p=chi2_log_sf(chi2, 3),
         gain=chi2 / 2,
-        penalty=7.0,
+        penalty=_FOUR_LEVELS,
         amplitude=float(np.sqrt(max(rms**2 - 0.75 * error**2, 0))),
         error=spread,
         shift=spread,

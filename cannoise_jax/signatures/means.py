@@ -15,7 +15,7 @@ from cannoise_jax.signatures.least import (
     template,
 )
 from cannoise_jax.signatures.line_sums import static_sums
-from cannoise_jax.signatures.score import Score, normal_log_p, sidak
+from cannoise_jax.signatures.score import KNOWN_SHAPE, Score, normal_log_p, sidak
 from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, OFFSETS, STATIC, Axes, Many, Signature
 
 
@@ -46,7 +46,7 @@ def linear_score(
     return Score(
         log_p=normal_log_p(z),
         gain=0.5 * z**2,
-        penalty=float(0.5 * np.log(1e5)) / 2,
+        penalty=KNOWN_SHAPE,
         amplitude=abs(amplitude),
         error=error,
         shift=error,

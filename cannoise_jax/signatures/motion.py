@@ -45,6 +45,11 @@ def shifts(f: Fields) -> tuple[np.ndarray, np.ndarray] | None:
     return np.einsum("nij,kij->nk", c, t) @ np.linalg.inv(normal), normal
 
 
+_TWO_WAYS = 6.0
+"""Nats of a motion down and across, 3.0 each: 0.5 log(n) of n = 400 values. By its Occam factor the cost
+would be 6.6 each, of a range of 2 px and errors of 0.0011 px (measured, scenes of 96 x 128 pixels)."""
+
+
 def motion_score(fields: tuple[Fields, ...], *, times: dict[int, list[int]]) -> Score | None:
     """Slopes of the scene in the contrasts between frames. Amplitude: steady motion, px per frame, or the rms
     of one that is not steady."""
@@ -76,7 +81,7 @@ def motion_score(fields: tuple[Fields, ...], *, times: dict[int, list[int]]) -> 
     return Score(
         log_p=log_p,
         gain=gain,
-        penalty=6.0,
+        penalty=_TWO_WAYS,
         amplitude=best,
         error=error,
         shift=error,

@@ -13,7 +13,7 @@ from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.means import project
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, normal_log_p
+from cannoise_jax.signatures.score import ONE_OF_SEVERAL, ONE_PARAMETER, Score, chi2_log_sf, normal_log_p
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     NO_CLOSED_FORM,
@@ -90,7 +90,7 @@ def scale_score(
     return Score(
         log_p=chi2_log_sf(chi2, len(v) - 1),
         gain=chi2 / 2,
-        penalty=2.5 * (len(v) - 1),
+        penalty=ONE_OF_SEVERAL * (len(v) - 1),
         amplitude=worst,
         error=float(e[k]) * level,
         shift=float(e[k]) * level,
@@ -160,7 +160,7 @@ def reference_score(fields: tuple[Fields, ...], *, kind: str, span: float, edge:
     return Score(
         log_p=chi2_log_sf(chi2, dof),
         gain=chi2 / 2,
-        penalty=2.5 * dof,
+        penalty=ONE_OF_SEVERAL * dof,
         amplitude=values[k],
         error=errors[k],
         shift=errors[k],

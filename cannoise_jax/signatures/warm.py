@@ -147,6 +147,12 @@ def _best(power: np.ndarray, doubt: np.ndarray, unit: np.ndarray) -> tuple[float
     return max(thermal[k], both), max(additive), float(np.sqrt(grid[k])) / float(unit.max())
 
 
+_TWO_WITNESSES = 4.0
+"""Nats of the changes of temperature, told by the map or by the offsets: log(2), and 0.5 log(n) of n = 700.
+Of tens of frames the second would be 1.7. Six sets without it gained 3.7 on average and 7.6 at most, p =
+0.02."""
+
+
 def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
     """Dark current that moves from frame to frame: its map in the contrasts between frames, and offsets that
     grow with the exposure. Amplitude: rms change of the temperature, K."""
@@ -180,7 +186,7 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
     return Score(
         log_p=float(np.clip(both, -700.0, 0.0)),
         gain=gain + by_offset,
-        penalty=4.0,
+        penalty=_TWO_WITNESSES,
         amplitude=amplitude,
         error=shift,
         shift=shift,
