@@ -139,6 +139,11 @@ def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
 
 
+_START = 0.005
+"""Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
+128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
+
+
 def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
     """A small share of pixels with extra fluctuation of exponentially spread size."""
     found = _sums_of_squares(fields)
@@ -152,7 +157,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
         mixed = jump_log_ratio(centre, n, mean)
         if mean in FAR_JUMPS:
             ratios.append(mixed)
-        f = 0.005
+        f = _START
         for _ in range(40):
             responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
             f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))

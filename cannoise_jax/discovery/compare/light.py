@@ -22,8 +22,12 @@ from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import least_squares
 
 _CELL = 8
+"""Pixels of a site along the side of a cell: the mean of 64 is known to an eighth of the noise of one."""
 _FEWEST = 16
+"""Cells along a side, at least: where there are no more, 256 cells bear the 66 terms of degree 10 thrice
+over."""
 _DEGREES = (2, 4, 6, 8, 10, 12)
+"""Even ones, for light falls off alike to both sides."""
 
 
 @dataclass(frozen=True, eq=False)

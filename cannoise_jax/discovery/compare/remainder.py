@@ -32,7 +32,13 @@ from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, iso_numbers
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
-_LOWEST, _SPARE, _LEAST_LEFT = 0.02, 0.02, 0.02
+_LOWEST = 0.02
+"""Quantile of the spectrum of what is missing that stands for its least: the least of thousands of
+frequencies would be the one that scatters most."""
+_SPARE = 0.02
+"""Of the variance of the noise, that is handed over besides, so that no frequency is left without any."""
+_LEAST_LEFT = 0.02
+"""Share of the baseline's noise that always stays: a sensor model has no read noise of zero."""
 
 
 class _Part(NamedTuple):

@@ -27,6 +27,7 @@ from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Record
 DRAWN = 40e6
 """Pixels that are drawn at most, all sets and frames together; at least two sets are."""
 MOST_SETS = 4
+"""Sets that are drawn at most: with four the draws add a quarter to the variance of a difference."""
 Chosen = list[tuple[list[int], list[int]]]
 """Of every recording the frames before those that are looked at, and these."""
 

@@ -30,7 +30,9 @@ from cannoise_jax.signatures.fields import Fields, frame_fields, stratum
 from cannoise_jax.signatures.line_sums import line_power
 
 _PIT_BINS = 20
+"""Of the histogram of ranks: the first and the last hold 5 % each, where tails show."""
 _PIT_MOST = 40_000
+"""Recorded pixels whose ranks are counted, of twice as many drawn ones: each bin is known to 2.7 %."""
 _LEVEL_BINS = 8
 """Bins of like signal."""
 _LEARNED, _LEAST_LEARNED, _TIMES_SCORED = 400_000, 60_000, 30

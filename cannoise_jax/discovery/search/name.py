@@ -17,7 +17,8 @@ TIE_NATS = 3.0
 """Difference of evidence below which two names are one tie: a Bayes factor of 20, from which on evidence is
 strong (Kass & Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 773, 1995)."""
 UNNAMED_NATS = 3.0
-"""What a mechanism without a name must gain beyond the best named one."""
+"""What a mechanism without a name must gain beyond the best named one: as much as parts two names
+(`TIE_NATS`)."""
 
 
 class Doubt(NamedTuple):

@@ -23,12 +23,20 @@ from scipy import stats
 from cannoise_jax.physics.transfer.estimate import Estimate, jackknife_estimate
 
 _RARE = 1e-4
+"""Share of healthy pixels that the rule sets aside, and gives back."""
 _LEAST_CUT = 4.0
+"""Least quotient of an outlier, twice the noise: from 8 degrees of freedom on it rules, and sets aside
+fewer."""
 _BLOCKS = 8
+"""Along either side: of 64 blocks a jackknifed error is itself known to 1 / sqrt(2 x 63) = 9 %."""
 _ROUNDS = 4
+"""Of the weights: at the fourth, slopes through 64 x 64 pixels of four levels, up to 5 % of them 20 times as
+noisy, moved by less than 1e-10 of their standard error; at the second by up to 4e-5."""
 HALF_A_CODE = 3.0
 """Its square in units of the variance that rounding adds."""
 _UNSURE = 0.3
+"""Standard error over the slope above which there is no gain: electrons per DN, 1 / slope, are then biased by
+its square, 9 %, and three errors reach zero."""
 
 
 class ChannelMaps(NamedTuple):

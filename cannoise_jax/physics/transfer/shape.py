@@ -31,8 +31,12 @@ from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
 _LAGS = ((0, 1), (0, 2), (1, 0), (1, 1))
+"""Rows down and columns across: the neighbours beside, below and aslant, and the next of the same colour."""
 _CLIP = 8.0
+"""Robust standard deviations: a normal law has none beyond in 1e15 values, so that its kurtosis keeps
+zero."""
 _NOISY = (2.0, 3.0)
+"""Noise over the median's, above which pixels are counted."""
 
 
 def shape_quantities(dark: FrameStatistics) -> list[Quantity]:

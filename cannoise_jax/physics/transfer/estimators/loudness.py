@@ -25,11 +25,14 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 LAWS: tuple[Law, ...] = ("tails", "spread", "telegraph")
 _MOST_VALUES = 300_000
 _OFFSET_STEP = 0.4
+"""Of the grid of offsets, in units of the noise. A sum of normal laws that wide apart is their integral to
+0.1 % for 16 frames, whose mean is known to 0.25, and to 5 % for 32."""
 _FROZEN = 4.0
 """Pixels whose average lies further out than so many times their own noise are hot, and do not count."""
 _VISIBLE = 2.0
 """Least distance of two levels, in units of the noise: closer ones are any other shape of noise."""
 _NEARLY_GAUSSIAN = 0.12
+"""Lambda of Tukey's law with an excess kurtosis of 0.08; it has none at 0.135."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 
 

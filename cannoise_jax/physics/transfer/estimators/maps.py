@@ -31,6 +31,7 @@ from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_lo
 from cannoise_jax.recordings.packing import green_sites, site
 
 _HOT = 6.0
+"""Robust standard deviations: of a normal law one pixel in 5e8 lies as far out."""
 
 
 class Pattern(NamedTuple):

@@ -58,7 +58,10 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
 _BLEND_LAGS = (((0, 2), (2, 0)), ((2, 2), (2, -2)), ((0, 4), (4, 0)))
 """Lags at which a blend with the nearest of the same colour shows: beside, diagonally, and two away."""
 
-_ROUNDED = (0.18, 0.11, 0.06)
+_ROUNDED, _ROUNDED_ITSELF = (0.18, 0.11, 0.06), 0.4
+"""Codes were rounded before the blend as well, so its own rounding is not quite white. Measured over weights
+from 0.1 to 1 and noise of 3 and 6 steps: root mean square error, in twelfths of a squared step, of its
+covariances at the lags above and of its variance."""
 
 
 def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -77,14 +80,11 @@ def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) ->
     seen = np.array([np.mean([found[lag][0] for lag in group]) for group in _BLEND_LAGS]) / power
     height, width = (n // 2 for n in s.recording.size)
     pixels = 4 * (height - 2) * (width - 2) * (s.recording.count - 1)
-    # Codes were rounded before the blend as well, so its own rounding is not quite white. Over weights from
-    # 0.1 to 1 and noise of 3 and 6 steps its variance is off by 0.4 of a twelfth of a squared step (root mean
-    # square), its covariances by the shares of `_ROUNDED`.
     rounded = s.code_step**2 / 12 / power
 
     def precision(w: float) -> Float[np.ndarray, "3 3"]:
         rho = _correlations(w, width)
-        doubt = rounded**2 * (0.4**2 * np.outer(rho, rho) + np.diag(_ROUNDED) ** 2)
+        doubt = rounded**2 * (_ROUNDED_ITSELF**2 * np.outer(rho, rho) + np.diag(_ROUNDED) ** 2)
         return np.linalg.inv(_correlation_errors(w, pixels) + doubt)
 
     at, grid = 0.0, np.linspace(-0.5, 1.0, 61)

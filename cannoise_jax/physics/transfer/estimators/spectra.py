@@ -36,6 +36,8 @@ _EXPONENTS = np.linspace(0.0, 2.0, 41)
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
 _DROP = float(stats.chi2.ppf(0.9, 1)) / 2
 _BY_CHANCE = 0.05
+"""Chance of the largest line by noise alone above which its frequency is any: then the interval is all of
+them."""
 
 
 def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
