@@ -18,11 +18,14 @@ NEXT_FRAME, RAILS, CODES, LEVEL = "next frame: products", "rails", "codes", "lev
 SMOOTH_MAPS, SHARED = "smooth maps", "shared with another recording"
 
 TAIL_SIGMAS = (-3.5, -2.5, 2.5, 3.5)
-"""Standard deviations of the noise beyond which values are counted."""
+"""Standard deviations of the noise beyond which values are counted: of a normal law 0.6 % lie beyond the
+nearer limit on each side, where most frames tell, and 0.02 % beyond the farther, where tails are strong."""
 UNSTEADY_CHANCES, QUIET_CHANCES = (1e-2, 1e-3, 1e-4, 1e-6), (1e-2, 1e-3)
-"""Chances of a pixel's mean square beyond which, above and below, pixels are counted."""
+"""Chances of a pixel's mean square beyond which, above and below, pixels are counted: from those that many
+pixels make to those that no pixel of a megapixel makes."""
 STANDING_SIGMAS = (-20.0, -10.0, -5.0, 5.0, 10.0, 20.0, 40.0, 80.0)
-"""Standard deviations of the mean of the frames beyond which pixels are counted."""
+"""Standard deviations of the mean of the frames beyond which pixels are counted: from where healthy ones end
+(6e-7 of a normal law), doubled as the charge of hot pixels spreads over decades."""
 NEXT_LAGS = tuple((dy, dx) for dy in (0, 1, 2) for dx in (-2, -1, 0, 1, 2))
 """Rows and columns from a pixel to that of the frame after whose product is taken."""
 
