@@ -20,6 +20,8 @@ from jaxtyping import Bool, Float
 from scipy import fft
 
 _CELL = 16
+"""Pixels of which a side is cropped to a multiple, so that a parity band can be halved three times and
+more."""
 
 
 class Scale(NamedTuple):
@@ -156,7 +158,9 @@ def without_lines(field: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 REACH = (16, 64)
+"""Rows down and columns across, up to which products of pixels are taken."""
 NEAR = (4, 8)
+"""Up to which they are told by the parity of the pixels as well."""
 
 
 @lru_cache(maxsize=4)
@@ -220,6 +224,7 @@ def power(field: Float[np.ndarray, "h w"], kept: float = 1.0) -> Float[np.ndarra
 
 
 _ORDERS = 3
+"""Cosines along either side by which a statistic may change over the frame: level, slope and bow."""
 
 
 @lru_cache(maxsize=8)

@@ -24,6 +24,7 @@ from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
 
 _POWERS = (0.0, 0.5, 1.0, 2.0)
+"""Of the signal, tried for an amplitude: no growth, as shot noise, in proportion, and as its square."""
 _NEAR = 2
 """Lags up to which the correlations of neighbours are listed."""
 

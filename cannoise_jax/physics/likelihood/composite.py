@@ -21,7 +21,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2))
+"""Rows down and columns across: neighbours, and those of the same colour."""
 _PERIOD = 8
+"""Codes are counted modulo this: gaps and repeats of 2, 4 and 8 codes show."""
 
 
 class Ruler(NamedTuple):

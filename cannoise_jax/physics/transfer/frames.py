@@ -27,6 +27,7 @@ from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
 
 _CHUNK_BYTES = 1 << 23
+"""Of frames that are read at once."""
 _LIT = 10.0  # a row counts as lit when its mean above black exceeds this many times the noise of that mean
 
 

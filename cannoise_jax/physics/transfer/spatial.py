@@ -16,7 +16,9 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.transfer.estimate import Estimate, heavy_dof, variance_difference
 
 SHADING_DEGREE = 4
+"""Of the polynomial surface that stands for smooth shading, 15 terms."""
 _GRID = 16
+"""Cells along a side through whose means the shading is fitted: 256, for 15 terms."""
 
 
 class Split(NamedTuple):

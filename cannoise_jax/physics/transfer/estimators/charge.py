@@ -20,6 +20,7 @@ from cannoise_jax.recordings.packing import site
 _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
 _GRID = 24
+"""Cells along a side through whose means the glow is fitted."""
 _FAR = 6.0
 """Spreads of the healthy pixels beyond which a pixel is not one of them."""
 

@@ -144,6 +144,7 @@ def _correlation_errors(weight: float, pixels: int) -> Float[np.ndarray, "3 3"]:
 
 
 _NEAR = ((0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (2, 0))
+"""Rows down and columns across: a pixel, its neighbours, and the next of its colour."""
 
 
 def lag_covariances(
