@@ -110,7 +110,7 @@ def injected(capture: CaptureSet, camera: Camera, effect: Effect, rng: np.random
         values = codes + camera.step * rng.uniform(-0.5, 0.5, codes.shape)
         if effect.stage == "analog":
             values = effect.apply(values, context)
-        elif r.kind in ("scene", "flat"):
+        elif r.kind not in DARK:
             values = black + effect.apply(values - black, context)
         again = np.rint(values / camera.step) * camera.step
         # A code at a rail says only that the value lay beyond it.

@@ -15,6 +15,7 @@ import numpy as np
 from cannoise_jax.blind import shifts, sparse
 from cannoise_jax.blind.chain import Camera, tile
 from cannoise_jax.blind.shifts import Exposed, Law
+from cannoise_jax.recordings.recording import LIT
 
 _RANDOM: dict[str, tuple[str, shifts.Load, str, bool]] = {
     "prnu": ("lit", shifts.signal, "pixel", True),
@@ -37,7 +38,7 @@ _RANDOM: dict[str, tuple[str, shifts.Load, str, bool]] = {
 
 def strength(mechanism: str, camera: Camera, sets: Sequence[Exposed]) -> Law | None:
     """How the shift of `mechanism` grows with its amplitude in these recordings; None: no law known here."""
-    lit = [r for r in sets if r.kind in ("scene", "flat")]
+    lit = [r for r in sets if r.kind in LIT]
     height, width = sets[0].electrons.shape
     full = (camera.white - np.mean(camera.black)) / camera.gain
     greens = tile((0, 1, -1, 0) if camera.cfa in ("RGGB", "BGGR") else (1, 0, 0, -1), (height, width))

@@ -18,6 +18,7 @@ CFA_PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR", "MONO")
 KINDS = ("scene", "flat", "dark", "bias")
 DARK = ("dark", "bias")
 """Kinds that no light fell on."""
+LIT = ("scene", "flat")
 REFERENCES = ("independent", "burst_mean")
 COLDEST_C = -273.15
 """Absolute zero."""

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.recordings.recording import KINDS
+from cannoise_jax.recordings.recording import KINDS, LIT
 
 
 class Fields(NamedTuple):
@@ -52,7 +52,7 @@ class Fields(NamedTuple):
     @property
     def lit(self) -> bool:
         """Whether light fell on the sensor."""
-        return self.kind in ("scene", "flat")
+        return self.kind in LIT
 
     @property
     def weight(self) -> Float[np.ndarray, "h w"]:

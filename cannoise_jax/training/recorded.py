@@ -35,6 +35,7 @@ from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.packing import pack, to_packed_order
 from cannoise_jax.recordings.recording import (
     DARK,
+    LIT,
     BadInput,
     CaptureSet,
     PerChannel,
@@ -96,7 +97,7 @@ def _camera_patches(
     captured: CaptureSet, key: Key[Array, ""], scenes: int, most: int
 ) -> Iterator[tuple[int, Columns]]:
     """(split, patches) of one camera."""
-    repeated = [r for r in captured.of_kind("scene", "flat") if r.clean is not None or r.count > 1]
+    repeated = [r for r in captured.of_kind(*LIT) if r.clean is not None or r.count > 1]
     repeated = [r for r in repeated if not _is_saturated(r)]
     darks = [r for r in captured.of_kind(*DARK) if r.count > 2 and (r.exposure_s or 0) <= _LONGEST_S]
     known = all(r.shot is not None and r.read is not None for r in repeated) and not darks

@@ -11,7 +11,7 @@ from cannoise_jax.discovery.frames.smooth import beyond
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.codes import code_histogram, code_lattice
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, LIT, CaptureSet, Recording
 from cannoise_jax.signatures.fields import (
     channel_index,
     contrast_matrix,
@@ -119,7 +119,7 @@ def without_flicker(stacked: Stack, black: np.ndarray, additive: np.ndarray) -> 
     """The stack with what whole rows share beyond `additive` (variance per channel, DN^2: that of the darks)
     taken out of its variance, where that is more than `FLICKER` of it: mains light through a rolling shutter
     is no noise of a pixel, and would be taken for shot noise."""
-    if not len(stacked.contrasts) or stacked.recording.kind not in ("flat", "scene"):
+    if not len(stacked.contrasts) or stacked.recording.kind not in LIT:
         return stacked
     variance, found = stacked.variance.copy(), False
     for c in range(4):

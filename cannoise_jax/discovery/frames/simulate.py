@@ -23,7 +23,7 @@ from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smoo
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
+from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, load_model, sample_noise
 
 Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
@@ -64,11 +64,11 @@ def _generator(path: Path, capture: CaptureSet) -> Draw:
     model = load_model(path)
     if model.level == "given":
         raise BadInput(f"{path}: this model must be told its level: train it with config.level=both")
-    lit = capture.of_kind("scene", "flat")
+    lit = capture.of_kind(*LIT)
     if not lit:
         raise BadInput(f"{path}: a trained generator is judged on scenes and flats: record some")
     looking = [r for r, (a, _) in zip(capture.recordings, split_recordings(capture), strict=True) if a]
-    shown = [r for r in looking if r.kind in ("scene", "flat") and r.size == lit[0].size] or lit[:1]
+    shown = [r for r in looking if r.kind in LIT and r.size == lit[0].size] or lit[:1]
     isos = iso_numbers(gain_groups(capture))
     # By setting: the model reads the level of the noise off them.
     references: dict[tuple[float, float], list[Any]] = {}

@@ -13,7 +13,7 @@ import numpy as np
 from cannoise_jax.recordings.folders.lights import by_light, level_of
 from cannoise_jax.recordings.folders.shots import Shot
 from cannoise_jax.recordings.join import ALIKE_KELVIN
-from cannoise_jax.recordings.recording import DARK, KINDS
+from cannoise_jax.recordings.recording import DARK, KINDS, LIT
 
 _ALIKE = 0.02
 """Exposures that differ by less than this share are one setting: shutters are that exact."""
@@ -62,7 +62,7 @@ def grouped(
     members: dict[tuple, list[Shot]] = {}
     for shot, cluster in zip(shots, clusters, strict=True):
         kind = kinds[shot.name]
-        name = shot.about.get("filter") if kind in ("flat", "scene") else None
+        name = shot.about.get("filter") if kind in LIT else None
         mode = _mode(shot, camera, overrides, cluster)
         iso = overrides.get("iso", shot.known.get("iso"))
         # Darks of unknown exposures that lie apart were taken apart: their dark charge may differ.
@@ -83,7 +83,7 @@ def grouped(
     made = []
     for key in order:
         lights = [members[key]]
-        if KINDS[key[1]] in ("flat", "scene"):
+        if KINDS[key[1]] in LIT:
             # Recordings are made of files of one light: their frames are repeats of each other.
             dark = [s for k in order if KINDS[k[1]] in DARK and _same_black(k[0], key[0]) for s in members[k]]
             lights = by_light(members[key], level_of(dark) if dark else 0.0)

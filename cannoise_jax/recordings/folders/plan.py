@@ -12,10 +12,9 @@ from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
 from cannoise_jax.recordings.load import UNREAD
-from cannoise_jax.recordings.recording import DARK, BadInput
+from cannoise_jax.recordings.recording import DARK, LIT, BadInput
 
 _MOST_NAMED = 3
-_LIT = ("flat", "scene")
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
 
     def rank(mode: tuple) -> tuple:
         own = by_mode[mode]
-        lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (_LIT, DARK))
+        lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (LIT, DARK))
         return lit and dark, lit, sum(g.frames for g in own)
 
     order = sorted(by_mode, key=rank, reverse=True)
