@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare import better, compare, document
+from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TAILS, of
 from cannoise_jax.discovery.compare.light import light_of
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from tests.discovery.capture import capture_set
@@ -103,6 +104,21 @@ def test_hot_pixels_leave_no_blocks_and_no_rows():
     names = {d.what for d in found.differences}
     assert "hot pixels" in names and "pixels noisier than the others" in names
     assert not names & {"rows", "columns", "parts of rows", "large areas", "blocks"}
+
+
+def test_pixels_of_a_map_are_counted_once():
+    """Three in a hundred stand 4.5 standard deviations of the mean of eight frames above the others."""
+
+    def raised(rng):
+        map_dn = 4.5 * (4.5 / 8**0.5) * (rng.random((96, 128)) < 0.03)
+        return lambda dn, *_: dn + map_dn
+
+    bank = compare(capture_set(38, raised, kinds="d"), camera(), KEY).bank
+    tails = FAMILIES[of(STATIC, TAILS)]
+    mine = [j for j in bank.judgements if j.family == tails.id and j.where in bank.seen]
+    lines = [line for j in mine for line in tails.lines(bank, j, j.found, STATIC)]
+    shares = [line.recorded for line in lines if line.sign > 0]
+    assert shares and all(1 < share < 5 for share in shares)
 
 
 def test_light_is_a_nuisance_and_its_degree_is_chosen_from_the_flat():

@@ -69,6 +69,10 @@ def _near(k: int) -> np.ndarray:
     return bank.lags()[near[k % near.size]]
 
 
+def _tail(k: int) -> tuple[str, str]:
+    return words.tail(TAIL_SIGMAS[k])
+
+
 def _unsteady(k: int) -> tuple[str, str]:
     return words.unsteady((*UNSTEADY_CHANCES, *QUIET_CHANCES)[k], k < len(UNSTEADY_CHANCES))
 
@@ -82,7 +86,8 @@ FAMILIES = {
         *_both(BY_PARITY, pieces.correlations(_near, ", unlike between the sites of the mosaic")),
         # Of independent frames, skewness of a mean falls with the root of their number, kurtosis with it.
         *_both(MOMENTS, pieces.moments, (0.0, 0.5, 1.0)),
-        *_both(TAILS, pieces.counts(lambda k: words.tail(TAIL_SIGMAS[k]), per_frame=True)),
+        Family(TEMPORAL, TAILS, TEMPORAL, pieces.counts(_tail, per_frame=True)),
+        Family(STATIC, TAILS, STATIC, pieces.counts(_tail)),
         Family(STATIC, SMOOTH_MAPS, STATIC, pieces.means(lambda k: words.smooth(bank.MOMENTS[k + 1]), "DN")),
         Family("", LEVEL, STATIC, pieces.level),
         Family("", UNSTEADY, TEMPORAL, pieces.counts(_unsteady)),
