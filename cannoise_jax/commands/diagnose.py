@@ -20,7 +20,7 @@ from cannoise_jax.commands.parser import (
     folder,
     options,
 )
-from cannoise_jax.discovery.report import FILES
+from cannoise_jax.recordings.atomic import REPORT_FILES
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
 
     tell = teller(started)
     try:
-        check_folder(arguments.out, FILES, arguments.force, "the report")
+        check_folder(arguments.out, REPORT_FILES, arguments.force, "the report")
         _check(arguments)
         report, camera = _diagnosed(arguments, tell, started)
     except (BadInput, ValueError, OSError, OverflowError) as error:

@@ -12,6 +12,9 @@ from typing import BinaryIO
 
 from cannoise_jax.recordings.recording import BadInput
 
+REPORT_FILES = ("report.json", "report.html", "sensor.json")
+"""What is written of a diagnosis; stands where JAX is not imported: a command first refuses to replace it."""
+
 
 def remove_leftovers(path: Path) -> None:
     """Removes what writers of `path` that were killed left beside it, `.NAME.PID.partial`."""

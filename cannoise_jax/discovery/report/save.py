@@ -8,12 +8,11 @@ import resource
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.discovery.report import FILES
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
-from cannoise_jax.recordings.atomic import texts_in_place
+from cannoise_jax.recordings.atomic import REPORT_FILES, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -29,13 +28,13 @@ def save(
     force: bool = False,
     used: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
-    """Writes `FILES` into a folder, made where it is missing, and returns the report.
+    """Writes `REPORT_FILES` into a folder, made where it is missing, and returns the report.
 
     key, seconds: of the run, as the report states them. used: rows and columns where frames were cut.
     Raises BadInput where a file exists (without force) or cannot be written; then all that was there is kept.
     """
     folder = Path(folder)
-    there = [name for name in FILES if (folder / name).exists()]
+    there = [name for name in REPORT_FILES if (folder / name).exists()]
     if there and not force:
         raise BadInput(f"{folder / there[0]}: exists: name another folder, or replace it (force)")
     report = document(
