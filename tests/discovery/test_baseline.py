@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cannoise_jax.commands.calibrate import calibrate
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
 from cannoise_jax.discovery.frames.full import mark_full
+from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.rounding import before_rounding, stored_moments
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
@@ -56,6 +59,26 @@ def test_calibration_and_diagnosis_agree_on_gain_and_read_noise(real_data, camer
     # Calibration states the noise of pixels beside that of rows; the baseline holds both, and weak
     # flicker.
     assert found.read_dn == pytest.approx(transfer.baseline.read_noise, rel=0.04)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", ["asi178", "imx541"])
+def test_calibration_and_diagnosis_find_mechanisms_equally_strong(real_data, camera):
+    """Two ways to each strength, which share no estimate: where both find one, the intervals meet."""
+    capture, _ = central(load_capture_set(real_data / camera), 12000)
+    measured = {f.mechanism: f.estimates for f in calibrate(capture)[1]}
+    report = document(diagnose(capture, compare=False), key=0, version="0")
+    found = [(f["mechanism"], f["amplitude"]) for f in report["findings"]]
+    for name in ("prnu", "dsnu", "odd_even_row_noise", "row_pink_noise"):
+        (strength, *_) = measured[name].values()
+        own = [a for n, a in found if n == name]
+        assert own, name
+        # Offsets of pixels are found twice where some grow with the exposure: the nearer is the same one.
+        apart = [
+            abs(a["value"] - strength.value) / np.hypot(a["ci90"][1] - a["value"], 1.645 * strength.stderr)
+            for a in own
+        ]
+        assert min(apart) < 2, (name, apart)
 
 
 def hot_pixels(rng):
