@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 
 from cannoise_jax.mechanisms import (
     capture,
@@ -67,8 +68,16 @@ VOCABULARY: dict[str, Term] = {**{entry.id: entry.term for entry in LISTED}, UNK
 
 
 def signatures(recorded: Recorded, entries: tuple[Entry, ...] = ENTRIES) -> tuple[Signature, ...]:
-    """All that recordings are searched for: the signatures of the entries, and structures without a name."""
-    return (*(s for entry in entries for s in entry.looks(recorded)), *unnamed.signatures(recorded))
+    """All that recordings are searched for: the signatures of the entries, and structures without a name.
+
+    Raises ValueError where two have one name: scores are kept by it, so that one would be lost.
+    """
+    found = (*(s for entry in entries for s in entry.looks(recorded)), *unnamed.signatures(recorded))
+    for name, count in Counter(s.name for s in found).items():
+        if count > 1:
+            of = ", ".join(sorted({s.mechanism or UNKNOWN.id for s in found if s.name == name}))
+            raise ValueError(f"{name}: {count} signatures of this name, of {of}: give each a name of its own")
+    return found
 
 
 def contains(general: str, special: str) -> bool:

@@ -21,7 +21,7 @@ from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.signatures import generic
 from cannoise_jax.vocabulary import RMS, Term
 from tests.discovery.capture import SIZE, capture_set
-from tests.discovery.looks import RECORDED, white
+from tests.discovery.looks import RECORDED, SIGNATURES, white
 
 
 def entry(id, definition, sample, time="redrawn", over="row", **more):
@@ -134,6 +134,16 @@ def test_where_it_is_not_it_is_not_found_and_told_what_would_be():
 def test_the_name_of_one_of_the_package_is_refused():
     with pytest.raises(ValueError, match="row_noise: there is a mechanism of this name"):
         diagnose(capture_set(73, kinds="d"), mechanisms=(entry("row_noise", "Mine.", every_third),))
+
+
+def test_a_signature_named_as_one_of_the_package_is_refused_in_one_line():
+    """Scores are kept by name: the findings of one of them would be lost."""
+    taken = next(iter(SIGNATURES))
+    looks = generic.by_sampling(THIRD.record, name=taken, known={}, simulated=True)
+    own = dataclasses.replace(THIRD, signatures=looks)
+    with pytest.raises(ValueError, match=f"^{taken}: 2 signatures of this name, of .*third_rows") as error:
+        diagnose(capture_set(73, kinds="d"), mechanisms=(own,), compare=False)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("own", [THIRD, BLOCKS], ids=["third rows", "blocks"])
