@@ -186,7 +186,7 @@ def black_of_channels(
         if found.pattern is None:
             return None
         rms = float(np.sqrt(np.mean(found.pattern**2)))
-        maps = {"field": as_map(found.pattern / rms)}
+        maps = {"field": as_map(found.pattern / (rms or 1.0))}
         return Addition({parameter: rms}, maps, black_shift=np.asarray(found.score.payload))
 
     def least(sets: tuple[Seen, ...]) -> Law:
