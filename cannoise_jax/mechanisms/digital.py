@@ -164,7 +164,7 @@ ENTRIES: tuple[Entry, ...] = (
         needs="two frames or more at one setting",
         signatures=lambda recorded: (
             looks.covariance.neighbours("white", looks.covariance.INTERPOLATED, name="lags_demosaicing",
-                parameter="weight"),
+                parameter="weight", covers=looks.COVERS_NOTHING),
             looks.lattice.interpolated(recorded, name="lattice", covers=imprints.LATTICE,
                 lifted_by=imprints.LATTICE),
         ),
@@ -178,9 +178,11 @@ ENTRIES: tuple[Entry, ...] = (
         needs="two frames or more at one setting",
         signatures=looks.always(
             looks.covariance.neighbours("white", looks.covariance.BLENDED_4, name=looks.BLENDS[0],
-                parameter="weight", least=looks.covariance.blended),
+                parameter="weight", least=looks.covariance.blended,
+                covers=looks.COVERS_NOTHING),
             looks.covariance.neighbours("white", looks.covariance.BLENDED_8, name=looks.BLENDS[1],
-                parameter="weight", least=looks.covariance.blended),
+                parameter="weight", least=looks.covariance.blended,
+                covers=looks.COVERS_NOTHING),
         ),
         estimator=Estimator(neighbours.in_camera_denoising, least=0.01, smooths=True),
         examples=Examples("lags", shown={"weight": 0.4}, strong={"weight": 0.4},

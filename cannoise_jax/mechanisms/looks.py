@@ -38,9 +38,10 @@ from cannoise_jax.signatures import (
     waves,
 )
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.signature import Signature
+from cannoise_jax.signatures.signature import COVERS_NOTHING, Signature
 
 __all__ = [
+    "COVERS_NOTHING",
     "codes",
     "covariance",
     "curve",

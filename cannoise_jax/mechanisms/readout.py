@@ -243,7 +243,8 @@ ENTRIES: tuple[Entry, ...] = (
         ),
         needs="two recordings of two frames or more, best darks",
         signatures=looks.always(
-            looks.patterns.frame("additive", name="frame_additive", parameter="sigma_dn"),
+            looks.patterns.frame("additive", name="frame_additive", parameter="sigma_dn",
+                covers=looks.COVERS_NOTHING),
         ),
         estimator=Estimator(lines.offset_drift),
         examples=Examples("frames", shown={"sigma_dn": 0.5}, dim=True, strong={"sigma_dn": 3.0},

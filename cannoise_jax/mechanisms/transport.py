@@ -180,7 +180,8 @@ ENTRIES: tuple[Entry, ...] = (
         needs="two frames or more of a lit scene or flat",
         signatures=lambda recorded: (
             looks.covariance.neighbours("shot", looks.covariance.GIVEN, name=looks.SHARED,
-                parameter="fraction", least=looks.covariance.shared_charge),
+                parameter="fraction", least=looks.covariance.shared_charge,
+                covers=looks.COVERS_NOTHING),
             looks.reference.blurred(recorded, "spread", name="reference_spread", error="reference_error",
                 camera="crosstalk", parameter="fraction", partner=looks.SHARED,
                 template=looks.covariance.GIVEN, covers=(*looks.SCENES, looks.SHARED)),

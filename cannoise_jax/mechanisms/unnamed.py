@@ -19,7 +19,10 @@ _ALWAYS: tuple[Signature, ...] = (
         for axis in ("row", "column")
     ),
     looks.lines.frozen("row", "signal", name="row_relative_static", covers=looks.LIGHT_LEVELS),
-    *(looks.lines.frozen(axis, "exposure", name=f"{axis}_thermal_static") for axis in ("row", "column")),
+    *(
+        looks.lines.frozen(axis, "exposure", name=f"{axis}_thermal_static", covers=looks.COVERS_NOTHING)
+        for axis in ("row", "column")
+    ),
     *(
         looks.groups.shared(f"{layout}_{time}", layout, time, covers=looks.DARK_LEVELS)
         for layout in (*TILES, *SITES)

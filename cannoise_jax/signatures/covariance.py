@@ -259,7 +259,7 @@ def neighbours(
     name: str,
     parameter: str,
     least: Least = NO_CLOSED_FORM,
-    covers: tuple[str, ...] = (),
+    covers: tuple[str, ...],
     lifted_by: tuple[str, ...] = (),
 ) -> Signature:
     """Correlation at the lags of one template, in its proportions. law: of the share of the noise

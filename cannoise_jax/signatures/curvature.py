@@ -138,7 +138,7 @@ def curvature_absorb(fields: tuple[Fields, ...], score: Score[float]) -> tuple[F
     return tuple(out)
 
 
-def curved(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def curved(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """A mean that bends with the light."""
     span = recorded.span
 

@@ -156,7 +156,7 @@ def _files(**fields) -> Signature:
     )
 
 
-def bent(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Signature:
+def bent(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signature:
     """A variance that does not follow a straight line."""
     return _files(
         name=name,
@@ -168,7 +168,7 @@ def bent(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Sign
     )
 
 
-def ceiling(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def ceiling(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Pixels that are full below the converter's own rail."""
     return _files(
         name=name,

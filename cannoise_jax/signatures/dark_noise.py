@@ -24,6 +24,7 @@ from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
+    COVERS_NOTHING,
     NO_CLOSED_FORM,
     NO_LAW,
     NO_PATTERN,
@@ -141,6 +142,7 @@ def beside_level(recorded: Recorded, *, name: str, rate: str, share: str) -> tup
             reads=frozenset({"mean", "sigma", "contrasts", "static", "usable"}),
             score=excess_score,
             absorb=unchanged,
+            covers=COVERS_NOTHING,
             predict=NO_LAW,
             pattern=NO_PATTERN,
             simulate=simulate,

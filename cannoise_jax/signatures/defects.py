@@ -22,7 +22,7 @@ from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import SHARE_OF_FEW, Score
-from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, COVERS_NOTHING, STATIC, Axes, Signature
 
 _LOST = 0.5
 """Share of the signal that a dead pixel misses at least."""
@@ -234,6 +234,7 @@ def dead(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
         reads=STATIC | {"signal"},
         score=dead_score,
         absorb=without_dead,
+        covers=COVERS_NOTHING,
         pattern=pattern,
         simulate=carried(lambda s: {"fraction": s.amplitude}, "dead"),
         lifted_by=lifted_by,
@@ -254,6 +255,7 @@ def corrected(recorded: Recorded, *, name: str, lifted_by: tuple[str, ...]) -> S
         reads=CONTRASTS,
         score=partial(corrected_score, mono=recorded.mono),
         absorb=without_corrected,
+        covers=COVERS_NOTHING,
         pattern=pattern,
         simulate=carried(lambda s: {"fraction": s.amplitude}, "sites"),
         lifted_by=lifted_by,

@@ -27,6 +27,7 @@ from cannoise_jax.signatures.score import Score, sidak, variance_component
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
+    COVERS_NOTHING,
     NO_LAW,
     NO_PATTERN,
     STATIC,
@@ -241,6 +242,7 @@ def mains(*, name: str, parameter: str) -> Signature:
         reads=CONTRASTS | STATIC | {"signal"},
         score=flicker_score,
         absorb=flicker_absorb,
+        covers=COVERS_NOTHING,
         predict=NO_LAW,
         pattern=NO_PATTERN,
         simulate=strength(parameter, beside=beside),

@@ -35,6 +35,7 @@ from cannoise_jax.signatures.score import Score, variance_component
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
+    COVERS_NOTHING,
     NO_CLOSED_FORM,
     NO_LAW,
     NO_PATTERN,
@@ -287,6 +288,7 @@ def by_sampling(
                 reads=CONTRASTS | STATIC,
                 score=score,
                 absorb=absorb,
+                covers=COVERS_NOTHING,
                 predict=NO_LAW,
                 pattern=NO_PATTERN,
                 simulate=simulate if simulated else NOT_SIMULATED,

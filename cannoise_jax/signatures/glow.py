@@ -24,6 +24,7 @@ from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
+    COVERS_NOTHING,
     NO_LAW,
     OFFSETS,
     STATIC,
@@ -214,6 +215,7 @@ def from_edges(*, name: str, parameter: str) -> Signature:
         reads=STATIC,
         score=glow_score,
         absorb=glow_absorb,
+        covers=COVERS_NOTHING,
         predict=NO_LAW,
         pattern=lambda fields, score, rng: np.asarray(score.payload.template, np.float64),
         simulate=simulate,

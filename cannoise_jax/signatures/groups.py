@@ -182,7 +182,7 @@ def shared(
     *,
     scaling: Scales = "additive",
     parameter: str | None = None,
-    covers: tuple[str, ...] = (),
+    covers: tuple[str, ...],
 ) -> Signature:
     """Offsets (or factors of the light) shared by the pixels of each group of a layout."""
     over: PlaceName = "diagonal" if "diagonal" in layout_name else "channel"

@@ -264,9 +264,7 @@ def _least(sets: tuple[Seen, ...]) -> Law:
     return lambda shift: hot_amplitude(np.asarray(information), shift)
 
 
-def standing_out(
-    scaling: Scales, *, name: str, maps: tuple[str, ...], covers: tuple[str, ...] = ()
-) -> Signature:
+def standing_out(scaling: Scales, *, name: str, maps: tuple[str, ...], covers: tuple[str, ...]) -> Signature:
     """A few pixels far above the others in the darks. maps: signatures of maps of all pixels, which are
     judged once the pixels that stand out from them are gone."""
     growing = scaling == "exposure"

@@ -155,7 +155,7 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: s
 _READS = frozenset({"mean", "sigma", "contrasts"})
 
 
-def black(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Signature:
+def black(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signature:
     """A black level other than the stated one, the same in all channels."""
     return Signature(
         name=name,
@@ -174,9 +174,7 @@ def black(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Sig
     )
 
 
-def black_of_channels(
-    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()
-) -> Signature:
+def black_of_channels(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Black levels that differ between the channels."""
 
     def pattern(fields: Many, score: Score[np.ndarray], rng: np.random.Generator) -> np.ndarray:
@@ -210,7 +208,7 @@ def black_of_channels(
 
 
 def by_exposure(
-    recorded: Recorded, *, name: str, parameter: str, quantity: str, covers: tuple[str, ...] = ()
+    recorded: Recorded, *, name: str, parameter: str, quantity: str, covers: tuple[str, ...]
 ) -> Signature:
     """A level of the darks that rises with the exposure. quantity: what its slope is called."""
     return Signature(

@@ -163,7 +163,7 @@ def shading_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float]]
     )
 
 
-def two_greens(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def two_greens(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """A difference between the two greens."""
     sites = recorded.greens
 
@@ -197,7 +197,7 @@ def two_greens(recorded: Recorded, *, name: str, parameter: str, covers: tuple[s
     )
 
 
-def shaded(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def shaded(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Fall-off towards the corners, where the light is known."""
     return Signature(
         name=name,

@@ -125,7 +125,7 @@ def redrawn(
     *,
     name: str,
     parameter: str | None = None,
-    covers: tuple[str, ...] = (),
+    covers: tuple[str, ...],
 ) -> Signature:
     """White offsets (or factors) of lines, new in every frame. parameter: the mechanism's strength."""
     additive = scaling == "additive"
@@ -152,7 +152,7 @@ def redrawn(
     )
 
 
-def by_turns(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """White offsets of rows, new in every frame, whose sign turns from column to column: what even and odd
     columns of a row differ by. parameter: the mechanism's strength."""
 
@@ -202,7 +202,7 @@ def frozen(
     *,
     name: str,
     parameter: str | None = None,
-    covers: tuple[str, ...] = (),
+    covers: tuple[str, ...],
 ) -> Signature:
     """White offsets (or gains, or offsets that grow with the exposure) of lines that stay. parameter: the
     mechanism's strength."""

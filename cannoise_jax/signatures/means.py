@@ -117,7 +117,7 @@ def step_absorb(fields: tuple[Fields, ...], score: Score[tuple[str, float, float
     return tuple(f if f.static is None else minus(f, project(f, template)) for f in fields)
 
 
-def halves(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def halves(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """A step in offset at a boundary that is looked for."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:

@@ -15,7 +15,7 @@ from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.plain import plain
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, chi2_log_sf, normal_log_p, sidak
-from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, COVERS_NOTHING, Axes, Signature
 
 
 def _slopes(f: Fields) -> np.ndarray:
@@ -113,5 +113,6 @@ def moving(recorded: Recorded, *, name: str, lifted_by: tuple[str, ...]) -> Sign
         reads=CONTRASTS | {"mean", "signal"},
         score=partial(motion_score, times=recorded.times),
         absorb=without_motion,
+        covers=COVERS_NOTHING,
         lifted_by=lifted_by,
     )

@@ -201,7 +201,7 @@ def own_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """One offset (or factor of the light) of every frame."""
     additive = scaling == "additive"
     return Signature(
@@ -226,7 +226,7 @@ def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
     )
 
 
-def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """A frozen offset (or gain, or dark current) of every pixel."""
     growing, light = scaling == "exposure", scaling == "signal"
     point = Point("photons", "mean", "pixel", "frozen", "multiply") if light else OFFSETS
@@ -267,7 +267,7 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
     )
 
 
-def scenes(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
+def scenes(*, name: str, covers: tuple[str, ...]) -> Signature:
     """What stays in each scene by itself: an error of its reference."""
     return Signature(
         name=name,

@@ -239,7 +239,7 @@ def read_map(sets: tuple[Seen, ...]) -> Law:
     return grows(16 * (float(np.sum(np.square(information))) + float(single) / 2) / 2, 2)
 
 
-def own_noise(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def own_noise(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """A read noise of its own for every pixel."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
@@ -271,7 +271,7 @@ def own_noise(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Sig
     )
 
 
-def jumping(*, name: str, covers: tuple[str, ...] = ()) -> Signature:
+def jumping(*, name: str, covers: tuple[str, ...]) -> Signature:
     """A few pixels that jump between levels."""
 
     def simulate(found: Found) -> Addition:

@@ -20,8 +20,8 @@ from cannoise_jax.signatures.signature import (
 
 
 def plain(**fields) -> Signature:
-    """A signature by its name, place, what it reads, score and absorb; what is not said of it is said by a
-    constant."""
+    """A signature by its name, place, what it reads, score, absorb and what it covers; what is not said of it
+    is said by a constant."""
     constants = {
         "mechanism": None,
         "predict": NO_LAW,

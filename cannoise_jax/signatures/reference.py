@@ -216,7 +216,7 @@ def drop_blurred(fields: Many, score: Score, template: covariance.Template, law:
     return covariance.absorb(drop_scenes(fields, score), score.replace(payload=left))
 
 
-def scaled(recorded: Recorded, *, name: str, common: bool, covers: tuple[str, ...] = ()) -> Signature:
+def scaled(recorded: Recorded, *, name: str, common: bool, covers: tuple[str, ...]) -> Signature:
     """A wrong scale: of the description (`common` to all scenes), or of single references."""
     return Signature(
         name=name,
@@ -234,7 +234,7 @@ def scaled(recorded: Recorded, *, name: str, common: bool, covers: tuple[str, ..
     )
 
 
-def moved(recorded: Recorded, *, name: str, covers: tuple[str, ...] = ()) -> Signature:
+def moved(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signature:
     """References that are shifted."""
     return Signature(
         name=name,
@@ -264,7 +264,7 @@ def blurred(
     parameter: str,
     partner: str,
     template: covariance.Template,
-    covers: tuple[str, ...] = (),
+    covers: tuple[str, ...],
 ) -> Signature:
     """Scenes that are blurred against their references, within each colour ('blur') or over the neighbours of
     the mosaic ('spread'): by the reference, mechanism `error`, or by the `camera`, which then correlates the

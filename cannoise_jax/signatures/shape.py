@@ -20,6 +20,7 @@ from cannoise_jax.signatures.score import ONE_PARAMETER, Score, normal_log_p, sk
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
+    COVERS_NOTHING,
     NO_CLOSED_FORM,
     NO_LAW,
     NO_PATTERN,
@@ -291,7 +292,7 @@ def _place_tails(found: Found) -> Addition:
     return Addition(values, point=point)
 
 
-def tails(*, name: str, heavy: bool, covers: tuple[str, ...] = ()) -> Signature:
+def tails(*, name: str, heavy: bool, covers: tuple[str, ...]) -> Signature:
     """A fourth moment beyond Poisson and rounding, or short of them."""
     return Signature(
         name=name,
@@ -321,6 +322,7 @@ def skewed(*, name: str) -> Signature:
         reads=CONTRASTS | STATIC | {"signal"},
         score=skew_score,
         absorb=unchanged,
+        covers=COVERS_NOTHING,
         predict=NO_LAW,
         pattern=NO_PATTERN,
         simulate=NOT_SIMULATED,

@@ -2,8 +2,8 @@
 
 Whoever holds a signature never asks its name: where it sits in the grammar, what it looks at, what it takes
 out, what it predicts for other frames and what it adds to a camera model are fields of the record. A field
-that has nothing to say says so by a constant (`NO_LAW`, `NO_PATTERN`, `NOT_SIMULATED`, `NO_PLACE`,
-`NO_CLOSED_FORM`).
+that has nothing to say says so by a constant (`COVERS_NOTHING`, `NO_LAW`, `NO_PATTERN`, `NOT_SIMULATED`,
+`NO_PLACE`, `NO_CLOSED_FORM`).
 """
 
 from __future__ import annotations
@@ -136,6 +136,15 @@ class Asked(NamedTuple):
         return float(self.log_p + np.log(self.weight * self.share))
 
 
+COVERS_NOTHING: tuple[str, ...] = ()
+"""No other signature is doubtful beside it: of what they look at it takes out all that is its own."""
+
+
+def same_unit(score: Score, mechanism: str) -> Score:
+    """Quoted as it is: the amplitude is in the unit of its one mechanism."""
+    return score
+
+
 Look = Callable[[Many], Score | None]
 Limit = Callable[[Asked, Score, str], float]
 
@@ -163,17 +172,20 @@ class Signature:
     detectable(asked, score, mechanism) -> amplitude found with probability one half; decides: whether that
       holds whatever other signatures of the mechanism see. least(sets) -> law of the least amplitude that
       all frames can show.
-    quoted(score, mechanism) -> the score in that mechanism's unit. at(score, amplitude) -> the score of the
-      same finding at another strength. moves_frames(score, size) -> how far, DN, it moves the means of
-      frames; of_frames: whether it is what the means of frames move by, DN, which may be a part of such.
-      drawn_once: whether it is one draw of a random pattern that stays, which all frames tell better
-      together. control: whether some of it is added to draws for the control of the two-sample test.
+    quoted(score, mechanism) -> the score in that mechanism's unit, of its own where it reads as several.
+      at(score, amplitude) -> the score of the same finding at another strength. moves_frames(score, size) ->
+      how far, DN, it moves the means of frames; of_frames: whether it is what the means of frames move by,
+      DN, which may be a part of such. drawn_once: whether it is one draw of a random pattern that stays,
+      which all frames tell better together. control: whether some of it is added to draws for the control of
+      the two-sample test.
     says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is about
       pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
       no mean. speaks_for: kinds of recordings in which all that stays and differs is then of its part.
+
+    Raises ValueError where it reads as several mechanisms and is quoted in the unit of none.
     """
 
     name: str
@@ -181,6 +193,7 @@ class Signature:
     reads: frozenset[str]
     score: Look
     absorb: Callable[[Many, Score], Many]
+    covers: tuple[str, ...]
     predict: Callable[[Many, Score], Predicted | None]
     pattern: Callable[[Many, Score, np.random.Generator], np.ndarray | None]
     simulate: Callable[[Found], Addition | None]
@@ -189,7 +202,6 @@ class Signature:
     least: Callable[[tuple[Seen, ...]], Law | None]
     mechanism: str | None = None
     kin: str = ""
-    covers: tuple[str, ...] = ()
     hides: Callable[[Score], tuple[str, ...]] = lambda score: ()
     before: Callable[[Score], tuple[str, ...]] = lambda score: ()
     rare: bool = False
@@ -199,7 +211,7 @@ class Signature:
     again: Callable[[Many, Score], Score | None] | None = None
     strength: Callable[[Score, Many, Many], Score | None] | None = None
     decides: bool = False
-    quoted: Callable[[Score, str], Score] = lambda score, mechanism: score
+    quoted: Callable[[Score, str], Score] = same_unit
     at: Callable[[Score, float], Score] = field(
         default=lambda score, amplitude: score.replace(amplitude=amplitude)
     )
@@ -213,6 +225,12 @@ class Signature:
     off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
     speaks_for: frozenset[str] = frozenset()
     approximate: bool = False
+
+    def __post_init__(self):
+        if self.reads_as and self.quoted is same_unit:
+            raise ValueError(
+                f"{self.name}: it may mean {', '.join(self.reads_as)}: say in `quoted` how strong"
+            )
 
     @property
     def weight(self) -> float:
@@ -263,7 +281,7 @@ def NO_STRENGTH(asked: Asked, score: Score, mechanism: str) -> float:
     return float("nan")
 
 
-def by_shift(quoted: Callable[[Score, str], Score] = lambda score, mechanism: score) -> Limit:
+def by_shift(quoted: Callable[[Score, str], Score] = same_unit) -> Limit:
     """The amplitude that shifts the score to the threshold."""
 
     def limit(asked: Asked, score: Score, mechanism: str) -> float:

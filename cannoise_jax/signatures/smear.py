@@ -12,7 +12,7 @@ import numpy as np
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
-from cannoise_jax.signatures.signature import STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import COVERS_NOTHING, STATIC, Axes, Signature
 
 
 def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -109,6 +109,7 @@ def smeared(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
         reads=STATIC | {"signal"},
         score=smear_score,
         absorb=without_smear,
+        covers=COVERS_NOTHING,
         simulate=carried(lambda s: {"fraction": s.amplitude}),
         lifted_by=lifted_by,
     )

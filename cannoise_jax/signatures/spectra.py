@@ -248,7 +248,7 @@ def slope(
     *,
     name: str,
     parameter: str,
-    covers: tuple[str, ...] = (),
+    covers: tuple[str, ...],
 ) -> Signature:
     """1/f noise along the raster scan, or from row to row."""
     rows = scan == "row"

@@ -131,7 +131,7 @@ def tap_absorb(fields: tuple[Fields, ...], score: Score[Taps]) -> tuple[Fields, 
     return tuple(f if f.static is None else minus(f, project(f, image)) for f in fields)
 
 
-def regions(*, name: str, parameter: str, covers: tuple[str, ...] = ()) -> Signature:
+def regions(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Offsets of regions of equal size."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:

@@ -20,6 +20,7 @@ from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
+    COVERS_NOTHING,
     NO_CLOSED_FORM,
     NO_LAW,
     NO_PATTERN,
@@ -311,6 +312,7 @@ def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: st
         score=score,
         again=lambda fields, found: score(fields, near=found.payload[:2]),
         absorb=wave_absorb,
+        covers=COVERS_NOTHING,
         predict=NO_LAW,
         pattern=NO_PATTERN if redrawn_too else pattern,
         simulate=simulate,

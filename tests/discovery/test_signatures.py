@@ -112,6 +112,26 @@ def test_it_reads_no_more_than_it_says(signature):
             assert getattr(one, part) == getattr(again, part), part
 
 
+def test_what_would_be_wrong_silently_must_be_said():
+    (rows,) = (s for s in ALL if s.control)
+    said = {f.name: getattr(rows, f.name) for f in dataclasses.fields(rows)}
+    for name in (
+        "reads",
+        "absorb",
+        "covers",
+        "predict",
+        "pattern",
+        "simulate",
+        "place",
+        "detectable",
+        "least",
+    ):
+        with pytest.raises(TypeError, match=name):
+            Signature(**{other: value for other, value in said.items() if other != name})
+    with pytest.raises(ValueError, match="row_additive_temporal: .* say in `quoted` how strong"):
+        dataclasses.replace(rows, reads_as=("row_noise", "banding"))
+
+
 @pytest.mark.parametrize("signature", ALL, ids=names(ALL))
 def test_a_score_of_nothing_can_be_used_as_any_other(signature):
     """A search that is repeated absorbs what it finds then, which may be nothing."""
