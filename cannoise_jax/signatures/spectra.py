@@ -130,9 +130,8 @@ def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, 
             options={"xatol": 1e-3},
         )
         v = float(np.exp(fit.x))
-        own = level(mean_power, modes, v * tau)
-        error = 1 / np.sqrt(np.sum(modes * (tau / (own + v * tau)) ** 2))
-        fits.append((-float(fit.fun), v, exponent, float(error)))
+        error = _error(level(mean_power, modes, v * tau), v, tau, modes, fitted=scan == "raster")
+        fits.append((-float(fit.fun), v, exponent, error))
     log_p = sidak(log_p, 3)
     gain, v, exponent, error = max(fits, key=_with_prior, default=(0.0, 0.0, 1.0, 0.0))
     sigma = np.sqrt(v)
@@ -171,6 +170,16 @@ def _left_open(fits: list[tuple[float, float, float, float]], sigma: float) -> f
     weight = np.exp([_with_prior(f) - max(map(_with_prior, fits)) for f in fits])
     strengths = np.sqrt([v for _, v, _, _ in fits])
     return float(np.sqrt(np.average((strengths - sigma) ** 2, weights=weight)))
+
+
+def _error(own: np.ndarray, v: float, tau: np.ndarray, modes: np.ndarray, *, fitted: bool) -> float:
+    """Standard error of the variance v of a slope tau beside white levels `own`, which the same modes tell
+    where they are `fitted` (the inverse of the Fisher information)."""
+    weight = modes / (own + v * tau) ** 2
+    information = np.sum(weight * tau**2, axis=-1)
+    if fitted:
+        information = information - np.sum(weight * tau, axis=-1) ** 2 / np.sum(weight, axis=-1)
+    return float(1 / np.sqrt(np.sum(information)))
 
 
 def _level(scan: str):
