@@ -40,6 +40,8 @@ _WINDOW = 10 * _PAD + 1
 """Points of the padded grid that tell the level about a frequency, a side: some 100 of them independent."""
 _OWN = 4 * _PAD + 1
 """Points, a side, that a line itself takes."""
+_LEAST_REST = 0.01
+"""Share of a field's power that is taken to be no wave's, at least."""
 _COLOURED = 1.5
 """Level from which on noise is taken as coloured: three standard deviations of what white noise shows."""
 
@@ -106,9 +108,12 @@ def wave_score(
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
     y, x = np.arange(h)[:, None], np.arange(w)[None, :]
     turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
-    own = np.concatenate([_centred_power(f, v, turn) for f, v, _ in chosen]) / level
+    own, whole, rest = (
+        np.concatenate(parts)
+        for parts in zip(*(_centred_power(f, v, turn) for f, v, _ in chosen), strict=True)
+    )
     weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen]) / level
-    fit = rician_fit(float(power[where]), own, weights)
+    fit = rician_fit(float(power[where]), own / level, weights, whole, rest)
     direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
     along, doubt = np.hypot(fx, fy), (0.2 / h, 0.2 / w)
     return Score(
@@ -150,15 +155,20 @@ def _about(near: tuple[float, float], grid: tuple[int, int], size: tuple[int, in
     return (apart_y < 0.75 / size[0]) & (apart_x < 0.75 / size[1])
 
 
-def _centred_power(field: Fields, values: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Power of each field at one frequency, mean 1 under the null."""
+def _centred_power(
+    field: Fields, values: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each field the power at one frequency, mean 1 under the null; the field's own power that it was
+    divided by, over that of the modelled noise; and what is left of that without the wave."""
     w = field.weight.astype(np.float32)
     total = float(np.sum(w.astype(np.float64) ** 2))
     weighted = values * w
     level = np.einsum("nij->n", weighted) / total
     centred = weighted - level[:, None, None] * w**2
     own = np.maximum(np.einsum("nij,nij->n", centred, centred, dtype=np.float64), 1e-30)
-    return np.abs(np.einsum("nij,ij->n", centred, turn)) ** 2 / own
+    power = np.abs(np.einsum("nij,ij->n", centred, turn)) ** 2 / own
+    of_wave = np.minimum(2 * power / max(np.count_nonzero(w), 1), 1 - _LEAST_REST)
+    return power, own / total, own / total * (1 - of_wave)
 
 
 class _Rician(NamedTuple):
@@ -171,11 +181,19 @@ class _Rician(NamedTuple):
     shift: float
 
 
-def rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rician:
+def rician_fit(
+    peak: float,
+    power: np.ndarray,
+    information: np.ndarray,
+    whole: np.ndarray | float = 1.0,
+    rest: np.ndarray | float = 1.0,
+) -> _Rician:
     """Likelihood of amplitude A when the power of field k, of information I_k, is that of a phasor of mean
-    power A^2 I_k / 4 in complex noise of power 1. peak: sum of I_k power_k over sum of I_k."""
+    power A^2 I_k / 4 in complex noise of power 1. peak: sum of I_k power_k over sum of I_k. whole: what the
+    powers were divided by, in units of the noise of which I_k tells; rest: the same without the phasor."""
     share = information / information.sum()
     log_p = quadratic_log_p(2 * peak, share, 2.0)
+    beside, information = information / rest, information / whole
     start = (
         4 * max(float(np.sum(information * (power - 1))), 1e-3 * information.sum()) / np.sum(information**2)
     )
@@ -190,8 +208,8 @@ def rician_fit(peak: float, power: np.ndarray, information: np.ndarray) -> _Rici
         loss, bounds=(middle - 5, middle + 3), method="bounded", options={"xatol": 1e-3}
     )
     amplitude = float(np.exp(best.x / 2)) if best.fun < 0 else 0.0
-    error = float(np.sqrt(2 / information.sum()))
-    shift = float(np.sqrt(4 / np.sqrt(np.sum(information**2))))
+    error = float(np.sqrt(2 / beside.sum()))
+    shift = float(np.sqrt(4 / np.sqrt(np.sum(beside**2))))
     return _Rician(log_p, max(-float(best.fun), 0.0), amplitude, error, shift)
 
 

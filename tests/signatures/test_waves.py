@@ -34,6 +34,24 @@ def test_noise_stronger_at_low_frequencies_is_no_line(time):
     assert np.median(p) > -4 and min(p) > -12
 
 
+@pytest.mark.parametrize("amplitude", [0.3, 1.5, 6.0])
+def test_a_wave_that_stays_has_its_strength_whatever_it_is(amplitude):
+    """A strong one is most of what stays in a field, by which the powers are divided."""
+    y, x = np.indices(SIZE)
+    wave = amplitude * np.cos(2 * np.pi * (0.125 * y + 0.25 * x) + 1.0)
+    scores = []
+    for seed in range(20):
+        fields = tuple(
+            f._replace(static=(f.static + np.sqrt(f.frames) * wave * f.weight).astype(np.float32))
+            for f in white(_RNG(seed), kinds=("dark", "dark"), frames=6, size=SIZE)
+        )
+        scores.append(wave_score(fields, time="frozen"))
+    found, error = np.mean([s.amplitude for s in scores]), scores[0].error
+    assert found == pytest.approx(amplitude, abs=4 * error / np.sqrt(len(scores)))
+    least = 3.0 * np.sqrt(2 / (12 * SIZE[0] * SIZE[1]))
+    assert 0.95 < error / least < 1.5  # side lobes of a strong one count as coloured noise
+
+
 def test_a_line_stands_out_of_coloured_noise():
     (field,) = white(_RNG(1), kinds=("dark",), frames=6, size=SIZE)
     y, x = np.indices(SIZE)
