@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.score import Score, variance_component
 
@@ -54,20 +55,40 @@ class Pixels(NamedTuple):
     """What the pixels of a group show beside the group's own offset, responses weighing them.
 
     information, fourth: sums of the response squared and to the fourth [groups]; within [n, groups]: sum of
-    the response squared times the residual squared.
+    the response squared times the residual squared; kin: number of the groups that hold the same sites of the
+    mosaic, whose noise is alike [groups].
     """
 
     information: np.ndarray
     fourth: np.ndarray
     within: np.ndarray
+    kin: np.ndarray
+
+
+def _alike(pixels: Pixels) -> list[np.ndarray]:
+    """The groups of each kin."""
+    return [pixels.kin == number for number in np.unique(pixels.kin)]
+
+
+def same_sites(groups: np.ndarray) -> np.ndarray:
+    """Number of the kin of each group: groups that hold the same sites of the mosaic. One that holds some of
+    another's alone, as where diagonals or tiles end, is of its kin."""
+    held = np.zeros(int(groups.max()) + 1, np.int64)
+    for site, at in enumerate(SITES):
+        some = np.zeros(held.size, np.int64)
+        some[groups[at]] = 1 << site
+        held |= some
+    kinds = sorted(set(held.tolist()), key=int.bit_count, reverse=True)
+    widest = {kind: next(other for other in kinds if kind & ~other == 0) for kind in kinds}
+    return np.array([widest[kind] for kind in held.tolist()])
 
 
 def held_variance(pixels: Pixels) -> np.ndarray:
     """Variance [groups], in units of the effect, by which the modelled noise exceeds what pixels show beside
     the offsets of their groups: strong offsets were in the variance that the model was fitted to, per site of
-    the mosaic, so that every other line had its own."""
+    the mosaic, so that groups of other sites had another."""
     held = np.zeros(pixels.information.shape)
-    for part in (slice(0, None, 2), slice(1, None, 2)):
+    for part in _alike(pixels):
         i, q = pixels.information[part], pixels.fourth[part]
         several = (i > 0) & (q < 0.9 * i**2)  # one pixel is its own offset
         i, q = i[several], q[several]
@@ -103,7 +124,7 @@ def line_pixels(values: np.ndarray, response: np.ndarray, axis: str) -> Pixels:
     offset = np.einsum(to_lines, values, response) / np.maximum(information, 1e-30)
     rest = values - np.einsum(to_pixels, offset.astype(np.float32), response)
     within = np.einsum(to_lines, rest**2, response**2).astype(np.float64)
-    return Pixels(information, np.sum(square**2, AXES[axis] - 1), within)
+    return Pixels(information, np.sum(square**2, AXES[axis] - 1), within, np.arange(information.size) % 2)
 
 
 def alone(field: Fields, held: np.ndarray, variance: float, scaling: str) -> Fields:
@@ -248,10 +269,10 @@ def shared_sums(fields: tuple[Fields, ...], groups: np.ndarray, scaling: str) ->
 
 def _own_noise(pixels: Pixels) -> np.ndarray:
     """Variance of the pixels of groups beside the groups' offsets, over the modelled one [groups]: the mean
-    over every other group, for every other line of a mosaic has colours of its own. Of a group's own pixels
-    alone it would depend on how their values are distributed."""
+    over groups of the same sites of the mosaic. Of a group's own pixels alone it would depend on how their
+    values are distributed."""
     out = np.ones(pixels.information.shape)
-    for part in (slice(0, None, 2), slice(1, None, 2)):
+    for part in _alike(pixels):
         i, q = pixels.information[part], pixels.fourth[part]
         freedom = float(np.sum(i - q / np.maximum(i, 1e-30)))
         if freedom > 0:
@@ -268,7 +289,8 @@ def group_pixels(values: np.ndarray, response: np.ndarray, groups: np.ndarray) -
     for v in values:
         offset = np.bincount(flat, (v * response).ravel(), number) / np.maximum(information, 1e-30)
         within.append(np.bincount(flat, (square * (v - offset[groups] * response) ** 2).ravel(), number))
-    return Pixels(information, np.bincount(flat, (square**2).ravel(), number), np.array(within))
+    fourth = np.bincount(flat, (square**2).ravel(), number)
+    return Pixels(information, fourth, np.array(within), same_sites(groups))
 
 
 def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> LineSums | None:

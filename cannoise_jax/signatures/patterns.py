@@ -58,7 +58,8 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
             u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32)).astype(np.float64)
             rest = f.contrasts - (u / i).astype(np.float32)[:, None, None] * r
             within = np.einsum("nij->n", (rest * r) ** 2).astype(np.float64)
-            pixels = Pixels(np.array([i]), np.array([np.sum(r.astype(np.float64) ** 4)]), within[:, None])
+            fourth = np.array([np.sum(r.astype(np.float64) ** 4)])
+            pixels = Pixels(np.array([i]), fourth, within[:, None], np.zeros(1, int))
             u, more = by_own_noise(u[:, None], pixels, np.array([float(np.sum(r > 0))]))
             u, i = u[:, 0], i * float(more[0])
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)

@@ -101,7 +101,8 @@ def pixels(values, response):
     """What the values [groups, count] show beside the offset of their group."""
     rest = values - values.mean(1, keepdims=True)
     information, fourth = (np.full(len(values), values.shape[1] * response**p) for p in (2, 4))
-    return Pixels(information, fourth, response**2 * np.sum(rest**2, 1)[None])
+    within = response**2 * np.sum(rest**2, 1)[None]
+    return Pixels(information, fourth, within, np.arange(information.size) % 2)
 
 
 @pytest.mark.parametrize("count", [64, 256])
