@@ -55,6 +55,13 @@ class Template(NamedTuple):
             return 1 - np.sqrt(max(1 - 2 * first_order, 0.0)) if first_order > 0 else first_order
         return first_order
 
+    def error(self, first_order: float, error: float) -> float:
+        """That of the amplitude, of this one to first order; where more correlation is no larger amplitude it
+        stays as it is."""
+        low, high = max(first_order - error, 0.0), max(first_order, 0.0) + error
+        slope = (self.amplitude(high) - self.amplitude(low)) / (high - low)
+        return error * (slope or 1.0)
+
 
 GIVEN = Template({(0, 1): 0.5, (1, 0): 0.5}, shares=True)
 """A share of the charge that goes to the four neighbours."""
@@ -133,10 +140,10 @@ def template_score(fields: tuple[Fields, ...], *, law: str, template: Template) 
         return None
     u = float(np.sum(t * score))
     z = u / np.sqrt(i)
-    value = template.amplitude(u / i)
-    amplitude = max(value, 0.0) * (1e-4 if law == "charge" else 1.0)
-    unit = "1/e-" if law == "charge" else "1"
-    error = float(1 / np.sqrt(i)) * (1e-4 if law == "charge" else 1.0)
+    scale, unit = (1e-4, "1/e-") if law == "charge" else (1.0, "1")
+    amplitude = scale * max(template.amplitude(u / i), 0.0)
+    first = float(1 / np.sqrt(i))
+    error = scale * template.error(u / i, first)
     gain = 0.5 * z**2 if z > 0 else 0.0
     return Score(
         log_p=normal_log_p(z, 1),
@@ -144,7 +151,7 @@ def template_score(fields: tuple[Fields, ...], *, law: str, template: Template) 
         penalty=float(0.5 * np.log(information.max())),
         amplitude=amplitude,
         error=error,
-        shift=error,
+        shift=scale * first,
         power=1,
         parameters={"fraction": (amplitude, unit, error)},
         where={"axis": "pixel", "lags": [list(lag) for lag in template.lags]},
