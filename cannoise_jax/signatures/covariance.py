@@ -239,6 +239,11 @@ def absorb(fields: tuple[Fields, ...], score: Score[Correlated]) -> tuple[Fields
 def _whiten(field: Fields, rho: np.ndarray, law: str) -> Fields:
     g = pair_weight(field, law)
     h, w = field.mean.shape
+    # The filter is exact where the weight is the same everywhere: it is taken in units of that of most pairs.
+    unit = float(np.sum(g.astype(np.float64) ** 4)) / max(float(np.sum(g.astype(np.float64) ** 2)), 1e-30)
+    if not unit > 0:
+        return field
+    g, rho = g / np.float32(np.sqrt(unit)), rho * unit
     kernel = np.zeros((h, w))
     for (dy, dx), value in zip(LAGS, rho, strict=True):
         kernel[dy % h, dx % w] += value
