@@ -143,7 +143,7 @@ def step_score(fields, *, codes: Codes) -> Score | None:
 
 def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
     """Values piled up at the lowest code of the darks."""
-    best: Score | None = None
+    scores: list[Score] = []
     for counts, lowest in zip(codes.dark, codes.lowest, strict=True):
         used = np.flatnonzero(counts)
         if used.size < 3 or counts[used[0] : used[0] + 2].sum() < 1:
@@ -169,9 +169,8 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
             parameters={"level": (float(level), "DN", codes.step / np.sqrt(12))},
             where={"axis": "code", "period": None},
         )
-        if best is None or score.log_p < best.log_p:
-            best = score
-    return best
+        scores.append(score)
+    return min(scores, key=lambda s: (s.log_p, s.amplitude), default=None)
 
 
 def _above_the_law(counts: np.ndarray) -> float:

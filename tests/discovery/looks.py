@@ -6,17 +6,29 @@ import numpy as np
 
 from cannoise_jax.mechanisms import signatures
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.recorded import Codes, Occurred, Recorded
+from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Occurred, Recorded
 from cannoise_jax.signatures.signature import Signature
 
+_GAIN, _READ = np.full(4, 1.5), np.full(4, 2.0)
 RECORDED = Recorded(
     black=np.full(4, 100.0),
     greens=(1, 2),
     tolerance=0.5,
     jitter=0.0,
     codes=Codes(np.zeros(200), 0.0, (), (), 1.0, 1.0, None),
-    baselines=(),
-    stated=None,
+    baselines=(
+        GroupBaseline(
+            iso=100.0,
+            black=np.full(4, 100.0),
+            gain=_GAIN,
+            read_dn=_READ,
+            gain_error=0.01 * _GAIN,
+            read_error=0.01 * _READ,
+            levels=(),
+            pedestal=np.full(4, 100.0),
+        ),
+    ),
+    stated=((_GAIN, _READ),),
     fitted_too=False,
     step=1.0,
     span=1000.0,
@@ -24,7 +36,7 @@ RECORDED = Recorded(
     times={},
     occurred=Occurred(np.zeros(0, int), np.zeros(0), np.zeros(0), 1.0),
 )
-"""What the files of no recordings say."""
+"""What files say that state the gain and read noise which was fitted, and hold no codes."""
 SIGNATURES: dict[str, Signature] = {s.name: s for s in signatures(RECORDED)}
 
 
