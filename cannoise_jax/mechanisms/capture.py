@@ -18,8 +18,8 @@ FLICKER = mechanism_from_grammar(
     Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
     id="flicker",
     parameters=(
-        Parameter("amplitude", "1", 0.02, 0.0, 1.0, "log", "peak, as a fraction of the signal"),
-        Parameter("frequency", "cycles/row", 0.02, 0.0, 0.5, "identity", "twice the mains over the row rate"),
+        Parameter("amplitude", "1", 0.02, 0.0, 1.0, "peak, as a fraction of the signal"),
+        Parameter("frequency", "cycles/row", 0.02, 0.0, 0.5, "twice the mains over the row rate"),
     ),
     equation=r"\mu_{tij} \to \mu_{ij}\,(1+m\cos(2\pi f i+\phi_t))",
     sentence="Lamps on mains light blink, and a rolling shutter turns the blinking into bands that move from "
@@ -71,11 +71,11 @@ REFERENCE_ERROR = Mechanism(
     id="reference_error",
     point=Point("photons", "mean", "pixel", "frozen"),
     parameters=(
-        Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "log", "rms noise of the reference"),
-        Parameter("blur", "1", 0.0, 0.0, 1.0, "identity", "share of each pixel mixed with its neighbours"),
-        Parameter("shift_y", "px", 0.0, -8.0, 8.0, "identity", "shift along the columns"),
-        Parameter("shift_x", "px", 0.0, -8.0, 8.0, "identity", "shift along the rows"),
-        Parameter("scale", "1", 0.0, -0.5, 0.5, "identity", "true over reference signal, minus one"),
+        Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "rms noise of the reference"),
+        Parameter("blur", "1", 0.0, 0.0, 1.0, "share of each pixel mixed with its neighbours"),
+        Parameter("shift_y", "px", 0.0, -8.0, 8.0, "shift along the columns"),
+        Parameter("shift_x", "px", 0.0, -8.0, 8.0, "shift along the rows"),
+        Parameter("scale", "1", 0.0, -0.5, 0.5, "true over reference signal, minus one"),
     ),
     equation=r"\mu = (1+g)\,S_\delta[(1+w)\,\mu_r - w\,\bar\mu_r] + \sigma e",
     sentence="The image taken for noise-free is itself an average of few frames, a little soft, a little "
@@ -109,8 +109,8 @@ MISREGISTRATION = Mechanism(
     id="misregistration",
     point=Point("photons", "mean", "pixel", "frozen"),
     parameters=(
-        Parameter("shift_px", "px", 0.2, 0.0, 16.0, "log", "length of the shift"),
-        Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "identity", "direction, from the rows"),
+        Parameter("shift_px", "px", 0.2, 0.0, 16.0, "length of the shift"),
+        Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "direction, from the rows"),
     ),
     equation=r"\mu(\mathrm{r}) \to \mu(\mathrm{r} + \delta)",
     sentence="Reference and frame do not lie on top of each other, so edges show up in the residual.",
@@ -135,10 +135,8 @@ SCENE_MOTION = Mechanism(
     id="scene_motion",
     point=Point("photons", "mean", "pixel", "drifting"),
     parameters=(
-        Parameter(
-            "shift_px", "px/frame", 0.1, 0.0, 16.0, "log", "motion per frame; the first frame is unmoved"
-        ),
-        Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "identity", "direction, from the rows"),
+        Parameter("shift_px", "px/frame", 0.1, 0.0, 16.0, "motion per frame; the first frame is unmoved"),
+        Parameter("angle", "rad", 0.0, -3.1416, 3.1416, "direction, from the rows"),
     ),
     equation=r"\mu_t(\mathrm{r}) = \mu(\mathrm{r} + t\,\delta)",
     sentence="Something moves while the frames are taken: edges drift through the burst.",
@@ -174,10 +172,8 @@ BOOKKEEPING = Mechanism(
     id="bookkeeping",
     point=Point("digital", "signal", "channel", "frozen"),
     parameters=(
-        Parameter("black_dn", "DN", 2.0, -1e4, 1e4, "identity", "true minus stated black level"),
-        Parameter(
-            "white_error", "1", 0.0, -0.9, 3.0, "identity", "relative stretch: wrong white level or units"
-        ),
+        Parameter("black_dn", "DN", 2.0, -1e4, 1e4, "true minus stated black level"),
+        Parameter("white_error", "1", 0.0, -0.9, 3.0, "relative stretch: wrong white level or units"),
     ),
     equation=r"y \to b + \beta + (1+\omega)(y-b)",
     sentence="The file says black or white is at another code than it is: everything measured from it is off "

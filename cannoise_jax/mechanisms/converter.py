@@ -25,9 +25,7 @@ def _clip_effect(values, maps, context):
 BLACK_CLIPPING = Mechanism(
     id="black_clipping",
     point=Point("converter", "signal", "pixel", "frozen"),
-    parameters=(
-        Parameter("level_dn", "DN", 0.0, -1e4, 1e4, "identity", "lowest value, above the black level"),
-    ),
+    parameters=(Parameter("level_dn", "DN", 0.0, -1e4, 1e4, "lowest value, above the black level"),),
     equation=r"y \to \max(y,\ b + \ell)",
     sentence="Codes below black are cut off, so darks keep only the upper half of their noise and their mean "
     "is too high.",
@@ -61,8 +59,8 @@ LOSSY_COMPRESSION = Mechanism(
     id="lossy_compression",
     point=Point("converter", "signal", "pixel", "frozen", signal=0.5),
     parameters=(
-        Parameter("step_dn", "DN", 8.0, 0.1, 1e4, "log", "code spacing at the white level"),
-        Parameter("exponent", "1", 0.5, 0.0, 0.95, "identity", "growth of the spacing with the signal"),
+        Parameter("step_dn", "DN", 8.0, 0.1, 1e4, "code spacing at the white level"),
+        Parameter("exponent", "1", 0.5, 0.0, 0.95, "growth of the spacing with the signal"),
     ),
     equation=r"\Delta y = \Delta_W\,((y-b)/(W-b))^p",
     sentence="The file keeps fewer codes for bright pixels, trusting that shot noise hides the steps.",
@@ -77,7 +75,7 @@ LOSSY_COMPRESSION = Mechanism(
 QUANTIZATION = Mechanism(
     id="quantization",
     point=Point("converter", "signal", "pixel", "frozen"),
-    parameters=(Parameter("step_dn", "DN", 4.0, 1.0, 4096.0, "log", "spacing of the codes"),),
+    parameters=(Parameter("step_dn", "DN", 4.0, 1.0, 4096.0, "spacing of the codes"),),
     equation=r"y \to q\,\mathrm{round}(y/q)",
     sentence="The converter has fewer bits than the file: codes come in steps, which add a twelfth of a "
     "squared step to the variance.",
@@ -105,9 +103,7 @@ def _skip_effect(values, maps, context):
 MISSING_CODES = Mechanism(
     id="missing_codes",
     point=Point("converter", "code", "frame", "frozen"),
-    parameters=(
-        Parameter("period", "code steps", 8.0, 2.0, 4096.0, "log", "one code in so many never occurs"),
-    ),
+    parameters=(Parameter("period", "code steps", 8.0, 2.0, 4096.0, "one code in so many never occurs"),),
     equation=r"k \to k + [\,k \ \mathrm{mod}\ p = 0\,]",
     sentence="The camera multiplied the codes after conversion, so the histogram has a comb of empty bins.",
     reference="IEEE 1241-2010, section 4 (missing codes of a converter)",

@@ -37,7 +37,7 @@ def _added(charge, context: Context) -> Effect:
 
 
 def _rate(definition: str, default: float) -> Parameter:
-    return Parameter("e_per_s", "e-/s", default, 0.0, 1e7, "log", definition)
+    return Parameter("e_per_s", "e-/s", default, 0.0, 1e7, definition)
 
 
 def _per_second(values, context: Context):
@@ -85,7 +85,7 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     point=Point("pixel", "charge", "pixel", "redrawn"),
     parameters=(
         _rate("dark current whose mean the camera subtracts", 10.0),
-        Parameter("share", "1", 1.0, 0.0, 10.0, "identity", "what is subtracted, over its mean"),
+        Parameter("share", "1", 1.0, 0.0, 10.0, "what is subtracted, over its mean"),
     ),
     equation=r"e \to e + n - s\,q,\quad n \sim \mathrm{Poisson}(q),\ q = D\,t\,2^{(T-T_0)/T_d}",
     sentence="The camera clamps its black level to shielded pixels: long darks do not rise, yet the noise of "
@@ -125,7 +125,7 @@ AMP_GLOW = Mechanism(
     point=Point("pixel", "mean", "pixel", "frozen"),
     parameters=(
         _rate("at the brightest point", 100.0),
-        Parameter("length", "frame sides", 0.2, 0.01, 10.0, "log", "distance over which it falls to 1/e"),
+        Parameter("length", "frame sides", 0.2, 0.01, 10.0, "distance over which it falls to 1/e"),
     ),
     equation=r"\mu_{ij} \to \mu_{ij} + G\,t\,e^{-d_{ij}/L}",
     sentence="The readout amplifier glows and lights up the nearest edge or corner in long exposures.",
@@ -155,7 +155,7 @@ HOT_PIXELS = Mechanism(
     point=Point("pixel", "mean", "pixel", "frozen", distribution="sparse"),
     parameters=(
         _rate("mean over the hot pixels; their heights are exponential", 2000.0),
-        Parameter("fraction", "1", 1e-3, 1e-7, 0.5, "logit", "share of hot pixels"),
+        Parameter("fraction", "1", 1e-3, 1e-7, 0.5, "share of hot pixels"),
     ),
     equation=r"\mu_{ij} \to \mu_{ij} + D\,h_{ij}\,t\,2^{(T-T_0)/T_d},\quad h \sim f\,\mathrm{Exp}(1)",
     sentence="Crystal defects leak strongly in a few pixels: fixed bright dots that grow with the exposure.",
@@ -176,7 +176,7 @@ HOT_PIXELS = Mechanism(
 CLOCK_INDUCED_CHARGE = Mechanism(
     id="clock_induced_charge",
     point=Point("pixel", "mean", "frame", "frozen"),
-    parameters=(Parameter("charge_e", "e-", 0.01, 0.0, 1e3, "log", "mean per pixel and frame"),),
+    parameters=(Parameter("charge_e", "e-", 0.01, 0.0, 1e3, "mean per pixel and frame"),),
     equation=r"\mu \to \mu + c",
     sentence="The clocking itself frees an electron now and then, in bias frames as in long exposures.",
     reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 7 (spurious charge)",
@@ -209,8 +209,8 @@ TEMPERATURE_DRIFT = Mechanism(
     id="temperature_drift",
     point=Point("pixel", "mean", "frame", "drifting"),
     parameters=(
-        Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "log", "rms temperature change"),
-        Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "log", "correlation time"),
+        Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "rms temperature change"),
+        Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "correlation time"),
         _rate("dark current at the mean temperature", 100.0),
     ),
     equation=r"\mu_t \to \mu + D\,t\,2^{\Delta T_t/T_d}",

@@ -37,7 +37,7 @@ def _denoise_effect(values, maps, context: Context):
 IN_CAMERA_DENOISING = Mechanism(
     id="in_camera_denoising",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
-    parameters=(Parameter("weight", "1", 0.15, 0.0, 1.0, "logit", "weight of the four neighbours' mean"),),
+    parameters=(Parameter("weight", "1", 0.15, 0.0, 1.0, "weight of the four neighbours' mean"),),
     equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn,\ same\ colour}} y",
     sentence="The camera smoothed its raw data: noise is lower than physics allows, and pixels of one colour "
     "resemble their neighbours.",
@@ -65,7 +65,7 @@ def _defect_effect(values, maps, context: Context):
 DEFECT_CORRECTION = Mechanism(
     id="defect_correction",
     point=Point("digital", "code", "pixel", "frozen", distribution="sparse"),
-    parameters=(Parameter("fraction", "1", 0.01, 1e-7, 1.0, "logit", "share of the pixels"),),
+    parameters=(Parameter("fraction", "1", 0.01, 1e-7, 1.0, "share of the pixels"),),
     equation=r"y_{ij} \to \frac{1}{4}\sum_{\mathrm{nn,\ same\ colour}} y \ \mathrm{at\ listed\ pixels}",
     sentence="Bad pixels and focus pixels are painted over with their neighbours' mean: too smooth to be "
     "true.",
@@ -104,7 +104,7 @@ def _clamp_effect(values, maps, context: Context):
 HOT_PIXEL_SUPPRESSION = Mechanism(
     id="hot_pixel_suppression",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
-    parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "logit", "weight of the clamped value"),),
+    parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "weight of the clamped value"),),
     equation=r"y \to (1-w)\,y + w\,\min(y, \mathrm{max}_{\mathrm{8\ of\ same\ colour}}\,y)",
     sentence="A pixel above all its neighbours is taken for a hot one and clamped to them: stars disappear, "
     "and equal neighbours abound.",
@@ -141,7 +141,7 @@ def _demosaic_effect(values, maps, context: Context):
 DEMOSAICING = Mechanism(
     id="demosaicing",
     point=Point("digital", "code", "pixel", "redrawn", "multiply"),
-    parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "logit", "weight of the interpolated value"),),
+    parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "weight of the interpolated value"),),
     equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn}} y \ \mathrm{on\ every\ second\ pixel\ of\ a\ "
     r"colour}",
     sentence="Half of the samples were never measured but interpolated: their noise is halved and copied "

@@ -37,7 +37,7 @@ def _gain_effect(values, maps, context):
 GAIN_ERROR = Mechanism(
     id="gain_error",
     point=Point("photons", "charge", "pixel", "redrawn", "multiply", signal=0.5),
-    parameters=(Parameter("error", "1", 0.05, -0.9, 10.0, "identity", "true over assumed gain, minus one"),),
+    parameters=(Parameter("error", "1", 0.05, -0.9, 10.0, "true over assumed gain, minus one"),),
     equation=r"\mathrm{var} = (1+\epsilon)\,K\,(y-b) + K^2 s^2",
     sentence="The number of electrons behind each DN is not what the metadata says, so shot noise is larger "
     "or smaller than predicted in proportion at every signal level.",
@@ -62,9 +62,7 @@ def _read_effect(values, maps, context):
 READ_NOISE_ERROR = Mechanism(
     id="read_noise_error",
     point=Point("readout", "signal", "pixel", "redrawn"),
-    parameters=(
-        Parameter("error", "1", 0.1, -0.99, 10.0, "identity", "true over assumed read noise, minus one"),
-    ),
+    parameters=(Parameter("error", "1", 0.1, -0.99, 10.0, "true over assumed read noise, minus one"),),
     equation=r"s \to (1+\epsilon)\,s",
     sentence="The electronics are noisier or quieter than specified, by the same amount in every pixel and "
     "at every signal level.",
@@ -95,9 +93,7 @@ def _tails_effect(values, maps, context):
 HEAVY_TAILS = Mechanism(
     id="heavy_tails",
     point=Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"),
-    parameters=(
-        Parameter("tukey_lambda", "1", -0.1, -0.45, 0.3, "identity", "shape: 0.135 is near Gaussian"),
-    ),
+    parameters=(Parameter("tukey_lambda", "1", -0.1, -0.45, 0.3, "shape: 0.135 is near Gaussian"),),
     equation=r"n = s\,Q(u)/\sqrt{V_\lambda},\quad Q(u) = \frac{u^\lambda-(1-u)^\lambda}{\lambda}",
     sentence="Read noise throws outliers more often than a Gaussian of the same size would, in any pixel and "
     "any frame alike.",
@@ -132,9 +128,7 @@ PIXEL_READ_NOISE_MAP = Mechanism(
     id="pixel_read_noise_map",
     point=Point("pixel", "signal", "pixel", "redrawn"),
     parameters=(
-        Parameter(
-            "spread", "1", 0.3, 0.0, 3.0, "log", "standard deviation over mean of the pixels' read noise"
-        ),
+        Parameter("spread", "1", 0.3, 0.0, 3.0, "standard deviation over mean of the pixels' read noise"),
     ),
     equation=r"s_{ij} = s\,e^{wz_{ij}-w^2},\quad w^2 = \ln(1+\mathrm{spread}^2)",
     sentence="Every pixel has its own source follower, and some are noisier than others, always the same "
@@ -162,7 +156,7 @@ def _skew_effect(values, maps, context):
 POISSON_SKEW = Mechanism(
     id="poisson_skew",
     point=Point("photons", "charge", "pixel", "redrawn", signal=0.5),
-    parameters=(Parameter("strength", "1", 0.0, 0.0, 1.0, "identity", "0: Gaussian shot noise, 1: Poisson"),),
+    parameters=(Parameter("strength", "1", 0.0, 0.0, 1.0, "0: Gaussian shot noise, 1: Poisson"),),
     equation=r"N = \mu + \sigma_P\,(P(\mu)-\mu) + \sqrt{1-\sigma_P^2}\,\sqrt{\mu}\,z",
     sentence="Photons are counted, so dark areas have rare bright pixels that a Gaussian does not have; this "
     "baseline counts photons, and the strength says how much of that is kept.",

@@ -28,7 +28,7 @@ ODD_EVEN_ROW_NOISE = Mechanism(
     id="odd_even_row_noise",
     point=Point("readout", "signal", "row", "redrawn", interleave=2),
     parameters=(
-        Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "log", "rms, half the difference of even and odd columns"),
+        Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "rms, half the difference of even and odd columns"),
     ),
     equation=r"y_{tij} \to y_{tij} + (-1)^j d_{ti},\quad d_{ti} \sim \mathcal{N}(0,\sigma^2)",
     sentence="Even and odd columns of a row are sampled by circuits of their own, which jitter apart: the "

@@ -57,9 +57,7 @@ GREEN_IMBALANCE = dataclasses.replace(
     mechanism_from_grammar(
         Point("photons", "mean", "channel", "frozen", "multiply"),
         id="green_imbalance",
-        parameters=(
-            Parameter("sigma", "1", 0.01, -0.5, 0.5, "identity", "Gr gains and Gb loses this share"),
-        ),
+        parameters=(Parameter("sigma", "1", 0.01, -0.5, 0.5, "Gr gains and Gb loses this share"),),
         equation=r"\mu_{Gr} \to \mu_{Gr}(1+a),\quad \mu_{Gb} \to \mu_{Gb}(1-a)",
         sentence="Green pixels beside red and beside blue see different light leak in, so a fine "
         "checkerboard appears on green areas.",
@@ -83,9 +81,7 @@ LENS_SHADING = dataclasses.replace(
     mechanism_from_grammar(
         Point("photons", "mean", "pixel", "frozen", "multiply"),
         id="lens_shading",
-        parameters=(
-            Parameter("sigma", "1", 0.1, -1.0, 1.0, "identity", "share of the signal lost in the corners"),
-        ),
+        parameters=(Parameter("sigma", "1", 0.1, -1.0, 1.0, "share of the signal lost in the corners"),),
         equation=r"\mu \to \mu\,(1 - v\,r^2/r_{corner}^2)",
         sentence="The lens and the tilt of the rays take light from the corners, smoothly.",
         reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 2",
@@ -111,7 +107,7 @@ def _dead_effect(values, maps, context):
 DEAD_PIXELS = Mechanism(
     id="dead_pixels",
     point=Point("pixel", "mean", "pixel", "frozen", "multiply", distribution="sparse"),
-    parameters=(Parameter("fraction", "1", 0.001, 1e-7, 0.5, "logit", "share of the pixels"),),
+    parameters=(Parameter("fraction", "1", 0.001, 1e-7, 0.5, "share of the pixels"),),
     equation=r"\mu_{ij} \to 0 \ \mathrm{at\ listed\ pixels}",
     sentence="A broken pixel gives the black level whatever the light.",
     reference="EMVA 1288 release 4.0, section 4.4 (defect pixels)",

@@ -35,7 +35,7 @@ def _bend_effect(values, maps, context):
 NONLINEARITY = Mechanism(
     id="nonlinearity",
     point=Point("pixel", "charge", "frame", "frozen", "multiply", signal=1.0),
-    parameters=(Parameter("loss", "1", 0.02, -0.49, 0.49, "identity", "share of the signal lost at white"),),
+    parameters=(Parameter("loss", "1", 0.02, -0.49, 0.49, "share of the signal lost at white"),),
     equation=r"e \to e\,(1 - a\,K e/(W-b))",
     sentence="Charge lowers the voltage that collects it, so bright signals read a little too low.",
     reference="EMVA 1288 release 4.0, section 6.7 (linearity error); " + _JANESICK,
@@ -57,7 +57,7 @@ def _saturation_effect(values, maps, context):
 SATURATION = Mechanism(
     id="saturation",
     point=Point("pixel", "charge", "pixel", "frozen", "multiply"),
-    parameters=(Parameter("full_well_e", "e-", 1000.0, 1.0, 1e7, "log", "charge at which a pixel is full"),),
+    parameters=(Parameter("full_well_e", "e-", 1000.0, 1.0, 1e7, "charge at which a pixel is full"),),
     equation=r"e \to \min(e, e_{FW})",
     sentence="A full pixel holds no more electrons: highlights flatten below the white level, without noise.",
     reference="EMVA 1288 release 4.0, section 6.6 (saturation capacity)",
@@ -104,9 +104,9 @@ RTS = Mechanism(
     id="rts",
     point=Point("pixel", "charge", "pixel", "telegraph", distribution="sparse"),
     parameters=(
-        Parameter("jump_dn", "DN", 10.0, 0.0, 1e4, "log", "distance of the two levels"),
-        Parameter("fraction", "1", 0.01, 1e-6, 1.0, "logit", "share of the pixels"),
-        Parameter("rate", "1/frame", 0.2, 0.0, 1.0, "logit", "chance of a jump from one frame to the next"),
+        Parameter("jump_dn", "DN", 10.0, 0.0, 1e4, "distance of the two levels"),
+        Parameter("fraction", "1", 0.01, 1e-6, 1.0, "share of the pixels"),
+        Parameter("rate", "1/frame", 0.2, 0.0, 1.0, "chance of a jump from one frame to the next"),
     ),
     equation=r"y_{tij} \to y_{tij} \pm J/2 \ \mathrm{at\ listed\ pixels}",
     sentence="A single trap in a pixel's transistor fills and empties: the pixel blinks between two values.",
@@ -143,8 +143,8 @@ COSMIC_RAYS = Mechanism(
     id="cosmic_rays",
     point=Point("pixel", "charge", "pixel", "redrawn", distribution="sparse"),
     parameters=(
-        Parameter("rate", "1/(Mpx s)", 5000.0, 0.0, 1e9, "log", "events per megapixel and second"),
-        Parameter("charge_e", "e-", 500.0, 1.0, 1e6, "log", "mean charge of an event"),
+        Parameter("rate", "1/(Mpx s)", 5000.0, 0.0, 1e9, "events per megapixel and second"),
+        Parameter("charge_e", "e-", 500.0, 1.0, 1e6, "mean charge of an event"),
     ),
     equation=r"e \to e + \sum_k q_k\,h(\mathrm{r} - \mathrm{r}_k)",
     sentence="A charged particle crosses the sensor: a bright short track in one frame that never returns.",
@@ -172,7 +172,7 @@ def _multiply_effect(values, maps, context):
 EXCESS_NOISE = Mechanism(
     id="excess_noise",
     point=Point("pixel", "charge", "pixel", "redrawn", signal=0.5),
-    parameters=(Parameter("excess", "1", 0.3, 0.0, 3.0, "log", "excess noise factor F^2, minus one"),),
+    parameters=(Parameter("excess", "1", 0.3, 0.0, 3.0, "excess noise factor F^2, minus one"),),
     equation=r"e \to \Gamma(e/x,\ x),\quad F^2 = 1 + x",
     sentence="Electron multiplication is itself random: shot noise grows though the signal is the same.",
     reference="Robbins and Hadwen, The noise performance of electron multiplying CCDs, IEEE TED 50, 1227 "

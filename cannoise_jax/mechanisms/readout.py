@@ -32,7 +32,7 @@ AMPLIFIER_MISMATCH = dataclasses.replace(
         Point("readout", "signal", "block", "frozen"),
         id="amplifier_mismatch",
         strength="step_dn",
-        parameters=(Parameter("step_dn", "DN", 1.0, -1e4, 1e4, "identity", "right minus left half"),),
+        parameters=(Parameter("step_dn", "DN", 1.0, -1e4, 1e4, "right minus left half"),),
         equation=r"y_{ij} \to y_{ij} + \Delta\,(k_{ij} - \frac{1}{2})",
         sentence="Two amplifiers read one half each, and their black levels differ: a step down the middle.",
         reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 6 (multiple "
@@ -65,11 +65,9 @@ DUAL_GAIN = Mechanism(
     id="dual_gain",
     point=Point("readout", "signal", "frame", "frozen", "multiply"),
     parameters=(
-        Parameter("iso_switch", "ISO", 800.0, 1.0, 1e7, "log", "first ISO of the high conversion gain"),
-        Parameter("gain_ratio", "1", 1.0, 0.1, 10.0, "log", "system gain above the switch over the table's"),
-        Parameter(
-            "read_ratio", "1", 0.42, 0.01, 10.0, "log", "read noise in e- above the switch over the table's"
-        ),
+        Parameter("iso_switch", "ISO", 800.0, 1.0, 1e7, "first ISO of the high conversion gain"),
+        Parameter("gain_ratio", "1", 1.0, 0.1, 10.0, "system gain above the switch over the table's"),
+        Parameter("read_ratio", "1", 0.42, 0.01, 10.0, "read noise in e- above the switch over the table's"),
     ),
     equation=r"s \to s\,r,\quad K \to K\,g \quad \mathrm{for\ ISO} \geq \mathrm{ISO}_s",
     sentence="From one ISO on the pixel switches to a smaller capacitor: more volts per electron, so less "

@@ -107,7 +107,7 @@ def _hats(signal, levels, dark: bool) -> list:
 RESIDUAL = Mechanism(
     id="residual",
     point=Point("readout", "signal", "pixel", "redrawn"),
-    parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "identity", "share of what was measured"),),
+    parameters=(Parameter("weight", "1", 1.0, 0.0, 1.0, "share of what was measured"),),
     equation=r"y \to y + w\,(o(s) + d\,t + n_{ij}(s) + \mathcal{F}^{-1}[\sqrt{S(s)}\,\mathcal{F} g])",
     sentence="What is left when every name has been tried: maps and a spectrum as measured, without a cause.",
     reference="random-phase synthesis from dark frames: arXiv 2512.03245; sampling of real darks: Zhang et "

@@ -32,7 +32,7 @@ def _crosstalk_effect(values, maps, context):
 CROSSTALK = Mechanism(
     id="crosstalk",
     point=Point("pixel", "charge", "pixel", "redrawn", "multiply"),
-    parameters=(Parameter("fraction", "1", 0.02, 0.0, 0.8, "logit", "share of the charge given away"),),
+    parameters=(Parameter("fraction", "1", 0.02, 0.0, 0.8, "share of the charge given away"),),
     equation=r"e_{ij} \to (1-\alpha)\,e_{ij} + \frac{\alpha}{4}\sum_{\mathrm{nn}} e",
     sentence="Part of each pixel's signal shows up in its neighbours, colours mix, and the noise of "
     "neighbours is alike.",
@@ -68,7 +68,7 @@ def _repel_effect(values, maps, context):
 BRIGHTER_FATTER = Mechanism(
     id="brighter_fatter",
     point=Point("pixel", "charge", "pixel", "redrawn", "multiply", signal=2.0),
-    parameters=(Parameter("a00", "1/e-", 2e-6, 0.0, 1e-3, "log", "relative loss of variance per electron"),),
+    parameters=(Parameter("a00", "1/e-", 2e-6, 0.0, 1e-3, "relative loss of variance per electron"),),
     equation=r"\mathrm{var} = \mu + a_{00}\mu^2,\quad \mathrm{cov}_{ij} = a_{ij}\mu^2,\quad \sum a_{ij} = 0",
     sentence="A full pixel repels new electrons into its neighbours: shot noise bends down at high signal "
     "and neighbours move together.",
@@ -96,7 +96,7 @@ def _lag_effect(values, maps, context):
 IMAGE_LAG = Mechanism(
     id="image_lag",
     point=Point("pixel", "charge", "pixel", "drifting", "multiply"),
-    parameters=(Parameter("fraction", "1", 0.01, 0.0, 0.9, "logit", "share of the charge left behind"),),
+    parameters=(Parameter("fraction", "1", 0.01, 0.0, 0.9, "share of the charge left behind"),),
     equation=r"e_t \to (1-\lambda)\,e_t + \lambda\,e_{t-1}",
     sentence="Not all charge leaves the pixel: a ghost of the last frame is in this one.",
     reference="Fossum and Hondongwa, A Review of the Pinned Photodiode, IEEE JEDS 2, 33 (2014), section VI",
@@ -122,7 +122,7 @@ def _smear_effect(values, maps, context):
 SMEAR = Mechanism(
     id="smear",
     point=Point("pixel", "charge", "column", "frozen", "multiply"),
-    parameters=(Parameter("fraction", "1", 0.002, 0.0, 1.0, "logit", "share of the column's mean signal"),),
+    parameters=(Parameter("fraction", "1", 0.002, 0.0, 1.0, "share of the column's mean signal"),),
     equation=r"e_{ij} \to e_{ij} + s\,\langle e_{\cdot j} \rangle",
     sentence="While rows are shifted out, light still falls on them: bright spots draw a vertical streak.",
     reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 5",

@@ -30,7 +30,7 @@ def entry(id, definition, sample, time="redrawn", over="row", **more):
         Mechanism(
             id=id,
             point=Point("readout", "signal", over, time),
-            parameters=(Parameter("sigma_dn", "DN", 1.0, 0.0, 1e4, "log", "of one offset"),),
+            parameters=(Parameter("sigma_dn", "DN", 1.0, 0.0, 1e4, "of one offset"),),
             sample=sample,
             home=f"own:{id.upper()}",
             **more,

@@ -101,23 +101,21 @@ def point_parameters(point: Point, default: float, low: float = 0.0, high: float
     top = (1e4 if point.combine == "add" else 1.0) if high is None else high
     what = "peak" if point.spectrum == "sinusoid" else "rms"
     strength = "of the field" if point.combine == "add" else "as a fraction of the signal"
-    found = [Parameter(amplitude_name(point), unit, default, low, top, "log", f"{what} {strength}")]
+    found = [Parameter(amplitude_name(point), unit, default, low, top, f"{what} {strength}")]
     if point.spectrum == "power_law":
-        found.append(Parameter("exponent", "1", 1.0, 0.0, 2.0, "identity", "power falls as 1/f^exponent"))
+        found.append(Parameter("exponent", "1", 1.0, 0.0, 2.0, "power falls as 1/f^exponent"))
     if point.spectrum == "sinusoid":
         step = {"raster": "pixel of the scan", "row": "row"}.get(point.over, point.over)
-        found.append(
-            Parameter("frequency", f"cycles/{point.over}", 0.1, 0.0, 0.5, "identity", f"cycles per {step}")
-        )
+        found.append(Parameter("frequency", f"cycles/{point.over}", 0.1, 0.0, 0.5, f"cycles per {step}"))
     if point.distribution == "tukey_lambda":
         shape = "shape of the tails: 0.135 is Gaussian"
-        found.append(Parameter("tukey_lambda", "1", -0.05, -0.24, 0.3, "identity", shape))
+        found.append(Parameter("tukey_lambda", "1", -0.05, -0.24, 0.3, shape))
     if point.distribution == "sparse" or point.time == "telegraph":
-        found.append(Parameter("fraction", "1", 0.01, 1e-6, 1.0, "logit", "share of the sites affected"))
+        found.append(Parameter("fraction", "1", 0.01, 1e-6, 1.0, "share of the sites affected"))
     if point.time == "telegraph":
-        found.append(Parameter("rate", "1/frame", 0.2, 0.0, 1.0, "logit", "chance of a jump per frame"))
+        found.append(Parameter("rate", "1/frame", 0.2, 0.0, 1.0, "chance of a jump per frame"))
     if point.time == "drifting":
-        found.append(Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "log", "correlation time"))
+        found.append(Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "correlation time"))
     return tuple(found)
 
 

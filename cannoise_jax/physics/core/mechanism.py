@@ -30,7 +30,6 @@ STAGES: tuple[Stage, ...] = ("photons", "pixel", "readout", "converter", "digita
 ActsOn = Literal["mean", "charge", "signal", "code"]
 ACTS_ON: tuple[ActsOn, ...] = get_args(ActsOn)
 """In the order of the signal chain."""
-Transform = Literal["identity", "log", "logit"]
 
 Values = Mapping[str, Any]
 """Parameters by name, each a number or an array that broadcasts against `x[T, H, W]`."""
@@ -39,14 +38,13 @@ Maps = Mapping[str, Array]
 
 
 class Parameter(NamedTuple):
-    """One continuous parameter: unit, a typical value, bounds, and the scale on which to fit it."""
+    """One continuous parameter: unit, a typical value and bounds."""
 
     name: str
     unit: str
     default: float
     low: float
     high: float
-    transform: Transform = "identity"
     definition: str = ""
 
 
