@@ -180,6 +180,62 @@ def test_every_name_is_used_by_the_package_itself():
     assert not dead
 
 
+WHOLE = {
+    "Axes": "dataclasses.asdict(signature.axes)",
+    "_Look": "stacked, field, mean, extra, usable = look",
+    "Curves": 'getattr(curves, f"{name}_spectrum")',
+    "Effect": "getattr(effect, name)",
+    "ArrayPatches": 'getattr(self.source, "setting", None)',
+}
+"""Records of which fields are read without their names: all at once, or by a name that is put together."""
+GIVEN = {("Examples", "strong")}
+"""Fields that tests and users read: values at which a mechanism is tested."""
+
+
+def fields_of(path: Path) -> dict[str, set[str]]:
+    """The fields of every record of a module: classes of values, named tuples and data classes alike."""
+    return {
+        node.name: {
+            n.target.id for n in node.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
+        }
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ClassDef)
+    }
+
+
+def fields_read(paths: list[Path]) -> set[str]:
+    """Names that are read off a value, in modules or in templates. By name alone: a field that no one reads
+    goes unnoticed where another record has one of its name that is read."""
+    found = {
+        n.attr
+        for path in paths
+        for n in ast.walk(tree(path))
+        if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Load)
+    }
+    templates = (path.read_text() for path in PACKAGE.rglob("*.jinja"))
+    return found.union(*(re.findall(r"\.(\w+)", text) for text in templates))
+
+
+def test_every_field_of_a_record_is_read_by_the_package_itself(tmp_path):
+    some = tmp_path / "some.py"
+    some.write_text(
+        "class A(NamedTuple):\n    told: int\n    left: int\n\n\ndef f(a):\n    a.left = a.told\n"
+    )
+    assert fields_of(some) == {"A": {"told", "left"}}
+    assert {"told"} == fields_read([some]) - fields_read([])
+    read = fields_read(list(modules().values()))
+    unread = {
+        (record, name)
+        for path in modules().values()
+        for record, fields in fields_of(path).items()
+        for name in fields - read
+    }
+    assert {record for record, _ in unread - GIVEN} == set(WHOLE), "of others nothing is unread"
+    assert unread >= GIVEN
+    text = "\n".join(path.read_text() for path in modules().values())
+    assert all(how in text for how in WHOLE.values())
+
+
 def test_no_module_imports_itself_in_a_circle():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == [["a", "b", "c", "a"]]
     assert not circles({module: set(imports(module)) for module in modules()})

@@ -15,7 +15,7 @@ LISTED: dict[str, Callable[[float], Effect]] = {
     name: getattr(module, name) for module in _MODULES for name in NAMES if hasattr(module, name)
 }
 UNLISTED: dict[str, Callable[[float], Effect]] = {
-    name: getattr(effects_unlisted, name) for name in effects_unlisted.CARDS
+    name: getattr(effects_unlisted, name) for name in effects_unlisted.SCALES
 }
 
 

@@ -1,32 +1,22 @@
 """Effects that no list of sensor mechanisms holds: the tool must say `unknown` and describe them.
 
-Each is no special case of a listed mechanism. `CARDS` states what a right description says of it.
+Each is no special case of a listed mechanism.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
 from cannoise_jax.blind.chain import Context, Effect
 
-
-class Card(NamedTuple):
-    """What a right description says: axis it varies over, behaviour in time, scaling with the signal."""
-
-    axis: str
-    time: str
-    scaling: str
-
-
-CARDS = {
-    "tile_noise": Card("block", "redrawn", "none"),
-    "row_gain_noise": Card("row", "redrawn", "signal"),
-    "diagonal_noise": Card("pixel", "redrawn", "none"),
-    "parity_jitter": Card("channel", "redrawn", "none"),
-    "column_breathing": Card("column", "redrawn", "signal"),
+SCALES = {
+    "tile_noise": "none",
+    "row_gain_noise": "signal",
+    "diagonal_noise": "none",
+    "parity_jitter": "none",
+    "column_breathing": "signal",
 }
+"""What the strength of each scales with."""
 
 
 def tile_noise(amplitude: float) -> Effect:

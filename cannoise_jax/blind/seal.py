@@ -21,7 +21,7 @@ from scipy import ndimage
 from cannoise_jax.blind.chain import Effect
 from cannoise_jax.blind.compose import CURVE, Spec, compose
 from cannoise_jax.blind.effects import effect, facts
-from cannoise_jax.blind.effects_unlisted import CARDS
+from cannoise_jax.blind.effects_unlisted import SCALES
 from cannoise_jax.blind.listed import NAMES
 from cannoise_jax.blind.sets import SIZE, Design, draw_design, draw_scene, record, write_set
 from cannoise_jax.blind.strength import reachable
@@ -138,7 +138,7 @@ def set_hash(folder: Path) -> str:
 
 def unlisted_unit(name: str) -> str:
     """Unit of an effect that the vocabulary does not hold."""
-    return "1" if CARDS[name].scaling == "signal" else "DN"
+    return "1" if SCALES[name] == "signal" else "DN"
 
 
 def _mislead(adversary: str | None, design: Design, rng: np.random.Generator):

@@ -32,7 +32,7 @@ class HalfReal:
     """One camera at one exposure. Units: normalised, 1 is `full_scale_e` electrons above black.
 
     train, test: dark frames about their black level. gain_dn_per_e, read_noise_e: photon transfer of the
-    training part; span_dn: DN of a clean value of 1. training: the recordings that models may be fitted to.
+    training part; span_dn: DN of a clean value of 1.
     """
 
     camera: str
@@ -46,7 +46,6 @@ class HalfReal:
     black_level: tuple[float, ...]
     train: Float[np.ndarray, "t h w"]
     test: Float[np.ndarray, "s h v"]
-    training: CaptureSet
 
     @property
     def span_dn(self) -> float:
@@ -82,7 +81,7 @@ def half_real(capture: CaptureSet, exposure_s: float, full_scale_e: float = FULL
     train, test = ((x - mosaic_map(black, x.shape[1:])) / span for x in (frames, rest))
     return HalfReal(
         capture.camera, dark.cfa, exposure_s, dark.iso, gain, read, full_scale_e, float(dark.white_level),
-        tuple(float(b) for b in black), train, test, training,
+        tuple(float(b) for b in black), train, test,
     )  # fmt: skip
 
 

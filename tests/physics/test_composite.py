@@ -19,15 +19,15 @@ def test_composite_score_prefers_the_model_that_made_the_frames():
 
     by = ruler(mean, sigma)
     baseline = profile(draw(60), by)
-    for part, more in (("means", {"row": 3.0}), ("marginal", {"tail": 0.05}), ("codes", {"missing": True})):
-        observed = draw(20, **more)
+    parts = ("log_bins", "log_codes", "mean_squares")
+    for part, more in zip(parts, ({"tail": 0.05}, {"missing": True}, {"row": 3.0}), strict=True):
+        observed, model = draw(20, **more), profile(draw(60, **more), by)
         before = composite_score(baseline, observed, by)
-        after = composite_score(profile(draw(60, **more), by), observed, by)
+        after = composite_score(model, observed, by)
         error = np.std(after.per_frame - before.per_frame) / np.sqrt(20)
         assert after.total - before.total > 5 * error
-        gains = {
-            name: getattr(after, name) - getattr(before, name) for name in ("marginal", "codes", "means")
-        }
+        alone = {p: baseline._replace(**{p: getattr(model, p)}) for p in parts}
+        gains = {p: composite_score(m, observed, by).total - before.total for p, m in alone.items()}
         assert max(gains, key=gains.__getitem__) == part
     # Frames of the baseline itself score no better under a model with rows.
     observed = draw(20)

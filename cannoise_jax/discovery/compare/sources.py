@@ -33,7 +33,6 @@ class Source(NamedTuple):
     frames(set, number, clean, settings): its frames of one recording; None for one that it does not draw.
     sets: how many it can give; None: any number.
     black, white: its own levels, DN; None: those of the recordings.
-    asked: whether frames of given light can be asked for (a folder has its own).
     read, gain: variance of the read noise (DN^2) and gain (DN/e-) of a camera model's first gain setting.
     """
 
@@ -42,7 +41,6 @@ class Source(NamedTuple):
     sets: int | None = None
     black: Float[np.ndarray, "4"] | None = None
     white: float | None = None
-    asked: bool = True
     read: float | None = None
     gain: float | None = None
 
@@ -126,7 +124,7 @@ def _recorded(simulated: CaptureSet, capture: CaptureSet) -> Source:
         start = number_of_set * count
         return np.asarray(mine.frames[start : start + count])
 
-    return Source(simulated.path or simulated.camera, frames, sets, asked=False)
+    return Source(simulated.path or simulated.camera, frames, sets)
 
 
 def _settings(r: Recording) -> tuple:

@@ -52,13 +52,11 @@ class Profile(NamedTuple):
 
 
 class CompositeScore(NamedTuple):
-    """Nats per pixel, larger is better, and its parts; `per_frame` serves intervals by resampling frames."""
+    """Nats per pixel, larger is better, and those of the lattice of codes; `per_frame` serves intervals by
+    resampling frames."""
 
     total: float
-    marginal: float
     codes: float
-    pairs: float
-    means: float
     per_frame: Float[np.ndarray, "t"]
 
 
@@ -139,11 +137,4 @@ def composite_score(model: Profile, frames: np.ndarray, by: Ruler) -> CompositeS
     for square, m in zip(model.mean_squares, _means(z / unit), strict=True):
         means += (0.5 * m * m * (1 - 1 / square) - 0.5 * np.log(square)).sum(1) / size
     per_frame = marginal + by_code + pairs + means
-    return CompositeScore(
-        float(per_frame.mean()),
-        float(marginal.mean()),
-        float(by_code.mean()),
-        float(pairs.mean()),
-        float(means.mean()),
-        per_frame,
-    )
+    return CompositeScore(float(per_frame.mean()), float(by_code.mean()), per_frame)

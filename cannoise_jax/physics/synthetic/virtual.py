@@ -46,14 +46,12 @@ class Nlf(NamedTuple):
 class VirtualCamera:
     """A camera with a published noise level function and a true noise that is not quite it.
 
-    published: by ISO, as handed on. true: by ISO, the shot and read noise that it really has, before what
-    `sensor` adds. sensor: the whole truth.
+    published: by ISO, as handed on. sensor: the whole truth.
     """
 
     name: str
     cfa: str
     published: dict[int, Nlf]
-    true: dict[int, Nlf]
     sensor: SensorModel
 
     @property
@@ -197,7 +195,7 @@ def _camera(
             sensor = sensor.with_mechanism(id, sigma_dn=by_iso(isos, share * read_dn))
     if denoising:
         sensor = sensor.with_mechanism("in_camera_denoising", weight=denoising)
-    return VirtualCamera(name, cfa, published, true, sensor)
+    return VirtualCamera(name, cfa, published, sensor)
 
 
 def _true_nlf(

@@ -38,12 +38,10 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 
 
 class Explanation(NamedTuple):
-    """The combination of laws that explains the loud values best, its parameters by law and name, and by how
-    much its criterion is better than that of the other combinations that were tried, nats."""
+    """The combination of laws that explains the loud values best, and its parameters by law and name."""
 
     laws: tuple[Law, ...]
     estimates: Mapping[Law, Mapping[str, Estimate]]
-    margins: Mapping[tuple[Law, ...], float]
 
 
 class _Part(NamedTuple):
@@ -95,8 +93,7 @@ def explanation(
         if better == best:
             break
         best = better
-    margins = {laws: fits[laws][0] - fits[best][0] for laws in fits}
-    return Explanation(best, _estimates(series, offsets, best, fits[best][1], sigma), margins)
+    return Explanation(best, _estimates(series, offsets, best, fits[best][1], sigma))
 
 
 def _ends(laws: Sequence[str]) -> np.ndarray:
