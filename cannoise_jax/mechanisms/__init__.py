@@ -77,7 +77,13 @@ def signatures(recorded: Recorded, entries: tuple[Entry, ...] = ENTRIES) -> tupl
         if count > 1:
             of = ", ".join(sorted({s.mechanism or UNKNOWN.id for s in found if s.name == name}))
             raise ValueError(f"{name}: {count} signatures of this name, of {of}: give each a name of its own")
-    return found
+    return tuple(_covering_all(s, found) for s in found)
+
+
+def _covering_all(signature: Signature, found: tuple[Signature, ...]) -> Signature:
+    """The signature, which also covers those that say that it does."""
+    more = tuple(s.name for s in found if signature.name in s.covered_by and s.name not in signature.covers)
+    return dataclasses.replace(signature, covers=signature.covers + more) if more else signature
 
 
 def contains(general: str, special: str) -> bool:

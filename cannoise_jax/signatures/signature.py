@@ -157,8 +157,9 @@ class Signature:
       shared by signatures of the same thing at another time or scaling. reads: attributes of `Fields` that
       the score depends on; a score stands as long as none of them changed.
     score(fields) -> Score, None where it cannot be tested; absorb(fields, score) -> fields with the effect
-      taken out. covers: signatures that cannot be trusted once this one is in the model; hides(score): more
-      of them, for an effect of that size; before(score): those that it must be judged before. rare: whether p
+      taken out. covers: signatures that cannot be trusted once this one is in the model; covered_by: those
+      that cover this one though they do not know it, as one of an entry from outside; hides(score): more of
+      them, for an effect of that size; before(score): those that it must be judged before. rare: whether p
       is 1 unless something is far off.
     readings(score, scores) -> mechanisms and the evidence for each, the first may stay unnamed; None: its
       own. reads_as: those that it may mean beside its own. lifted_by: signatures whose evidence counts for
@@ -202,6 +203,7 @@ class Signature:
     least: Callable[[tuple[Seen, ...]], Law | None]
     mechanism: str | None = None
     kin: str = ""
+    covered_by: tuple[str, ...] = ()
     hides: Callable[[Score], tuple[str, ...]] = lambda score: ()
     before: Callable[[Score], tuple[str, ...]] = lambda score: ()
     rare: bool = False

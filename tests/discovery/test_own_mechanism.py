@@ -13,6 +13,7 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import place
 from cannoise_jax.discovery.search.declare import registered
+from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
@@ -144,6 +145,19 @@ def test_a_signature_named_as_one_of_the_package_is_refused_in_one_line():
     with pytest.raises(ValueError, match=f"^{taken}: 2 signatures of this name, of .*third_rows") as error:
         diagnose(capture_set(73, kinds="d"), mechanisms=(own,), compare=False)
     assert "\n" not in str(error.value)
+
+
+def test_one_from_outside_says_what_covers_it():
+    taken = next(iter(SIGNATURES))
+    before = {s.name: s.covers for s in signatures(RECORDED)}
+
+    def looks(recorded):
+        (own,) = generic.by_sampling(THIRD.record, name="own", known={}, simulated=True)(recorded)
+        return (dataclasses.replace(own, covered_by=(taken,)),)
+
+    own = dataclasses.replace(THIRD, signatures=looks)
+    after = {s.name: s.covers for s in signatures(RECORDED, (*ENTRIES, own))}
+    assert after.pop("own") == () and after == before | {taken: (*before[taken], "own")}
 
 
 @pytest.mark.parametrize("own", [THIRD, BLOCKS], ids=["third rows", "blocks"])
