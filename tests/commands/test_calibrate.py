@@ -150,7 +150,7 @@ PULSE = Entry(
     Term("pulse", "The eighth row jumps.", None, "sensor", "DN", RMS),
     Mechanism(
         id="pulse", point=Point("readout", "signal", "row", "redrawn"), sample=pulse, home="own:PULSE",
-        parameters=(Parameter("sigma_dn", "DN", 1.0, 0.0, 1e4, "log", "of that row"),),
+        parameters=(Parameter("sigma_dn", "DN", 1.0, 0.0, 1e4, "of that row"),),
     ),
     needs="darks",
     estimator=Estimator(measure),
