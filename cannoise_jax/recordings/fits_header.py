@@ -38,12 +38,18 @@ def kind_of(image_type: str) -> str | None:
     return next((kind for word, kind in (*_KINDS, *((s, "scene") for s in _SCENES)) if word in words), None)
 
 
+_NO_COLOURS = ("", "MONO", "NONE", "MONOCHROME", "GRAY", "GREY", "GRAYSCALE", "GREYSCALE")
+
+
 def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a recording that a header states."""
     pattern = _text(header, "BAYERPAT", "COLORTYP").upper()
     shift = _whole(header, "YBAYROFF"), _whole(header, "XBAYROFF")
     camera = _text(header, "INSTRUME", "CAMERA", "DETNAM") or None
-    cfa = to_shifted_cfa(pattern, *shift) if len(pattern) == 4 and pattern != "MONO" else None
+    # What is neither a cell of 2x2 nor a word for none is handed on, to be refused by what it says.
+    cfa = None if pattern in _NO_COLOURS else pattern
+    if cfa is not None and len(cfa) == 4:
+        cfa = to_shifted_cfa(cfa, *shift)
     if cfa is None and (
         header.get("COLORCCD") in (0, False) or pattern == "MONO" or _MONO.search(camera or "")
     ):

@@ -58,6 +58,10 @@ refuse the frames; beyond that it is damage."""
 _log = logging.getLogger(__name__)
 
 
+_MOST_DB = 200.0
+"""A factor of ten thousand million; cameras have some fifty decibels."""
+
+
 def make_recording(
     path: str | Path,
     frames: Frames,
@@ -107,7 +111,7 @@ def make_recording(
         kind=_one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
-        gain_db=_optional(path, stated, "gain_db"),
+        gain_db=_optional(path, stated, "gain_db", least=-_MOST_DB, most=_MOST_DB),
         egain=_optional(path, stated, "egain", least=1e-6),
         exposure_s=_optional(path, stated, "exposure_s", least=0),
         temperature_c=_optional(path, stated, "temperature_c", least=COLDEST_C),
@@ -233,7 +237,7 @@ def _text(path: str | Path, name: str, value: Any) -> str:
     if value is None:
         return ""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-    if isinstance(text, (bool, int, float)):
+    if isinstance(text, (int, float)) and math.isfinite(text):
         text = str(text)
     if not (isinstance(text, str) and text.isprintable() and len(text) <= _LONGEST):
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {_LONGEST} characters")
@@ -254,6 +258,8 @@ def _camera(path: str | Path, value: Any) -> str:
 
 def _cfa(path: str | Path, value: Any) -> str:
     cfa = _text(path, "cfa", value).strip().upper()
+    if "TRANS" in cfa or len(cfa) == 36:
+        raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
     if cfa not in CFA_PATTERNS:
         known = ", ".join(CFA_PATTERNS)
         raise BadInput(f"{path}: unknown CFA {_quoted(cfa)}: use --cfa with one of {known}")
@@ -271,6 +277,8 @@ def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tup
 
 def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     try:
+        if np.asarray(value).dtype.kind == "b":
+            raise TypeError("a truth, no number")
         values = per_channel(value)
     except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
@@ -294,6 +302,8 @@ def _optional_channels(
 
 def _number(path: str | Path, name: str, value: Any) -> float:
     try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError("a truth, no number")
         number = float(np.asarray(value).reshape(()))
     except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error

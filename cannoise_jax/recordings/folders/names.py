@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Any
 
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 
+_MOST_NAMED = 3
 _AVERAGES = ("master", "superbias", "superdark", "superflat", "stacked", "integration", "averaged")
 _SECONDS = {"us": 1e-6, "µs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0, "secs": 1.0}
 _SECONDS["min"] = 60.0
@@ -52,3 +54,9 @@ def named_settings(path: PurePath) -> dict[str, Any]:
         if binning and (binning[1], binning[2] or binning[1]) != ("1", "1"):
             out.setdefault("binning", (float(binning[1]), float(binning[2] or binning[1])))
     return out
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
+from cannoise_jax.recordings.folders.kinds import LIT_DN, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.levels import Levels, levels
+from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
-
-_MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,15 @@ def plan_folder(
     Raises BadInput where the folder holds nothing that can be read.
     """
     overrides = {k: v for k, v in (overrides or {}).items() if v is not None}
-    found = scan(folder, leave_out, tell)
+    leave_out = tuple(leave_out)
+    found = scan(folder, leave_out, tell, overrides)
     notes, problems = _notes(found), _failures(found)
-    kinds, more_notes, more_problems = _kinds(found.shots, assign, overrides.get("kind"))
+    notes += [
+        f"--assign {pattern}={kind}: no file of such a name"
+        for pattern, kind in assign
+        if not any(matches(s.name, pattern) for s in found.shots)
+    ]
+    kinds, more_notes, more_problems = kinds_of(found.shots, assign, overrides.get("kind"))
     notes, problems = notes + more_notes, problems + more_problems
     usable = [s for s in found.shots if s.name in kinds]
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
@@ -69,7 +77,9 @@ def plan_folder(
         notes.append(
             f"no file names its camera: all are called {camera}, after the folder; --camera NAME does"
         )
+    stated = {s.name for s in usable if any(matches(s.name, pattern) for pattern, _ in assign)}
     sets = _sets(grouped(usable, kinds, camera, overrides), overrides)
+    problems += of_other_kinds([g for one in sets for g in one.groups], stated)
     for one in sets[:1]:
         notes += one.levels.said
         notes += _lacks(one)
@@ -138,17 +148,17 @@ def _notes(found: Scan) -> list[str]:
     by_fault: dict[str, list[str]] = {}
     for name, fault in found.duds:
         by_fault.setdefault(fault, []).append(name)
-    notes += [f"{_listed(names)}: {fault}: left out" for fault, names in by_fault.items()]
+    notes += [f"{listed(names)}: {fault}: left out" for fault, names in by_fault.items()]
     notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
     by_doubt: dict[str, list[str]] = {}
     for shot in found.shots:
         if shot.about.get("doubt"):
             by_doubt.setdefault(shot.about["doubt"], []).append(shot.name)
-    notes += [f"{_listed(names)}: {doubt}" for doubt, names in by_doubt.items()]
+    notes += [f"{listed(names)}: {doubt}" for doubt, names in by_doubt.items()]
     if found.links:
-        notes.append(f"{_listed(found.links)}: not read, links to folders are not followed")
+        notes.append(f"{listed(found.links)}: not read, links to folders are not followed")
     if found.lost:
-        notes.append(f"{_listed(found.lost)}: not read, a link to nothing")
+        notes.append(f"{listed(found.lost)}: not read, a link to nothing")
     for suffixes, why in UNREAD:
         counts = [f"{n} {suffix}" for suffix, n in sorted(found.unread.items()) if suffix in suffixes]
         notes += [f"not read: {', '.join(counts)} ({why})"] if counts else []
@@ -160,56 +170,9 @@ def _failures(found: Scan) -> list[str]:
     for name, reason in found.failures:
         by_reason.setdefault(reason, []).append(name)
     return [
-        f"{_listed(names)}: {reason}; or leave {'them' if len(names) > 1 else 'it'} out with --leave-out"
+        f"{listed(names)}: {reason}; or leave {'them' if len(names) > 1 else 'it'} out with --leave-out"
         for reason, names in by_reason.items()
     ]
-
-
-def _kinds(
-    shots: Sequence[Shot], assign: Sequence[tuple[str, str]], override: str | None
-) -> tuple[dict[str, str], list[str], list[str]]:
-    """The kind of every shot, with notes on what was decided and problems where nothing decides."""
-    kinds: dict[str, str] = {}
-    unknown: dict[str, list[str]] = {}
-    taken: dict[str, list[str]] = {}
-    clashes: dict[str, list[str]] = {}
-    for shot in shots:
-        given = next((kind for pattern, kind in assign if matches(shot.name, pattern)), override)
-        if given or shot.whole:
-            kinds[shot.name] = given or shot.said or "scene"
-            continue
-        header, words = shot.said, shot.about.get("image_type")
-        if header is None and shot.named is None:
-            what = f"IMAGETYP {words!r} is unknown" if words else "neither header nor name says the kind"
-            unknown.setdefault(what, []).append(shot.name)
-            continue
-        if header is None and words:
-            taken.setdefault(f"IMAGETYP {words!r} is unknown: {shot.named} by name", []).append(shot.name)
-        elif header == "scene" and shot.named not in (None, "scene"):
-            taken.setdefault(f"headed {words!r}, {shot.named} by name", []).append(shot.name)
-            header = None
-        elif {header, shot.named} == {"bias", "dark"} and not shot.known.get("exposure_s"):
-            taken.setdefault("bias or dark of no exposure: bias", []).append(shot.name)
-            header = "bias"
-        elif header and shot.named not in (None, header) and shot.named != "scene":
-            clashes.setdefault(f"headed {words!r} but named {shot.named}", []).append(shot.name)
-            continue
-        kinds[shot.name] = header or shot.named or "scene"
-    remedy = "put them in folders named bias, darks, flats or lights, or state --assign 'NAME*=KIND'"
-    several = sum(what.startswith("IMAGETYP") for what in unknown) > 1
-    if any(kind != "scene" for kind in kinds.values()) and not several:
-        # Beside files that say what they are the others are what calibration frames are made for; words of
-        # several kinds are not.
-        for what, names in unknown.items():
-            kinds |= dict.fromkeys(names, "scene")
-            taken[f"{what}: taken as lights; --assign 'NAME*=KIND' says otherwise"] = names
-        unknown = {}
-    notes = [f"{_listed(names)}: {what}" for what, names in taken.items()]
-    problems = [f"{_listed(names)}: {what}: {remedy}" for what, names in unknown.items()]
-    problems += [
-        f"{_listed(n)}: {what}: rename, or state --assign 'NAME*=KIND'" for what, n in clashes.items()
-    ]
-    return kinds, notes, problems
 
 
 def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]:
@@ -278,7 +241,7 @@ def _lacks(one: CaptureGroups) -> list[str]:
     groups = one.groups
     single = [g.label for g in groups if g.frames == 1]
     if single:
-        notes.append(f"{_listed(single)}: one frame, so no temporal noise: two or more show it")
+        notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")
     warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
     if warm and max(warm) - min(warm) > 5:
         notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
@@ -288,7 +251,16 @@ def _lacks(one: CaptureGroups) -> list[str]:
         floor = max(max(s.medians) for s in darks)
         dim = [s.name for s in flats if max(s.medians) <= floor]
         if dim:
-            notes.append(f"{_listed(dim)}: flats no brighter than the darks: check that the light was on")
+            notes.append(f"{listed(dim)}: flats no brighter than the darks: check that the light was on")
+    bias, dark = (
+        [float(np.mean(s.medians)) for g in groups if g.kind == kind for s in g.shots if not s.whole]
+        for kind in ("bias", "dark")
+    )
+    if bias and dark and np.median(bias) > np.median(dark) + max(LIT_DN, 0.1 * np.median(dark)):
+        notes.append(
+            f"the biases ({np.median(bias):.0f} DN) lie above the darks ({np.median(dark):.0f} DN): of "
+            "another offset or gain, or lit: the black level is theirs"
+        )
     return notes
 
 
@@ -304,8 +276,3 @@ def _word(value: Any, name: str) -> str:
 
 def _as_folder(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in name)[:60]
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

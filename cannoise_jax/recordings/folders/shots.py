@@ -14,8 +14,9 @@ import numpy as np
 from cannoise_jax.recordings import sidd
 from cannoise_jax.recordings.folders.names import named_average, named_kind, named_settings
 from cannoise_jax.recordings.load import instead_of, is_supported, load_recording, open_file, suffix_of
+from cannoise_jax.recordings.metadata import make_recording
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
-from cannoise_jax.recordings.opened import stated
+from cannoise_jax.recordings.opened import Opened, stated
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
 from cannoise_jax.recordings.usable import fault_of
@@ -66,8 +67,14 @@ class _Dud(BadInput):
     """A file none of whose frames holds noise."""
 
 
-def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, total: None) -> Scan:
-    """Opens every file below a folder. leave_out: patterns of names, with * and ?, to pass over.
+def scan(
+    folder: Path,
+    leave_out: Iterable[str] = (),
+    tell: Tell = lambda n, total: None,
+    given: Iterable[str] = (),
+) -> Scan:
+    """Opens every file below a folder. leave_out: patterns of names, with * and ?, to pass over. given:
+    fields that the caller states, whatever the files say of them.
 
     Raises BadInput for a folder that does not exist or holds nothing that can be read.
     """
@@ -88,7 +95,7 @@ def scan(folder: Path, leave_out: Iterable[str] = (), tell: Tell = lambda n, tot
         name = str(path.relative_to(folder))
         tell(number, len(found))
         try:
-            shot = _shot(path, name)
+            shot = _shot(path, name, frozenset(given))
         except _Dud as error:
             duds.append((name, str(error)))
             continue
@@ -144,7 +151,7 @@ def _files(
                 unread[suffix_of(path)] = unread.get(suffix_of(path), 0) + 1
 
 
-def _shot(path: Path, name: str) -> Shot:
+def _shot(path: Path, name: str, given: frozenset[str]) -> Shot:
     whole = path.is_dir() or suffix_of(path) in NATIVE
     if whole:
         recording = load_recording(path)
@@ -160,6 +167,7 @@ def _shot(path: Path, name: str) -> Shot:
     shape = tuple(opened.frames.shape)
     if len(shape) != 3 or 0 in shape:
         raise BadInput(f"{path}: has shape {shape}: expected one mosaic or a stack of them")
+    known = _sound(path, opened, {n: v for n, v in known.items() if n not in given})
     for field, value in named_settings(Path(name)).items():
         if field == "gain_setting" and ("iso" in known or "gain_setting" in about):
             continue
@@ -180,6 +188,13 @@ def _shot(path: Path, name: str) -> Shot:
         *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
         *(per_channel(np.array(sites)), top, _step(first), check),
     )
+
+
+def _sound(path: Path, opened: Opened, known: dict[str, Any]) -> dict[str, Any]:
+    """What a file states, held to the rules of single files. Raises BadInput."""
+    at_least = {"cfa": "MONO", "black_level": 0.0, "white_level": 65536.0}
+    recording = make_recording(path, opened.frames, at_least | known, {}, scan=False)
+    return {name: getattr(recording, name) for name in known}
 
 
 def _step(frame: np.ndarray) -> int:

@@ -1,6 +1,7 @@
 """What becomes of folders: groups, what is set apart, what is said, and what is refused, all at once."""
 
 import gzip
+import json
 import shutil
 
 import numpy as np
@@ -476,3 +477,46 @@ def test_columns_of_a_plan_stand_below_each_other(tmp_path):
     night(tmp_path, FILTER="A narrow band of nitrogen")
     lines = [line for line in text(plan_folder(tmp_path)).splitlines() if ".h5" in line]
     assert len(lines) == 3 and len({line.index(" frames") for line in lines}) == 1
+
+
+@pytest.mark.parametrize(
+    "field, value, said",
+    [
+        ("cfa", ["R", "G"], "expected text"),
+        ("cfa", "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG", "an X-Trans mosaic"),
+        ("white_level", [1, 2], "expected one number"),
+        ("iso", True, "expected one number"),
+        ("black_level", "x", "expected 1 or 4 numbers"),
+        ("kind", {"a": 1}, "expected text"),
+        ("gain_db", -400, "at least -200"),
+        ("temperature_c", -400, "at least -273"),
+    ],
+)
+def test_what_side_cars_say_is_held_to_the_rules_of_single_files(tmp_path, field, value, said):
+    rng = np.random.default_rng(0)
+    for kind, level in (("bias", 100), ("flat", 2000)):
+        for n in range(2):
+            np.save(tmp_path / f"{kind}_{n}.npy", rng.normal(level, 9, (16, 24)).astype(np.uint16))
+    (tmp_path / "flat_0.json").write_text(json.dumps({field: value}))
+    (problem,) = [p for p in plan_folder(tmp_path).problems if p.startswith("flat_0.npy")]
+    assert said in problem and "\n" not in problem
+    if field != "kind":
+        stated = plan_folder(tmp_path, {field: {"cfa": "MONO", "black_level": 100.0}.get(field, 4095.0)})
+        assert not [p for p in stated.problems if p.startswith("flat_0.npy")]
+
+
+def test_darks_that_were_lit_and_biases_that_were_exposed_are_named(tmp_path):
+    night(tmp_path)
+    shot(tmp_path / "dark_9.fits", "flat", IMAGETYP="Dark Frame", INSTRUME="Acme 100", EXPTIME=60.0)
+    shot(tmp_path / "bias_9.fits", "bias", IMAGETYP="Bias Frame", INSTRUME="Acme 100", EXPTIME=300.0)
+    problems = "\n".join(plan_folder(tmp_path).problems)
+    assert "dark_9.fits: dark of" in problems and "lit?" in problems
+    assert "bias_9.fits: a bias of 300 s beside others" in problems
+    stated = plan_folder(tmp_path, assign=[("dark_9*", "flat"), ("bias_9*", "bias")])
+    assert not stated.problems
+
+
+def test_a_pattern_without_a_file_and_levels_the_wrong_way_round_are_said(tmp_path):
+    plan = plan_folder(night(tmp_path), {"white_level": 10.0}, assign=[("darc*", "dark")])
+    assert "--assign darc*=dark: no file of such a name" in notes(plan)
+    assert any("a white level (10 DN) above the black level" in p for p in plan.problems)
