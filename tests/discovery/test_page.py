@@ -6,6 +6,8 @@ import math
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+import pytest
+
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.page import place, verdict
 from cannoise_jax.discovery.report.wording import sentence
@@ -80,6 +82,18 @@ def test_names_that_cannot_be_told_apart_are_listed():
     assert said.startswith(
         "These recordings cannot tell row noise, banding and rts apart; as row noise: 1 DN"
     )
+
+
+@pytest.mark.parametrize("probability", [0.6, 0.002])
+def test_one_name_is_not_told_apart_from_itself(probability):
+    candidates = [
+        {"mechanism": "row_noise", "probability": probability},
+        {"mechanism": "unknown", "probability": 0.998 - probability},
+        {"mechanism": "banding", "probability": 0.002},
+    ]
+    entry = finding("row_noise", 1.0, 0.1, "AMBIGUOUS", candidates=candidates)
+    said = said_of(entry, Proof(None, None, math.nan, math.nan, 0))
+    assert said.startswith("Nothing known fits better than row noise: 1 DN")
 
 
 def test_page_counts_names_and_tells_what_is_not_confirmed():

@@ -73,6 +73,8 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
         ]
         together = " and ".join([", ".join(others[:-1]), *others[-1:]] if len(others) > 1 else others)
         start = f"These recordings cannot tell {together} apart; as {name}: {size}"
+        if len(others) < 2:  # what is against it is no other name
+            start = f"Nothing known fits better than {name}: {size}"
     else:
         told = term.says_exposure or step.named.signature.axes.scales != "exposure"
         grows = "" if told else " (growing with the exposure)"
