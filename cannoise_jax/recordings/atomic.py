@@ -1,4 +1,4 @@
-"""Texts written so that a full disk, or a kill, leaves what was there as it was."""
+"""Files written so that a full disk, or a kill, leaves what was there as it was."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import contextlib
 import glob
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from cannoise_jax.recordings.recording import BadInput
 
@@ -37,6 +39,34 @@ def is_running(process: int) -> bool:
     except OSError:
         return True
     return True
+
+
+@contextlib.contextmanager
+def signals_held() -> Iterator[Callable[[], None]]:
+    """Within it Ctrl-C and SIGTERM wait until the yielded function is called, or until the end.
+
+    For libraries that call back and cannot bear an exception there: HDF5 drops it, and may then crash.
+    Signals without a handler in Python act as ever, and so do all of them outside of the main thread.
+    """
+    waiting: list[int] = []
+    before: dict[int, Any] = {}
+
+    def let_through() -> None:
+        while waiting:
+            number = waiting.pop()
+            before[number](number, None)
+
+    if threading.current_thread() is threading.main_thread():
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        before.update({number: handler for number, handler in handlers.items() if callable(handler)})
+    try:
+        for number in before:
+            signal.signal(number, lambda number, frame: waiting.append(number))
+        yield let_through
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    let_through()
 
 
 @contextlib.contextmanager

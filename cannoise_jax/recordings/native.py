@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from cannoise_jax.recordings.atomic import remove_leftovers
+from cannoise_jax.recordings.atomic import remove_leftovers, signals_held
 from cannoise_jax.recordings.hdf5 import sound_file
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording, reading
@@ -59,15 +60,16 @@ def open_native(path: str | Path) -> Opened:
 def write_recording(path: str | Path, recording: Recording) -> None:
     """Writes a native file: a temporary neighbour first, moved into place when complete.
 
-    Reads the frames in chunks. Raises BadInput when it cannot be written, and leaves nothing behind.
+    Reads the frames in chunks, and between them Ctrl-C is heard. Raises BadInput when it cannot be written.
+    Leaves nothing behind then.
     """
     path = Path(path)
     remove_leftovers(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         try:
-            with _Sink(partial, "w+b") as sink:
-                _write(sink, recording)
+            with _Sink(partial, "w+b") as sink, signals_held() as let_through:
+                _write(sink, recording, let_through)
                 sink.check()
             os.replace(partial, path)
         finally:
@@ -107,19 +109,21 @@ class _Sink(io.FileIO):
             raise self.failure
 
 
-def _write(sink: _Sink, recording: Recording) -> None:
+def _write(sink: _Sink, recording: Recording, between: Callable[[], None]) -> None:
     # The newest format has checksums: on damaged headers of the older ones the library may never return.
     with h5py.File(sink, "w", libver="latest") as file:
-        _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16))
+        _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16), between)
         if recording.clean is not None:
-            _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32))
+            _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32), between)
         for name in FIELDS:
             value = getattr(recording, name)
             if value is not None:
                 file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) and value else value
 
 
-def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: np.dtype) -> None:
+def _write_dataset(
+    sink: _Sink, file: h5py.File, name: str, values: Any, dtype: np.dtype, between: Callable[[], None]
+) -> None:
     shape = tuple(values.shape)
     chunk = (1, *shape[1:]) if len(shape) == 3 else shape
     target = file.create_dataset(
@@ -130,6 +134,7 @@ def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: 
         target[at : at + len(part)] = part
         at += len(part)
         sink.check()
+        between()
 
 
 def _view(path: Path, dataset: h5py.Dataset) -> LazyArray:

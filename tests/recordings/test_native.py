@@ -1,5 +1,7 @@
 import logging
+import os
 import resource
+import signal
 import subprocess
 import sys
 
@@ -206,6 +208,49 @@ def test_a_full_disk_leaves_nothing_behind(path):
     assert done.stdout.count("\n") == 1 and f"{path}: cannot be written" in done.stdout
     assert [p.name for p in path.parent.iterdir()] == ["a.h5"]
     assert path.read_bytes() == b"an older result"
+
+
+def test_an_interrupt_while_hdf5_writes_leaves_nothing_behind(path):
+    """Also one that comes while HDF5 calls back: what is raised there it drops, and may crash."""
+    path.parent.mkdir()
+    script = (
+        "import os, signal, sys, numpy as np\n"
+        "from cannoise_jax.recordings import Recording, native\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in what runs behind
+        "class Interrupted(native._Sink):\n"
+        "    def write(self, data):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        return super().write(data)\n"
+        "native._Sink = Interrupted\n"
+        "frames = np.random.default_rng(0).integers(0, 65535, (8, 128, 128)).astype(np.uint16)\n"
+        "try:\n"
+        "    native.write_recording(sys.argv[1], Recording(frames, 'RGGB', (0,) * 4, 65535))\n"
+        "except KeyboardInterrupt:\n"
+        "    print('interrupted', signal.getsignal(signal.SIGINT) is signal.default_int_handler)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted True\n", "")
+    assert not list(path.parent.iterdir())
+
+
+def test_an_interrupt_ends_writing_before_the_next_frames_are_read(path):
+    seen = []
+
+    def read(index):
+        seen.append(index)
+        os.kill(os.getpid(), signal.SIGINT)
+        return np.zeros((1, 4096, 4096), np.uint16)
+
+    path.parent.mkdir()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        frames = LazyArray(read, (9, 4096, 4096), np.dtype(np.uint16))
+        with pytest.raises(KeyboardInterrupt):
+            write_recording(path, Recording(frames, "RGGB", (0,) * 4, 65535))
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(seen) == 1 and not list(path.parent.iterdir())
 
 
 def test_memory_does_not_grow_with_the_number_of_frames(path):

@@ -103,8 +103,8 @@ def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[
             recording = recording_of(group, one, plan.overrides)
             fresh = not path.exists()
             path.parent.mkdir(parents=True, exist_ok=True)
+            written += [path] if fresh else []  # before: Ctrl-C may come right after
             write_recording(path, recording)
-            written += [path] if fresh else []
             yield path, recording
     except OSError as error:
         _undo(written, made)
