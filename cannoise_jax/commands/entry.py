@@ -38,7 +38,9 @@ def command(name: str) -> Callable[[Main], Main]:
                     status = main(*given, **more)
                     sys.stdout.flush()
                     return status
-                except KeyboardInterrupt:
+                except BaseException as error:
+                    if not _of_interrupt(error):
+                        raise
                     print(f"bin/{name}: interrupted", file=sys.stderr)
                     return 130
                 finally:
@@ -49,6 +51,18 @@ def command(name: str) -> Callable[[Main], Main]:
         return wrapped
 
     return around
+
+
+def _of_interrupt(error: BaseException | None) -> bool:
+    """Whether an error is Ctrl-C, or what somebody made of it: Python itself has RuntimeError for one that
+    comes in `__set_name__`, as in a late import."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return False
 
 
 @contextmanager

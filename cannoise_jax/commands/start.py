@@ -25,7 +25,12 @@ def run(name: str) -> int:
     keep_compiled()
     main = import_module(f"cannoise_jax.commands.{name}").main
     signal.signal(signal.SIGINT, before)
-    status = main()
+    try:
+        status = main()
+    except KeyboardInterrupt:  # once more, while the command ended for the first
+        status = _INTERRUPTED
+    finally:  # the work is done; what is left is Python's own end, which says tracebacks or loses the status
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     if status == _INTERRUPTED:
         # Threads of libraries are still at work, and Python's own end in the midst of it may crash.
         sys.stdout.flush()

@@ -115,6 +115,52 @@ def test_an_interruption_is_one_line(capsys):
     assert main() == 130 and capsys.readouterr().err == "bin/x: interrupted\n"
 
 
+def test_an_interrupt_that_became_another_error_is_one_line(capsys):
+    """As in a late import, where Python makes a RuntimeError of it."""
+
+    class Late:
+        def __set_name__(self, owner, name):
+            raise KeyboardInterrupt
+
+    @entry.command("x")
+    def turned():
+        type("Owner", (), {"late": Late()})
+
+    @entry.command("x")
+    def during():
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise ValueError("of what was cut short")
+
+    @entry.command("x")
+    def other():
+        raise ValueError("of its own")
+
+    for main in (turned, during):
+        assert main() == 130 and capsys.readouterr().err == "bin/x: interrupted\n"
+    with pytest.raises(ValueError, match="of its own"):
+        other()
+
+
+@pytest.mark.parametrize(
+    "end, status", [("return 7", 7), ("sys.exit(7)", 7), ("raise KeyboardInterrupt", 130)]
+)
+def test_an_interrupt_after_the_work_is_not_heard(end, status):
+    """Python ends with hooks and threads of libraries; the work is done, or has been interrupted already."""
+    script = (
+        "import atexit, os, signal, sys, types\nfrom cannoise_jax.commands import start\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in what runs behind
+        "class Last:\n    def __del__(self, kill=os.kill, own=os.getpid(), number=signal.SIGINT):\n"
+        "        kill(own, number)\n"
+        "last = Last()\natexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+        f"def main():\n    print('said')\n    {end}\n"
+        "sys.modules['cannoise_jax.commands.x'] = types.SimpleNamespace(main=main)\nsys.exit(start.run('x'))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (status, "said\n", "")
+
+
 @pytest.mark.parametrize("ignored", [False, True])
 def test_an_interrupt_while_a_command_is_loaded_is_one_line(ignored):
     """Where a shell ignores it, as for what runs behind, it stays ignored."""
