@@ -114,7 +114,7 @@ def _is_folder(arguments: argparse.Namespace) -> bool:
 
 
 def _convert_folder(arguments: argparse.Namespace) -> int:
-    from cannoise_jax.recordings.folders.plan import check, plan_folder, text
+    from cannoise_jax.recordings.folders.plan import plan_folder, text
     from cannoise_jax.recordings.folders.store import write_plan
 
     source, *rest = arguments.paths
@@ -131,7 +131,9 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
         tell=progress("reading files"),
     )
     print(text(plan), flush=True)
-    check(plan)
+    if count := len(plan.problems):  # the plan lists them
+        things = "1 thing is" if count == 1 else f"{count} things are"
+        raise BadInput(f"{source}: {things} missing or contradictory, see the end of the plan")
     if arguments.dry_run:
         return 0
     written = {f"{one.folder}/{group.label}.h5".lstrip("/") for one in plan.sets for group in one.groups}

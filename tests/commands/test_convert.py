@@ -9,7 +9,7 @@ import pytest
 from cannoise_jax.commands.convert import main
 from cannoise_jax.recordings.native import read_recording
 from tests.recordings.dng import write_dng
-from tests.recordings.folders.night import night
+from tests.recordings.folders.night import night, shot
 from tests.recordings.test_fits import write as write_fits
 from tests.recordings.test_native import write as write_native
 from tests.recordings.test_sidd import write_instance
@@ -244,3 +244,19 @@ def test_recordings_of_an_earlier_conversion_are_said(tmp_path, capsys):
     assert "stays" not in capsys.readouterr().out
     assert run(folder, out, *flags, "--leave-out", "dark*", "--force") == 0
     assert f"note: {out}/dark_60s.h5: not of this conversion, and stays" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("more", [[], ["--dry-run"]])
+def test_what_a_folder_lacks_is_listed_once_and_counted(tmp_path, capsys, more):
+    folder = night(tmp_path / "in")
+    (folder / "broken.fits").write_bytes(b"SIMPLE")
+    shot(folder / "flat_x.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0, INSTRUME="Acme 100")
+    assert run(folder, tmp_path / "out", *more) == 2
+    printed = capsys.readouterr()
+    listed = [line for line in printed.out.splitlines() if line.startswith("missing or contradictory: ")]
+    assert len(listed) == 2 and "broken.fits" in listed[0] and "flat_x.fits" in listed[1]
+    counted = f"bin/convert: {folder}: 2 things are missing or contradictory, see the end of the plan\n"
+    assert printed.err == counted and not (tmp_path / "out").exists()
+    (folder / "broken.fits").unlink()
+    assert run(folder, tmp_path / "out", *more) == 2
+    assert "1 thing is missing or contradictory, see" in capsys.readouterr().err
