@@ -6,6 +6,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -133,7 +134,7 @@ def _files(
     if sidd.is_instance(folder):
         yield folder
         return
-    for root, folders, names in os.walk(folder):
+    for root, folders, names in os.walk(folder, onerror=partial(_closed, folder, leave_out)):
         base = Path(root)
         instances = [f for f in sorted(folders) if sidd.is_instance(base / f)]
         folders[:] = sorted(f for f in folders if not f.startswith(".") and f not in instances)
@@ -149,6 +150,14 @@ def _files(
                 lost.append(name)
             elif instead_of(suffix_of(path)) is not None:
                 unread[suffix_of(path)] = unread.get(suffix_of(path), 0) + 1
+
+
+def _closed(folder: Path, leave_out: tuple[str, ...], error: OSError) -> None:
+    """Raises BadInput for a folder that cannot be read, unless it is to be left out."""
+    name = Path(error.filename).relative_to(folder).as_posix()
+    if not any(matches(name, pattern) for pattern in leave_out):
+        remedy = "make it readable" + (f", or leave it out with --leave-out '{name}'" if name != "." else "")
+        raise BadInput(f"{error.filename}: cannot be read ({error.strerror}): {remedy}") from error
 
 
 def _shot(path: Path, name: str, given: frozenset[str]) -> Shot:

@@ -186,7 +186,7 @@ def _is_prepared(folder: Path) -> bool:
 
 def _key(folder: Path, options: Options) -> str:
     facts: list[Any] = [_LAYOUT, str(folder.resolve()), options]
-    for root, folders, names in os.walk(folder):
+    for root, folders, names in os.walk(folder, onerror=lambda error: facts.append((error.filename, None))):
         folders.sort()
         for name in sorted(names):
             path = Path(root) / name

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import os
 import shutil
 
 import numpy as np
@@ -520,3 +521,29 @@ def test_a_pattern_without_a_file_and_levels_the_wrong_way_round_are_said(tmp_pa
     plan = plan_folder(night(tmp_path), {"white_level": 10.0}, assign=[("darc*", "dark")])
     assert "--assign darc*=dark: no file of such a name" in notes(plan)
     assert any("a white level (10 DN) above the black level" in p for p in plan.problems)
+
+
+def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    """Permissions do not bind every user that runs tests: what lists a folder stands in for them."""
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    shot(folder / "more" / "dark_3.fits", "dark", IMAGETYP="Dark Frame", EXPTIME=60.0, INSTRUME="Acme 100")
+    options = Options({"white_level": 16383.0})
+    assert len(capture_of(folder, options, cache)[0].recordings) == 3
+    listed, closed = os.scandir, folder / "more"
+
+    def scandir(path):
+        if os.fspath(path) == str(closed):
+            raise PermissionError(13, "Permission denied", str(path))
+        return listed(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    for read in (lambda: plan_folder(folder), lambda: capture_of(folder, options, cache)):
+        with pytest.raises(
+            BadInput, match="/in/more: cannot be read .Permission denied.: .*--leave-out 'more'"
+        ):
+            read()
+    assert labels(plan_folder(folder, leave_out=["more"]))["dark_60s"] == 2
+    assert len(capture_of(folder, options._replace(leave_out=["more"]), cache)[0].recordings) == 3
+    closed = folder
+    with pytest.raises(BadInput, match="/in: cannot be read .Permission denied.: make it readable$"):
+        plan_folder(folder)
