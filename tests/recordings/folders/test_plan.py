@@ -315,6 +315,19 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path):
     assert len(list(write_plan(plan, out, force=True))) == 3
 
 
+def test_an_interrupt_right_after_a_file_is_in_place_leaves_nothing(tmp_path, monkeypatch):
+    plan, out, write = plan_folder(night(tmp_path / "in")), tmp_path / "out", store.write_recording
+
+    def interrupted(path, recording):
+        write(path, recording)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store, "write_recording", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(write_plan(plan, out))
+    assert not out.exists()
+
+
 def test_a_conversion_that_fails_takes_away_what_it_made_and_no_more(tmp_path, monkeypatch):
     plan, out = plan_folder(night(tmp_path / "in")), tmp_path / "out"
     (out / "mine" / "empty").mkdir(parents=True)
