@@ -237,7 +237,7 @@ def _text(path: str | Path, name: str, value: Any) -> str:
     if value is None:
         return ""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-    if isinstance(text, (int, float)) and math.isfinite(text):
+    if isinstance(text, int) or (isinstance(text, float) and math.isfinite(text)):
         text = str(text)
     if not (isinstance(text, str) and text.isprintable() and len(text) <= _LONGEST):
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {_LONGEST} characters")
