@@ -235,6 +235,7 @@ def repeated(image: Float[Array, "*n h w 4"]) -> Float[Array, "*n y x 4"]:
     return image
 
 
+@jax.jit
 def _latent(params, noisy_ref):
     """The latent of all references, `[1, L]`."""
     if params.encoder_module is None:

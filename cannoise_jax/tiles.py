@@ -43,7 +43,6 @@ back up doubles and adds 2: 10, 22, 46, 94, 190, 382. The branches mix neighbour
 _BLOCK = 32
 Progress = Callable[[int], Any]
 Window = tuple[slice, slice]
-_encoded = jax.jit(_latent)
 
 
 def sample_image(
@@ -76,7 +75,7 @@ def sample_image(
     )
     said = (float(nlf is not None), float(np.prod(shown.shape[:-3])))
     level = NoiseLevel(shot, read, *(jnp.full(1, v) for v in said))
-    latent = _encoded(model, shown)
+    latent = _latent(model, shown)
     noise_key, row_key = jax.random.split(key)
     margin = margin_of(model)
     rows, columns = (_mirrored(n, margin) for n in (height, width))

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -258,8 +257,8 @@ def _latents(request: Request) -> list[dict[str, Any]]:
     model = request.models[0]
     if model.encoder_module is None:
         return []
-    noisy, latent = request.bench.test.noisy, jax.jit(_latent)
-    latents = np.concatenate([np.asarray(latent(model, noisy[i : i + 1])) for i in range(len(noisy))])
+    noisy = request.bench.test.noisy
+    latents = np.concatenate([np.asarray(_latent(model, noisy[i : i + 1])) for i in range(len(noisy))])
     centred = latents - latents.mean(0)
     _, size, axes = np.linalg.svd(centred, full_matrices=False)
     places = centred @ axes[:2].T
