@@ -164,15 +164,18 @@ def modelled(stacked: Stack, baseline: GroupBaseline) -> Modelled:
     return Modelled(expected, signal, gain * signal + read**2 + stacked.step**2 / 12)
 
 
-def smooth_part(stacked: Stack, baseline: GroupBaseline, by: Modelled) -> Float[np.ndarray, "h w"] | None:
-    """The mean that a fixed pattern is seen beside, DN; None for scenes without a reference of their own."""
+def smooth_part(
+    stacked: Stack, baseline: GroupBaseline, by: Modelled, clean: Float[np.ndarray, "h w"] | None
+) -> Float[np.ndarray, "h w"] | None:
+    """The mean that a fixed pattern is seen beside, DN; None for scenes without a reference of their own.
+    clean: the recording's `reference`, where it has one."""
     recording, size = stacked.recording, stacked.mean.shape
     if recording.kind in DARK or recording.kind == "flat":
         return by.expected + mosaic_map(baseline.black, size)
-    if recording.clean is None or recording.reference == "burst_mean":
+    if clean is None or recording.reference == "burst_mean":
         return None
     steady = by.signal < 0.9 * full_level(baseline)
-    return affine(stacked, reference(recording), np.sqrt(by.variance), channel_index(size), steady)
+    return affine(stacked, clean, np.sqrt(by.variance), channel_index(size), steady)
 
 
 def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
@@ -182,7 +185,7 @@ def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
     by = modelled(stacked, baseline)
     signal, variance = by.signal, by.variance
     clean = None if recording.clean is None else reference(recording)
-    smooth = smooth_part(stacked, baseline, by)
+    smooth = smooth_part(stacked, baseline, by, clean)
     static = None if smooth is None else stacked.mean - smooth
     mean = signal + baseline.black[channel] if smooth is None else smooth
     if recording.kind in DARK:

@@ -85,7 +85,8 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
         weight = (field.usable / field.sigma).astype(np.float32)
         static, mean = None, field.mean
         if field.static is not None:
-            smooth = smooth_part(taken, baselines[r.iso], modelled(taken, baselines[r.iso]))
+            baseline = baselines[r.iso]
+            smooth = smooth_part(taken, baseline, modelled(taken, baseline), field.clean)
             assert smooth is not None  # as the recording, the draw has a fixed pattern
             mean = smooth.astype(np.float32)
             static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
