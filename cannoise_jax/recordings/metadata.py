@@ -55,11 +55,9 @@ _LONGEST, _MOST_COUNTED = 200, 10**9
 _HIGHEST = 2.0**20
 """DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
 refuse the frames; beyond that it is damage."""
-_log = logging.getLogger(__name__)
-
-
 _MOST_DB = 200.0
 """A factor of ten thousand million; cameras have some fifty decibels."""
+_log = logging.getLogger(__name__)
 
 
 def make_recording(
@@ -277,9 +275,7 @@ def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tup
 
 def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
     try:
-        if np.asarray(value).dtype.kind == "b":
-            raise TypeError("a truth, no number")
-        values = per_channel(value)
+        values = per_channel(_no_truths(value))
     except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
     if not all(map(math.isfinite, values)):
@@ -300,11 +296,17 @@ def _optional_channels(
     return values
 
 
+def _no_truths(value: Any) -> np.ndarray:
+    """The value as an array. Raises TypeError for truths, which count as 0 and 1 elsewhere."""
+    array = np.asarray(value)
+    if array.dtype.kind == "b":
+        raise TypeError("a truth, no number")
+    return array
+
+
 def _number(path: str | Path, name: str, value: Any) -> float:
     try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError("a truth, no number")
-        number = float(np.asarray(value).reshape(()))
+        number = float(_no_truths(value).reshape(()))
     except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
     if not math.isfinite(number):

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from cannoise_jax.recordings.folders.groups import Group
+from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Shot, matches
 from cannoise_jax.recordings.recording import DARK
 
 _LONGEST_BIAS_S = 1.0
 """Biases are taken at the shortest exposure; mechanical shutters reach some tenths of a second."""
-LIT_TIMES, LIT_DN = 2.0, 100.0
+_LIT_TIMES, LIT_DN = 2.0, 100.0
 """Darks of one exposure and temperature that are so many times, and so much, brighter than others were lit.
 Dark current doubles within some 6 K; temperatures further apart than a few are settings of their own."""
 
@@ -77,9 +76,9 @@ def of_other_kinds(groups: Sequence[Group], stated: set[str]) -> list[str]:
             if long:
                 longest = max(times.values())
                 out.append(f"{listed(long)}: a bias of {longest:g} s beside others of hardly any, a dark?")
-        levels = {s.name: float(np.mean(s.medians)) for s in own}
+        levels = {s.name: level_of([s]) for s in own}
         low = min(levels.values(), default=0.0)
-        bright = [n for n, level in levels.items() if level > max(LIT_TIMES * low, low + LIT_DN)]
+        bright = [n for n, level in levels.items() if level > max(_LIT_TIMES * low, low + LIT_DN)]
         if bright:
             most = max(levels.values())
             out.append(f"{listed(bright)}: {group.kind} of {most:.0f} DN beside others of {low:.0f} DN, lit?")

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.kinds import LIT_DN, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.levels import Levels, levels
+from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
 from cannoise_jax.recordings.load import UNREAD
@@ -60,14 +59,13 @@ def plan_folder(
     Raises BadInput where the folder holds nothing that can be read.
     """
     overrides = {k: v for k, v in (overrides or {}).items() if v is not None}
-    leave_out = tuple(leave_out)
     found = scan(folder, leave_out, tell, overrides)
     notes, problems = _notes(found), _failures(found)
-    notes += [
-        f"--assign {pattern}={kind}: no file of such a name"
-        for pattern, kind in assign
-        if not any(matches(s.name, pattern) for s in found.shots)
-    ]
+    stated: set[str] = set()
+    for pattern, kind in assign:
+        fitting = {s.name for s in found.shots if matches(s.name, pattern)}
+        notes += [] if fitting else [f"--assign {pattern}={kind}: no file of such a name"]
+        stated |= fitting
     kinds, more_notes, more_problems = kinds_of(found.shots, assign, overrides.get("kind"))
     notes, problems = notes + more_notes, problems + more_problems
     usable = [s for s in found.shots if s.name in kinds]
@@ -77,7 +75,6 @@ def plan_folder(
         notes.append(
             f"no file names its camera: all are called {camera}, after the folder; --camera NAME does"
         )
-    stated = {s.name for s in usable if any(matches(s.name, pattern) for pattern, _ in assign)}
     sets = _sets(grouped(usable, kinds, camera, overrides), overrides)
     problems += of_other_kinds([g for one in sets for g in one.groups], stated)
     for one in sets[:1]:
@@ -252,15 +249,14 @@ def _lacks(one: CaptureGroups) -> list[str]:
         dim = [s.name for s in flats if max(s.medians) <= floor]
         if dim:
             notes.append(f"{listed(dim)}: flats no brighter than the darks: check that the light was on")
-    bias, dark = (
-        [float(np.mean(s.medians)) for g in groups if g.kind == kind for s in g.shots if not s.whole]
-        for kind in ("bias", "dark")
-    )
-    if bias and dark and np.median(bias) > np.median(dark) + max(LIT_DN, 0.1 * np.median(dark)):
-        notes.append(
-            f"the biases ({np.median(bias):.0f} DN) lie above the darks ({np.median(dark):.0f} DN): of "
-            "another offset or gain, or lit: the black level is theirs"
-        )
+    by_kind = [[s for g in groups if g.kind == kind for s in g.shots if not s.whole] for kind in DARK]
+    if all(by_kind):
+        dark, bias = map(level_of, by_kind)
+        if bias > dark + max(LIT_DN, 0.1 * dark):
+            notes.append(
+                f"the biases ({bias:.0f} DN) lie above the darks ({dark:.0f} DN): of another offset or gain, "
+                "or lit: the black level is theirs"
+            )
     return notes
 
 
