@@ -30,3 +30,11 @@ def night(folder, names=None, **keywords):
             path = folder / (names or "{kind}_{n}.fits").format(kind=kind, n=n)
             shot(path, kind, **{"IMAGETYP": words, "EXPTIME": seconds, "INSTRUME": "Acme 100"} | keywords)
     return folder
+
+
+def labels(plan, which=0):
+    return {g.label: g.frames for g in plan.sets[which].groups}
+
+
+def notes(plan):
+    return "\n".join(plan.notes)

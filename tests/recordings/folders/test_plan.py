@@ -9,21 +9,12 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from cannoise_jax.recordings.folders import store
 from cannoise_jax.recordings.folders.plan import check, plan_folder, text
 from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
-from tests.recordings.folders.night import night, shot
-
-
-def labels(plan, which=0):
-    return {g.label: g.frames for g in plan.sets[which].groups}
-
-
-def notes(plan):
-    return "\n".join(plan.notes)
+from tests.recordings.folders.night import labels, night, notes, shot
 
 
 def test_files_of_one_setting_become_one_recording(tmp_path):
@@ -118,77 +109,6 @@ def test_flats_of_a_sky_that_changes_from_frame_to_frame_stay_together(tmp_path)
     assert labels(plan_folder(tmp_path))["flat_2s_B"] == 5
 
 
-def test_flats_that_are_headed_light_and_lights_themselves(tmp_path):
-    night(tmp_path)
-    for n in (1, 2):
-        shot(
-            tmp_path / "flats" / f"x{n}.fits",
-            "flat",
-            IMAGETYP="Light Frame",
-            EXPTIME=2.0,
-            INSTRUME="Acme 100",
-        )
-        shot(
-            tmp_path / "m31" / f"x{n}.fits",
-            "light",
-            IMAGETYP="Light Frame",
-            EXPTIME=30.0,
-            INSTRUME="Acme 100",
-        )
-    plan = plan_folder(tmp_path)
-    assert labels(plan)["flat_2s"] == 4 and labels(plan, 1) == {"scene_30s": 2}
-    assert plan.sets[1].folder == "lights" and "headed 'Light Frame', flat by name" in notes(plan)
-    assert plan.sets[1].levels.values["black_level"] == plan.sets[0].levels.values["black_level"]
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        "{kind}/{kind}_{n}.fits",
-        "night1/{kind}frames/IMG_{n}.fits",
-        "{kind}_60.0s_Bin1_gain100_-10.0C_000{n}.fit",
-        "2024-01-01_{kind}-{n}.fts",
-        "x{kind}z{n}.fits",
-    ],
-)
-def test_kinds_from_names_alone(tmp_path, names):
-    plan = plan_folder(night(tmp_path, names, IMAGETYP="", EXPTIME="n/a"))
-    if "z" in names:
-        assert "neither header nor name says the kind" in plan.problems[0]
-        assigned = plan_folder(tmp_path, assign=[(f"*{k}*", k) for k in ("bias", "dark", "flat")])
-        assert not assigned.problems
-        return
-    assert not plan.problems and {g.kind for g in plan.sets[0].groups} == {"bias", "dark", "flat"}
-    if "gain100" in names:
-        dark = next(g for g in plan.sets[0].groups if g.kind == "dark")
-        assert (dark.settings["exposure_s"], dark.settings["temperature_c"]) == (60.0, -10.0)
-        assert dark.mode[4] == 100
-
-
-def test_words_of_several_languages(tmp_path):
-    said = {
-        "flat": ("Campo plano", "Flatfeld"),
-        "dark": ("Dunkelbild", "Oscuro"),
-        "bias": ("Sesgo", "Nullbild"),
-    }
-    for kind, words in said.items():
-        for n, word in enumerate(words):
-            keywords = {"EXPTIME": {"bias": 0.0, "dark": 60.0, "flat": 2.0}[kind], "INSTRUME": "Acme 100"}
-            shot(tmp_path / f"img_{kind[0]}{n}.fits", kind, IMAGETYP=word, **keywords)
-    shot(tmp_path / "Lumière" / "img.fits", "light", EXPTIME=9.0, INSTRUME="Acme 100")
-    plan = plan_folder(tmp_path)
-    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2} and labels(plan, 1) == {"scene_9s": 1}
-
-
-def test_words_that_are_unknown_in_several_ways_are_no_lights(tmp_path):
-    night(tmp_path)
-    shot(tmp_path / "img_1.fits", "light", IMAGETYP="Zorbl", EXPTIME=60.0, INSTRUME="Acme 100")
-    assert not plan_folder(tmp_path).problems
-    shot(tmp_path / "img_2.fits", "dark", IMAGETYP="Gnarf", EXPTIME=60.0, INSTRUME="Acme 100")
-    said = "\n".join(plan_folder(tmp_path).problems)
-    assert "img_1.fits: IMAGETYP 'Zorbl'" in said and "img_2.fits: IMAGETYP 'Gnarf'" in said
-
-
 def test_gains_in_short_and_darks_of_unknown_exposures_are_not_joined(tmp_path):
     rng = np.random.default_rng(0)
 
@@ -266,13 +186,6 @@ def test_an_average_a_copy_and_a_picture_are_no_frames(tmp_path):
         assert name in said
 
 
-def test_dark_flats_are_darks(tmp_path):
-    night(tmp_path)
-    shot(tmp_path / "DARKFLAT" / "1.fits", "dark", IMAGETYP="DARKFLAT", EXPTIME=2.0, INSTRUME="Acme 100")
-    shot(tmp_path / "flat_dark_2.fits", "dark", EXPTIME=2.0, INSTRUME="Acme 100")
-    assert labels(plan_folder(tmp_path))["dark_2s"] == 2
-
-
 def test_values_of_any_type_that_are_whole_numbers(tmp_path):
     night(tmp_path)
     for n, kind in enumerate((np.int16, np.int32, np.float32)):
@@ -299,91 +212,6 @@ def test_the_folder_names_a_camera_that_no_header_names(tmp_path):
     plan = plan_folder(night(tmp_path / "bench", INSTRUME=""))
     assert {g.settings["camera"] for g in plan.sets[0].groups} == {"bench"}
     assert "called bench" in notes(plan)
-
-
-def test_what_cannot_be_written_leaves_nothing(tmp_path):
-    plan = plan_folder(night(tmp_path / "in"))
-    out = tmp_path / "a" / "b"
-    assert all(path.exists() for path, _ in list(write_plan(plan, out)))
-    files = write_plan(plan, tmp_path / "c" / "d")
-    next(files)
-    with pytest.raises(KeyboardInterrupt):
-        files.throw(KeyboardInterrupt())
-    assert not (tmp_path / "c").exists()
-    with pytest.raises(BadInput, match="exists: name another folder, or replace it with --force"):
-        list(write_plan(plan, out))
-    assert len(list(write_plan(plan, out, force=True))) == 3
-
-
-def test_an_interrupt_right_after_a_file_is_in_place_leaves_nothing(tmp_path, monkeypatch):
-    plan, out, write = plan_folder(night(tmp_path / "in")), tmp_path / "out", store.write_recording
-
-    def interrupted(path, recording):
-        write(path, recording)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(store, "write_recording", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        list(write_plan(plan, out))
-    assert not out.exists()
-
-
-def test_a_conversion_that_fails_takes_away_what_it_made_and_no_more(tmp_path, monkeypatch):
-    plan, out = plan_folder(night(tmp_path / "in")), tmp_path / "out"
-    (out / "mine" / "empty").mkdir(parents=True)
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(store, "write_recording", full)
-    for folder in (out, tmp_path / "new" / "deep"):
-        with pytest.raises(BadInput, match="No space left"):
-            list(write_plan(plan, folder))
-    assert [p.name for p in out.rglob("*")] == ["mine", "empty"] and not (tmp_path / "new").exists()
-
-
-def test_a_folder_is_converted_once(tmp_path):
-    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
-    steps = []
-    capture, said = capture_of(folder, Options({}), cache, lambda n, total: steps.append(n))
-    assert {r.kind for r in capture.recordings} == {"bias", "dark", "flat"} and "flat_2s.h5" in said
-    assert capture.path == str(folder) and steps
-    steps.clear()
-    again, said_again = capture_of(folder, Options({}), cache, lambda n, total: steps.append(n))
-    assert not steps and said_again == said and len(again.recordings) == 3
-    other, _ = capture_of(folder, Options({"black_level": (990.0,)}), cache)
-    assert {r.black_level for r in other.recordings} == {(990.0,) * 4}
-    shot(folder / "dark_3.fits", "dark", IMAGETYP="Dark Frame", EXPTIME=60.0, INSTRUME="Acme 100")
-    changed, _ = capture_of(folder, Options({}), cache)
-    assert max(r.count for r in changed.recordings) == 3
-    prepared = tmp_path / "out"
-    for _ in write_plan(plan_folder(folder), prepared):
-        pass
-    assert capture_of(prepared, Options({}), tmp_path / "unused")[1] == ""
-    assert not (tmp_path / "unused").exists()
-
-
-def test_recordings_of_a_converted_folder_are_named_after_its_files(tmp_path, caplog):
-    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
-    for cached in (False, True):
-        caplog.clear()
-        capture, _ = capture_of(folder, Options({"white_level": 9100.0}), cache)
-        dark = capture.of_kind("dark")[0]
-        assert dark.path == f"{folder / 'dark_1.fits'} and 1 more", cached
-        assert dark.sources == (str(folder / "dark_1.fits"), str(folder / "dark_2.fits"))
-        (line,) = (record.getMessage() for record in caplog.records)
-        assert line.startswith(f"{folder / 'flat_1.fits'} and 1 more: ") and line.endswith("saturated")
-
-
-def test_a_damaged_conversion_in_the_cache_is_made_anew(tmp_path):
-    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
-    first, said = capture_of(folder, Options({}), cache)
-    frames = first.recordings[0].frames[:]
-    for damaged in ("*.h5", "sources.json"):
-        path = next(cache.glob(f"*/{damaged}"))
-        path.write_bytes(path.read_bytes()[:50])
-        again, said_again = capture_of(folder, Options({}), cache)
-        assert said_again == said and (again.recordings[0].frames[:] == frames).all()
 
 
 def test_text_names_every_file_and_note(tmp_path):
@@ -438,21 +266,6 @@ def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_pa
     with pytest.raises(BadInput) as refused:
         check(plan_folder(folder))
     assert "\n" not in str(refused.value) and "not a readable FITS file" in str(refused.value)
-
-
-def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_path, monkeypatch):
-    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
-    (cache / ".making-999999999-x").mkdir(parents=True)
-    capture_of(folder, Options({}), cache)
-    assert len(list(cache.iterdir())) == 1
-
-    def full(path, recording):
-        raise BadInput(f"{path}: cannot be written: no space left on the disk")
-
-    monkeypatch.setattr("cannoise_jax.recordings.folders.store.write_recording", full)
-    with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
-        capture_of(folder, Options({"camera": "X"}), cache)
-    assert len(list(cache.iterdir())) == 1
 
 
 def test_dim_frames_of_a_wider_word_are_no_camera_of_8_bits(tmp_path):
@@ -517,17 +330,6 @@ def test_what_side_cars_say_is_held_to_the_rules_of_single_files(tmp_path, field
     if field != "kind":
         stated = plan_folder(tmp_path, {field: {"cfa": "MONO", "black_level": 100.0}.get(field, 4095.0)})
         assert not [p for p in stated.problems if p.startswith("flat_0.npy")]
-
-
-def test_darks_that_were_lit_and_biases_that_were_exposed_are_named(tmp_path):
-    night(tmp_path)
-    shot(tmp_path / "dark_9.fits", "flat", IMAGETYP="Dark Frame", INSTRUME="Acme 100", EXPTIME=60.0)
-    shot(tmp_path / "bias_9.fits", "bias", IMAGETYP="Bias Frame", INSTRUME="Acme 100", EXPTIME=300.0)
-    problems = "\n".join(plan_folder(tmp_path).problems)
-    assert "dark_9.fits: dark of" in problems and "lit?" in problems
-    assert "bias_9.fits: a bias of 300 s beside others" in problems
-    stated = plan_folder(tmp_path, assign=[("dark_9*", "flat"), ("bias_9*", "bias")])
-    assert not stated.problems
 
 
 def test_a_pattern_without_a_file_and_levels_the_wrong_way_round_are_said(tmp_path):

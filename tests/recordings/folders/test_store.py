@@ -1,0 +1,109 @@
+"""What a plan leaves where it is carried out: files in place or nothing, and a cache that is sound."""
+
+import pytest
+
+from cannoise_jax.recordings.folders import store
+from cannoise_jax.recordings.folders.plan import plan_folder
+from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
+from cannoise_jax.recordings.recording import BadInput
+from tests.recordings.folders.night import night, shot
+
+
+def test_what_cannot_be_written_leaves_nothing(tmp_path):
+    plan = plan_folder(night(tmp_path / "in"))
+    out = tmp_path / "a" / "b"
+    assert all(path.exists() for path, _ in list(write_plan(plan, out)))
+    files = write_plan(plan, tmp_path / "c" / "d")
+    next(files)
+    with pytest.raises(KeyboardInterrupt):
+        files.throw(KeyboardInterrupt())
+    assert not (tmp_path / "c").exists()
+    with pytest.raises(BadInput, match="exists: name another folder, or replace it with --force"):
+        list(write_plan(plan, out))
+    assert len(list(write_plan(plan, out, force=True))) == 3
+
+
+def test_an_interrupt_right_after_a_file_is_in_place_leaves_nothing(tmp_path, monkeypatch):
+    plan, out, write = plan_folder(night(tmp_path / "in")), tmp_path / "out", store.write_recording
+
+    def interrupted(path, recording):
+        write(path, recording)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store, "write_recording", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(write_plan(plan, out))
+    assert not out.exists()
+
+
+def test_a_conversion_that_fails_takes_away_what_it_made_and_no_more(tmp_path, monkeypatch):
+    plan, out = plan_folder(night(tmp_path / "in")), tmp_path / "out"
+    (out / "mine" / "empty").mkdir(parents=True)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "write_recording", full)
+    for folder in (out, tmp_path / "new" / "deep"):
+        with pytest.raises(BadInput, match="No space left"):
+            list(write_plan(plan, folder))
+    assert [p.name for p in out.rglob("*")] == ["mine", "empty"] and not (tmp_path / "new").exists()
+
+
+def test_a_folder_is_converted_once(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    steps = []
+    capture, said = capture_of(folder, Options({}), cache, lambda n, total: steps.append(n))
+    assert {r.kind for r in capture.recordings} == {"bias", "dark", "flat"} and "flat_2s.h5" in said
+    assert capture.path == str(folder) and steps
+    steps.clear()
+    again, said_again = capture_of(folder, Options({}), cache, lambda n, total: steps.append(n))
+    assert not steps and said_again == said and len(again.recordings) == 3
+    other, _ = capture_of(folder, Options({"black_level": (990.0,)}), cache)
+    assert {r.black_level for r in other.recordings} == {(990.0,) * 4}
+    shot(folder / "dark_3.fits", "dark", IMAGETYP="Dark Frame", EXPTIME=60.0, INSTRUME="Acme 100")
+    changed, _ = capture_of(folder, Options({}), cache)
+    assert max(r.count for r in changed.recordings) == 3
+    prepared = tmp_path / "out"
+    for _ in write_plan(plan_folder(folder), prepared):
+        pass
+    assert capture_of(prepared, Options({}), tmp_path / "unused")[1] == ""
+    assert not (tmp_path / "unused").exists()
+
+
+def test_recordings_of_a_converted_folder_are_named_after_its_files(tmp_path, caplog):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    for cached in (False, True):
+        caplog.clear()
+        capture, _ = capture_of(folder, Options({"white_level": 9100.0}), cache)
+        dark = capture.of_kind("dark")[0]
+        assert dark.path == f"{folder / 'dark_1.fits'} and 1 more", cached
+        assert dark.sources == (str(folder / "dark_1.fits"), str(folder / "dark_2.fits"))
+        (line,) = (record.getMessage() for record in caplog.records)
+        assert line.startswith(f"{folder / 'flat_1.fits'} and 1 more: ") and line.endswith("saturated")
+
+
+def test_a_damaged_conversion_in_the_cache_is_made_anew(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    first, said = capture_of(folder, Options({}), cache)
+    frames = first.recordings[0].frames[:]
+    for damaged in ("*.h5", "sources.json"):
+        path = next(cache.glob(f"*/{damaged}"))
+        path.write_bytes(path.read_bytes()[:50])
+        again, said_again = capture_of(folder, Options({}), cache)
+        assert said_again == said and (again.recordings[0].frames[:] == frames).all()
+
+
+def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_path, monkeypatch):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    (cache / ".making-999999999-x").mkdir(parents=True)
+    capture_of(folder, Options({}), cache)
+    assert len(list(cache.iterdir())) == 1
+
+    def full(path, recording):
+        raise BadInput(f"{path}: cannot be written: no space left on the disk")
+
+    monkeypatch.setattr("cannoise_jax.recordings.folders.store.write_recording", full)
+    with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
+        capture_of(folder, Options({"camera": "X"}), cache)
+    assert len(list(cache.iterdir())) == 1
