@@ -189,7 +189,10 @@ def diagnose(
         gated = gate(panel, sides, fitted.steps, proven)
         if sides.model is not None:
             chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
-            against = doubts(judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, tell)
+            shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
+            against = doubts(
+                judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell
+            )
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
         well = tuple(s for s, doubt in zip(fitted.steps, against, strict=True) if doubt is None)

@@ -91,7 +91,11 @@ MAPS = ("pixel_additive_static", "pixel_thermal_static")
 """Signatures of maps of all pixels, which are judged once hot ones that stand out from them are gone."""
 SCENES = ("reference_shift", "reference_blur", "reference_spread", "scene_static", "curvature", *SCALES)
 """Signatures of scenes against their references."""
+SLOW = (*MAPS, "pixel_relative_static", "scene_static")
+"""Signatures of what stays, which frames that remember the last one scatter by more than their number
+says."""
 BENT = "variance_curve"
+"""How the variance grows with the light, which a converter that bends bends as well."""
 BLENDS = ("lags_in_camera_denoising", "lags_in_camera_denoising_8")
 SHARED = "lags_crosstalk"
 

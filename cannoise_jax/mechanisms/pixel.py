@@ -219,7 +219,8 @@ ENTRIES: tuple[Entry, ...] = (
         NONLINEARITY,
         needs="scenes with an independent reference that spans the range",
         signatures=lambda recorded: (
-            looks.curvature.curved(recorded, name="curvature", parameter="loss", covers=looks.SCALES),
+            looks.curvature.curved(recorded, name="curvature", parameter="loss",
+                                   covers=(*looks.SCALES, looks.BENT)),
         ),
         estimator=Estimator(light.nonlinearity, least=3e-3),
         examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},

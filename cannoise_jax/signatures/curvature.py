@@ -15,6 +15,7 @@ from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.least import (
     template,
 )
+from cannoise_jax.signatures.levels import dark_levels, dark_rise
 from cannoise_jax.signatures.means import linear_score, minus, project
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import (
@@ -93,9 +94,8 @@ def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score[float] 
     high = float(max(np.max(f.clean) for f in known if f.clean is not None))
     where = {"axis": "signal", "range": [0.0, high]}
     moments = [m for f in known if f.clean is not None for m in _moments(f, f.clean, span)]
-    for f in fields:  # darks fix the offset
-        if f.kind in DARK and f.static is not None and f.exposure_s in (None, min_exposure(fields)):
-            moments += _moments(f, np.zeros_like(f.mean), span)
+    for f in darks_of(fields, known):
+        moments += _moments(f, np.zeros_like(f.mean), span)
     value, error, apart, freedom = _common_curve(moments)
     if freedom < 2 or chi2_log_sf(apart, freedom) < np.log(1e-3):
         if not scenes:
@@ -115,6 +115,21 @@ def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score[float] 
         where=where,
         payload=span,
     )
+
+
+def darks_of(fields: tuple[Fields, ...], lit: list[Fields]) -> list[Fields]:
+    """The darks that fix the offset of light: the shortest, unless their level rises with the exposure so far
+    that it would be another one at that of the light."""
+    darks = [(f, level, e) for f, level, e in dark_levels(fields) if f.static is not None]
+    shortest = min_exposure(fields)
+    rise, error = dark_rise([d for d in darks if d[0].exposure_s is not None])
+    exposures = [f.exposure_s for f in lit]
+    longest = None if None in exposures else max(e for e in exposures if e is not None)
+    if rise and rise > 3 * error:
+        away = np.inf if longest is None or shortest is None else rise * max(longest - shortest, 0.0)
+        if away > min(e for _, _, e in darks) / 2:
+            return []
+    return [f for f, _, _ in darks if f.exposure_s in (None, shortest)]
 
 
 def min_exposure(fields: tuple[Fields, ...]) -> float | None:

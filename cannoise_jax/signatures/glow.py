@@ -2,6 +2,8 @@
 
 How far it reaches is known only roughly, and with it how much of the light lies where no fall is seen. The
 strength is the mean over the places and reaches that the darks leave open, each weighted by its likelihood.
+A strong glow shows its form: it is then a sum of falls of several forms, reaches and places, each of which
+the darks ask for, and none negative.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
@@ -41,29 +43,44 @@ _TRIALS = 24
 _COST = float(np.log(_TRIALS) + 0.5 * np.log(1e5)) / 2
 """Nats of one of the templates and its strength, 4.5: half of the log of their number beside `KNOWN_SHAPE`,
 which is a half as well. The whole log, as the p-value counts them, would be 1.6 more."""
+_SHOWS_FORM = 20.0
+"""Standard deviations from which a glow that is 5 % of itself off a template would be seen at one."""
+_MOST_FALLS = 8
+"""Falls of one glow."""
 _OPEN = 0.02
 """Posterior weight, against the best, down to which a template may be the glow."""
 
 
 class Glow(NamedTuple):
     """The template that fits best (rms 1) and its strength at the longest exposure, DN; the longest exposure
-    (None where unknown); weights: log posterior weight of every template."""
+    (None where unknown); weights: log posterior weight of every template. formed: whether it is a sum of
+    falls, whose form the darks show."""
 
     template: np.ndarray
     strength: float
     longest: float | None
     weights: np.ndarray
     strengths: np.ndarray
+    formed: bool = False
 
 
 @lru_cache(maxsize=4)
 def glow_templates(size: tuple[int, int]) -> tuple[tuple[str, ...], np.ndarray]:
     """Exponential falls from every corner and edge, of several lengths, each of rms 1: names,
     [templates, H W]."""
+    names, out = [], []
+    for place, distance in _distances(size).items():
+        for reach in _REACHES:
+            out.append(_unit_fall(np.exp(-distance / (reach * max(size)))))
+            names.append(f"{place}, {reach * max(size):.0f} px")
+    return tuple(names), np.array(out)
+
+
+def _distances(size: tuple[int, int]) -> dict[str, np.ndarray]:
+    """How far every pixel is from the corners and edges, px."""
     h, w = size
     y, x = np.indices(size)
-    names, out = [], []
-    places = {
+    return {
         "top left": np.hypot(y, x),
         "top right": np.hypot(y, w - 1 - x),
         "bottom left": np.hypot(h - 1 - y, x),
@@ -73,29 +90,84 @@ def glow_templates(size: tuple[int, int]) -> tuple[tuple[str, ...], np.ndarray]:
         "left": x,
         "right": w - 1 - x,
     }
-    for place, distance in places.items():
-        for reach in _REACHES:
-            g = np.exp(-distance / (reach * max(h, w)))
-            names.append(f"{place}, {reach * max(h, w):.0f} px")
-            out.append((g / np.sqrt(np.mean(g**2))).ravel().astype(np.float32))
-    return tuple(names), np.array(out)
+
+
+def _unit_fall(fall: np.ndarray) -> np.ndarray:
+    return (fall / np.sqrt(np.mean(fall**2))).ravel().astype(np.float32)
+
+
+def _formed(fields: tuple[Fields, ...], names: tuple[str, ...], g: np.ndarray, best: int) -> np.ndarray:
+    """A glow of the form that the darks show, rms 1: falls of exponential, Gaussian and Lorentzian form from
+    the best place and exponential ones from the others, added while each gains more than it costs, all of
+    them of positive strength (orthogonal matching pursuit)."""
+    size = fields[0].mean.shape
+    place = names[best].rsplit(",", 1)[0]
+    away = [_distances(size)[place] / (reach * max(size)) for reach in _REACHES]
+    falls = [
+        *g,
+        *(_unit_fall(np.exp(-(d**2) / 2)) for d in away),
+        *(_unit_fall(1 / (1 + d**2)) for d in away),
+    ]
+    every = np.array(falls)
+    u, i = _sums_of(fields, every)
+    chosen, strengths = [best], np.array([u[best] / i[best]])
+    gained = 0.5 * u[best] ** 2 / i[best]
+    while len(chosen) < _MOST_FALLS:
+        rest, _ = _sums_of(fields, every, strengths @ every[chosen])
+        rest = np.where(np.isin(np.arange(len(every)), chosen), 0.0, rest)
+        trial = [*chosen, int(np.argmax(rest / np.sqrt(i)))]
+        gram = np.array([_along(fields, every[trial], every[k]) for k in trial])
+        root = np.linalg.cholesky(gram + 1e-9 * np.diag(np.diag(gram)))
+        fitted = optimize.nnls(root.T, np.linalg.solve(root, u[trial]))[0]
+        gain = float(fitted @ u[trial] - 0.5 * fitted @ gram @ fitted)
+        if gain - gained < _COST:
+            break
+        chosen, strengths, gained = trial, fitted, gain
+    return _unit_fall(strengths @ every[chosen]).reshape(size)
+
+
+def _along(fields: tuple[Fields, ...], falls: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Information that falls share with another one, the level of every channel fitted too."""
+    dark, longest = _darks(fields)
+    channel = channel_index(dark[0].mean.shape).ravel()
+    out = np.zeros(len(falls))
+    for f in dark:
+        square = f.weight.ravel().astype(np.float64) ** 2
+        own = other.astype(np.float64)
+        for c in range(4):
+            at = channel == c
+            own[at] -= float(square[at] @ own[at]) / max(float(square[at].sum()), 1e-30)
+        out += f.frames * _scale(f, longest) ** 2 * (falls @ (square * own))
+    return out
+
+
+def _darks(fields: tuple[Fields, ...]) -> tuple[list[Fields], float | None]:
+    """The darks, and the longest exposure where all are known."""
+    dark = [f for f in fields if f.kind in DARK and f.static is not None]
+    known = [f.exposure_s for f in dark if f.exposure_s]
+    return dark, max(known) if known and len(known) == len(dark) else None
 
 
 def _sums(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | None] | None:
-    """Score and information of every template, the level of every channel fitted too, and the longest
-    exposure; None without darks."""
-    dark = [f for f in fields if f.kind in DARK and f.static is not None]
-    if not dark:
-        return None
-    known = [f.exposure_s for f in dark if f.exposure_s]
-    longest = max(known) if len(known) == len(dark) else None
-    g = glow_templates(dark[0].mean.shape)[1]
+    """Score and information of every template and the longest exposure; None without darks."""
+    dark, longest = _darks(fields)
+    return (*_sums_of(fields, glow_templates(dark[0].mean.shape)[1]), longest) if dark else None
+
+
+def _sums_of(
+    fields: tuple[Fields, ...], g: np.ndarray, taken: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Score and information of falls, the level of every channel fitted too. taken: glow at the longest
+    exposure that is taken out first, DN."""
+    dark, longest = _darks(fields)
     channel = channel_index(dark[0].mean.shape).ravel()
     u, i = np.zeros(len(g)), np.zeros(len(g))
     for f in dark:
         assert f.static is not None
         scale = _scale(f, longest)
         w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
+        if taken is not None:
+            static = static - np.float32(np.sqrt(f.frames) * scale) * w * taken
         u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
         i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
         for c in range(4):
@@ -105,7 +177,7 @@ def _sums(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | N
             level = float(np.sum(w[channel == c] * static[channel == c], dtype=np.float64))
             u -= np.sqrt(f.frames) * scale * along * level / total
             i -= f.frames * scale**2 * along**2 / total
-    return u, np.maximum(i, 1e-30), longest
+    return u, np.maximum(i, 1e-30)
 
 
 def _scale(field: Fields, longest: float | None) -> float:
@@ -135,6 +207,11 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     k = int(np.argmax(z))
     amplitude, error = _strength(u, i, _weights(u, i))
     names, g = glow_templates(size)
+    template, strength, formed = g[k].reshape(size), float(max(u[k] / i[k], 0.0)), z[k] > _SHOWS_FORM
+    if formed:
+        template = _formed(fields, names, g, k)
+        strength, error = _one(fields, template)
+        amplitude = strength
     return Score(
         log_p=sidak(normal_log_p(float(z[k]), 1), _TRIALS),
         gain=0.5 * max(float(z[k]), 0.0) ** 2,
@@ -145,8 +222,14 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
         power=1,
         parameters={"glow": (amplitude, "DN", error)},
         where={"axis": "edge", "edge": names[k]},
-        payload=Glow(g[k].reshape(size), float(max(u[k] / i[k], 0.0)), longest, _weights(u, i), u / i),
+        payload=Glow(template, strength, longest, _weights(u, i), u / i, bool(formed)),
     )
+
+
+def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float]:
+    """Strength of one glow and its standard error."""
+    u, i = _sums_of(fields, template.reshape(1, -1).astype(np.float32))
+    return max(float(u[0] / i[0]), 0.0), float(1 / np.sqrt(i[0]))
 
 
 def glow_again(looked: Score[Glow], second: tuple[Fields, ...]) -> Score[Glow] | None:
@@ -159,6 +242,9 @@ def glow_again(looked: Score[Glow], second: tuple[Fields, ...]) -> Score[Glow] |
     both = looked.payload.weights + own
     amplitude, error = _strength(u, i, both)
     amplitude, gain = max(amplitude, 0.0), float(own[np.argmax(both)])
+    if looked.payload.formed:
+        amplitude, error = _one(second, looked.payload.template)
+        gain = 0.5 * (amplitude / error) ** 2
     parameters = {"glow": (amplitude, "DN", error)}
     return looked.replace(gain=gain, amplitude=amplitude, error=error, parameters=parameters)
 
@@ -174,8 +260,42 @@ def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields,
             continue
         scale = _scale(f, glow.longest)
         fall = project(f, glow.template * glow.strength * scale)
-        out.append(minus(f, fall)._replace(mean=f.mean - np.float32(level * scale)))
+        f = minus(f, fall)._replace(mean=f.mean - np.float32(level * scale))
+        if glow.formed:
+            gain = f.gain[channel_index(f.mean.shape)]
+            f = _louder(f, gain * (glow.template - glow.template.min()) * glow.strength * scale)
+        out.append(f)
     return tuple(out)
+
+
+def _louder(field: Fields, variance: np.ndarray) -> Fields:
+    """The field where some noise is known to grow over the frame, DN^2, the rest of it fitted to what the
+    frames show: its charge arrives one by one."""
+    if not len(field.contrasts):
+        return field
+    before = field.sigma.astype(np.float64) ** 2
+    each = np.minimum(field.contrasts**2 * before, 25 * (before + variance))
+    # Where little of it is known, the rest is told best.
+    share = field.usable / (before + variance) ** 2
+    rest = max(float(np.sum(share * (each.mean(0) - variance)) / np.sum(share * before)), 0.05)
+    after = rest * before + variance
+    root = np.sqrt(after / before).astype(np.float32)
+    shot = ((field.shot * rest * before + variance) / after).astype(np.float32)
+    static = None if field.static is None else field.static / root
+    field = field._replace(
+        contrasts=field.contrasts / root, sigma=field.sigma * root, shot=shot, static=static
+    )
+    return field if static is None else _level_out(field, static)
+
+
+def _level_out(field: Fields, static: np.ndarray) -> Fields:
+    """The field without the level of each channel that its static part holds by its weights of now."""
+    weight, channel = field.weight, channel_index(field.mean.shape)
+    level = np.zeros(4, np.float32)
+    for c in range(4):
+        at = channel == c
+        level[c] = np.sum(weight[at] * static[at]) / max(float(np.sum(weight[at] ** 2)), 1e-30)
+    return field._replace(static=static - weight * level[channel])
 
 
 def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
@@ -186,7 +306,7 @@ def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
     means = np.maximum(glow.strengths, 0.0)[possible] * g[possible].mean(1)
     dark = [f for f in fields if f.static is not None and not f.lit]
     scales = np.array([_scale(f, glow.longest) for f in dark])
-    if np.ptp(scales) < 0.01:
+    if np.ptp(scales) < 0.01 or glow.formed:
         return float(np.mean(glow.template) * glow.strength)
     shown = float(np.polyfit(scales, [float(np.mean(f.mean)) for f in dark], 1)[0])
     return float(np.clip(shown, means.min(), means.max()))

@@ -48,6 +48,19 @@ def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, fl
     return out
 
 
+def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.0) -> tuple[float, float]:
+    """How the level of the darks rises with their exposure, DN/s, and its standard error; (0, inf) where all
+    are of one. jitter: variance of the offset of a frame, DN^2."""
+    t = np.array([f.exposure_s for f, _, _ in levels], float)
+    if len(set(t.tolist())) < 2:
+        return 0.0, np.inf
+    y = np.array([level.mean() for _, level, _ in levels])
+    v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
+    centre = np.average(t, weights=1 / v)
+    i = float(np.sum((t - centre) ** 2 / v))
+    return float(np.sum((t - centre) * y / v)) / i, float(1 / np.sqrt(i))
+
+
 def jitter_freedom(fields: tuple[Fields, ...], jitter: float, error: float) -> float:
     """Degrees of freedom of a standard error made of pixel noise, which is known, and of frame jitter."""
     frames = sum(len(f.contrasts) for f in fields if f.kind in DARK)
@@ -89,6 +102,10 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: boo
         slack = recorded.tolerance
         spread = np.sqrt(error**2 / 4 + jitter / frames)
         value = float(difference.mean())
+        # What dark current adds in the shortest exposure is no fault of the black level.
+        rise, doubt = dark_rise([d for d in levels if d[0].exposure_s is not None], jitter)
+        if rise > 3 * doubt:
+            value, spread = value - rise * shortest, float(np.hypot(spread, doubt * shortest))
         z = np.sign(value) * max(abs(value) - slack, 0.0) / spread
         return Score(
             log_p=student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
@@ -127,16 +144,11 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: s
     levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
     if len({f.exposure_s for f, _, _ in levels}) < 2:
         return None
-    t = np.array([f.exposure_s for f, _, _ in levels], float)
-    y = np.array([level.mean() for _, level, _ in levels])
-    v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
-    centre = np.average(t, weights=1 / v)
-    i = float(np.sum((t - centre) ** 2 / v))
-    slope = float(np.sum((t - centre) * y / v)) / i
+    slope, spread = dark_rise(levels, jitter)
     gain = float(np.mean(fields[0].gain))
-    z = slope * np.sqrt(i)
+    z = slope / spread
     # Frame offsets leave few degrees of freedom for their own variance.
-    error = float(1 / np.sqrt(i)) / gain
+    error = spread / gain
     return Score(
         log_p=student_log_p(
             z, jitter_freedom(fields, jitter, levels[0][2] ** 2 * levels[0][0].frames / 4), 1

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
-from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, uneven
+from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
+from cannoise_jax.discovery.proof.white_maps import patterned
+from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import SITES
@@ -94,7 +97,7 @@ def test_what_another_mechanism_bears_on_far_more_speaks_of_that_one():
 def test_what_hardly_changes_with_a_mechanism_hardly_speaks_against_it():
     """It explains one statistic wholly; of another, ten times as far off, a seventh."""
     before, after = np.array([100.0, 1000.0]), np.array([0.0, 860.0])
-    judged = SimpleNamespace(family="mean", where="dark", z=np.array([0.5, 40.0]), passing=4.0)
+    judged = SimpleNamespace(family=of(STATIC, STRUCTURE), where="dark", z=np.array([0.5, 40.0]), passing=4.0)
     even = Borne(judged, before, after, np.ones(2, bool), np.zeros(2, bool), np.ones(2))
     one, other = own_part([even._replace(weight=share_of(before, after))]), own_part([even])
     assert other.after / other.before > 0.7 and one.after / one.before == pytest.approx(0.5, abs=0.02)
@@ -148,3 +151,53 @@ def test_a_reference_that_is_shifted_or_soft_is_told_from_light_from_further_awa
     )
     scenes = frozenset({"scene"})
     assert (doubt(full, borne_by(full, less, scenes), scenes) is None) == fits
+
+
+def borne(before, after, where="dark"):
+    """Energies of what stays, all of one part."""
+    before, after = np.array(before, float), np.array(after, float)
+    judged = SimpleNamespace(
+        family=of(STATIC, STRUCTURE), where=where, z=np.full(before.size, 9.0), passing=4.0
+    )
+    return Borne(
+        judged, before, after, np.abs(before - after) > 4, np.zeros(before.size, bool), np.ones(before.size)
+    )
+
+
+def test_a_name_in_the_shadow_of_something_unknown_is_none():
+    name, other = borne([50, 40, 3], [4, 5, 2]), borne([900, 700, 3], [10, 10, 2])
+    unknown = most_of([[other]])
+    found = shadowed([name], unknown, confirmed=True)
+    assert found is not None and found.left > 0.9 and "without a name" in found.against[0]
+    # Of its own: elsewhere, or as much as the unknown.
+    assert shadowed([name], most_of([[borne([60, 40, 3], [9, 9, 2])]]), confirmed=True) is None
+    assert shadowed([name, borne([90], [2], "flat")], unknown, confirmed=True) is None
+    # It bears on nothing that the layer sees: the frames held back decide.
+    nothing = borne([1, 1, 1], [1, 1, 1])
+    assert shadowed([nothing], unknown, confirmed=True) is None
+    assert shadowed([nothing], unknown, confirmed=False) is not None
+
+
+def response(pattern):
+    """Flats whose light meets a fixed map of gains."""
+    return lambda rng: lambda dn, signal, kind, t: dn + (signal * pattern if kind == "flat" else 0)
+
+
+@pytest.mark.parametrize("texture", ["white", "fringes", "white and some fringes"])
+def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
+    rng = np.random.default_rng(2)
+    y, x = np.mgrid[:96, :128]
+    white, fringes = rng.standard_normal((96, 128)), np.sqrt(2) * np.sin(x / 2.3 + y / 7.0)
+    pattern = {"white": white, "fringes": fringes, "white and some fringes": 0.9 * white + 0.4 * fringes}[
+        texture
+    ]
+    capture = capture_set(4, response(0.02 * pattern), kinds="df")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == "pixel_relative_static")
+    score = signature.score(prepared.fields)
+    assert score is not None and score.log_p < -50
+    named = Named(score, signature, "prnu", (("prnu", 1.0),), False)
+    against = patterned(Step(named, prepared.fields, score.log_p))
+    assert (against is not None) == (texture == "fringes")
+    if against is not None:
+        assert against.left > 0.9 and "px" in against.against[0]

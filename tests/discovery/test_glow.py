@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.glow import glow_absorb, glow_again, glow_score
 from cannoise_jax.signatures.levels import dark_levels
+from tests.discovery.capture import capture_set
 
 SIZE = (96, 128)
 
@@ -72,3 +75,40 @@ def test_dark_current_beside_a_glow_is_left_to_be_found():
     fields = darks(rng, 0.3 * fall((1, 0), 0.2) + 0.5, 6)
     left = glow_absorb(fields, glow_score(fields))
     assert dark_levels(left)[1][1].mean() == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("form", ["gauss", "two corners", "plateau"])
+def test_a_strong_glow_is_taken_out_whatever_its_form(form):
+    rng = np.random.default_rng(4)
+    y, x = np.indices(SIZE) / max(SIZE)
+    glow = {
+        "gauss": np.exp(-((np.hypot(y, x) / 0.3) ** 2)),
+        "two corners": np.exp(-np.hypot(y, x) / 0.1) + 0.6 * np.exp(-np.hypot(y, 1 - x) / 0.21),
+        "plateau": 1 / (1 + (np.hypot(y, x) / 0.25) ** 4),
+    }[form]
+    first = darks(rng, 20 * glow, 6)
+    score = glow_score(first)
+    assert score is not None
+    left = glow_absorb(first, score)[1].static
+    before = first[1].static
+    assert left is not None and before is not None
+    # Of forms that are no sum of a few falls too.
+    smooth = [ndimage.uniform_filter(s, 8) for s in (before, left)]
+    assert np.std(smooth[1]) < 0.08 * np.std(smooth[0])
+    assert abs(float(left.mean())) < 0.05
+
+
+def test_the_noise_of_a_strong_glow_is_no_noise_of_some_pixels():
+    size, reach = (96, 128), 20.0
+    y, x = np.indices(size)
+    glow = 400 * np.exp(-np.hypot(y, x) / reach)
+    capture = capture_set(
+        7, lambda r: lambda dn, signal, kind, t: dn + 1.5 * r.poisson(glow * t / 0.1, size), kinds="d"
+    )
+    fields = prepare(capture, all_frames(split_recordings(capture)), False).fields
+    score = glow_score(fields)
+    assert score is not None
+    corner = np.hypot(y, x) < reach
+    for f, told in zip((fields[1], glow_absorb(fields, score)[1]), (False, True), strict=True):
+        ratio = np.mean(f.contrasts[:, corner] ** 2) / np.mean(f.contrasts[:, ~corner] ** 2)
+        assert (abs(ratio - 1) < 0.1) == told

@@ -54,12 +54,14 @@ class Statistics(NamedTuple):
 
 class Measured(NamedTuple):
     """The families of one recording by name, the summed periodogram of its contrasts and how many they are,
-    and its static map for the comparison between recordings (None: not known)."""
+    its static map for the comparison between recordings (None: not known), and whether its noise is less than
+    a code."""
 
     families: dict[str, Statistics]
     power: Float[np.ndarray, "h v"] | None
     contrasts: int
     static: Float[np.ndarray, "h w"] | None
+    coarse: bool = False
 
 
 BROAD = 0.75
@@ -80,7 +82,8 @@ def measure(
     power = None
     if n and seen.kept.any():
         kept = seen.kept.astype(np.float32)
-        rows = _units(seen.z, kept, share, coarse)
+        grain = step / np.sqrt(float(np.mean(variance)))
+        rows = _units(seen.z, kept, share, coarse, grain)
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             families[of(TEMPORAL, name)] = Statistics(law, np.stack([r[name] for r in rows]), width)
         power = np.sum([bank.power(z, share) for z in seen.z], 0)
@@ -102,9 +105,8 @@ def measure(
     if seen.static is not None and seen.static_kept.any():
         share = float(max(seen.static_kept.mean(), 1e-6))
         kept = seen.static_kept.astype(np.float32)
-        (row,) = _units(seen.static[None], kept, share, coarse)
-        if coarse:
-            row[TAILS] = _tails(seen.static + kept * _spread_codes(seen, variance, step))
+        grain = step / np.sqrt(float(np.mean(variance)) * seen.single.size)
+        (row,) = _units(seen.static[None], kept, share, coarse, grain)
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             if name == STRUCTURE:
                 width = width * ~absorbed(seen.kept.shape, degree).ravel()
@@ -116,7 +118,7 @@ def measure(
         values = seen.outlying[seen.usable]  # type: ignore[index]
         counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING_SIGMAS]
         families[STANDING_OUT] = _count(np.array([counts]))
-    return Measured(families, power, n, seen.static)
+    return Measured(families, power, n, seen.static, coarse)
 
 
 def _smooth_noise(seen: View, white: float, number: int) -> Float[np.ndarray, "k"]:
@@ -164,28 +166,43 @@ def is_coarse(variance: Float[np.ndarray, "4"], step: float) -> bool:
     return bool(np.sqrt(np.mean(variance)) < step)
 
 
-def _unit(z: np.ndarray, kept: np.ndarray, share: float, coarse: bool) -> dict[str, np.ndarray]:
+_FINE = 0.25
+"""Steps of the codes, in standard deviations, from which on the place of a limit between two of them counts:
+of a normal law 2.5 standard deviations out, a limit that moves by half a step moves counts by a third."""
+
+
+def _unit(
+    z: np.ndarray, kept: np.ndarray, share: float, coarse: bool, more: np.ndarray | None
+) -> dict[str, np.ndarray]:
     """One field. Its level is the energies' and the second moment's to tell: all else is of the field divided
-    by its own root mean square, so that a noisier one is not skewed, tailed or correlated for that."""
+    by its own root mean square, so that a noisier one is not skewed, tailed or correlated for that. more:
+    spreads its few values over the steps between them, so that no limit lies between two of them."""
     own = z / np.float32(np.sqrt(max(float(np.mean(z * z)) / share, 1e-9)))
     alone = bank.without_lines(own) * kept
     together, apart = bank.product_statistics(bank.products(alone, share))
     moments = bank.hermite(own, kept)
     moments[0] = bank.maps((z * z - 1) * kept, kept)
+    far = z if coarse else own
     return {
         STRUCTURE: bank.energies(z, share).ravel(),
         NEIGHBOURS: together,
         BY_PARITY: apart,
         MOMENTS: moments.ravel(),
-        TAILS: _tails(z if coarse else own),
+        TAILS: _tails(far if more is None else far + kept * more),
     }
 
 
 def _units(
-    fields: Float[np.ndarray, "u h w"], kept: np.ndarray, share: float, coarse: bool
+    fields: Float[np.ndarray, "u h w"], kept: np.ndarray, share: float, coarse: bool, grain: float
 ) -> list[dict[str, np.ndarray]]:
-    """Several fields of a recording: how unevenly structures are spread is told over all of them."""
-    out = [_unit(z, kept, share, coarse) for z in fields]
+    """Several fields of a recording: how unevenly structures are spread is told over all of them. grain: the
+    step of the codes in their units."""
+    rng = np.random.default_rng(0)
+
+    def more() -> np.ndarray | None:
+        return (rng.random(kept.shape, np.float32) - np.float32(0.5)) * np.float32(grain)
+
+    out = [_unit(z, kept, share, coarse, more() if grain > _FINE else None) for z in fields]
     strength = np.mean([u[STRUCTURE] for u in out], 0).reshape(bank.counts(kept.shape).shape)
     return [
         {**u, SPARSITY: bank.sparsity(z, strength, share).ravel()} for u, z in zip(out, fields, strict=True)
@@ -194,15 +211,6 @@ def _units(
 
 def _tails(z: np.ndarray) -> np.ndarray:
     return np.array([(z < t).sum() if t < 0 else (z > t).sum() for t in TAIL_SIGMAS], float)
-
-
-def _spread_codes(seen: View, variance: np.ndarray, step: float) -> np.ndarray:
-    """What spreads the few values of a mean of codes over the steps between them, in the units of the
-    static map: no limit then lies between two of them."""
-    width = step / np.sqrt(np.mean(variance) * seen.single.size)
-    return (np.random.default_rng(0).random(seen.kept.shape, np.float32) - np.float32(0.5)) * np.float32(
-        width
-    )
 
 
 def _next(seen: View, share: float) -> Statistics:

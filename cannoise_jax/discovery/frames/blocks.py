@@ -1,4 +1,7 @@
-"""Parts of the frames held back, to be left out in turn: bands of rows, and blocks of whole frames."""
+"""Parts of the frames held back, to be left out in turn: bands of rows, and blocks of whole frames.
+
+Every part has bands from all over the frame: an effect that is strong in one corner is no less sure for that.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,19 @@ import numpy as np
 
 from cannoise_jax.signatures.fields import Fields, helmert
 
+_DEALT = 4
+"""Bands of each part."""
+
 
 def bands(size: tuple[int, int], most: int) -> list[np.ndarray]:
-    """The frame in at most `most` bands of whole mosaic cells, one marked in each array."""
-    edges = np.linspace(0, size[0] // 2, most + 1).round().astype(int) * 2
-    rows = np.arange(size[0])[:, None]
-    return [np.broadcast_to((rows >= a) & (rows < b), size) for a, b in zip(edges, edges[1:], strict=False)]
+    """The frame in at most `most` parts, bands of whole mosaic cells dealt out in turn, one part marked in
+    each array."""
+    cells = size[0] // 2
+    edges = np.linspace(0, cells, min(_DEALT * most, max(cells, 1)) + 1).round().astype(int) * 2
+    edges[-1] = size[0]
+    band = np.searchsorted(edges, np.arange(size[0]), side="right") - 1
+    parts = min(most, len(edges) - 1)
+    return [np.broadcast_to((band % parts == k)[:, None], size) for k in range(parts)]
 
 
 def frame_blocks(fields: tuple[Fields, ...], most: int) -> list[list[tuple[int, int]]]:

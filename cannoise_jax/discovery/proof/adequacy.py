@@ -20,9 +20,9 @@ from cannoise_jax.discovery.compare.families import SPARSITY, TEMPORAL, of
 from cannoise_jax.discovery.compare.run import Chosen, Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
-from cannoise_jax.discovery.proof.check import frames_for
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, drawn_structures, most_of, own_part, owned
+from cannoise_jax.discovery.proof.white_maps import patterned
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel, closed_moments
@@ -30,8 +30,17 @@ from cannoise_jax.physics.core.settings import DEFAULT, Settings
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import bank
 
-LEFT = 0.25
-"""Share of the mismatch of its own part, in nats, that a name may leave: half of it in amplitude."""
+LEFT = 0.05
+"""Share of the mismatch of its own part, in nats, that a name may leave. Row noise, 1/f rows, maps, hot
+pixels, dark current and glow leave 0 to 0.018, cosmic rays of another charge and telegraph pixels of two
+levels up to 0.05; an offset that jumps along the raster leaves 0.075 as 1/f noise, noise that grows along the
+frame or at its edges 0.11 to 0.12 as pixels of more noise, a wave of changing pitch 0.11 as 1/f rows."""
+LEFT_STATIC = 0.1
+"""The same of a part that stays: a blur of another form than crosstalk leaves 0.07."""
+_SLACK = 15.0
+"""Nats that it may leave beyond that share, so that one statistic does not speak against a weak effect."""
+LEFT_OF_WEAK = 0.25
+"""Share beyond which that is no excuse."""
 LEFT_OF_SCENES = 0.1
 """The same of a name that speaks for all that stays in scenes, whose filter is fitted freely. References
 shifted by 0.1 to 0.8 pixels of a colour, softened or sharpened leave 0 to 5 % of it; a wide halo, which is a
@@ -44,6 +53,9 @@ _FEW_PLACES = -0.2
 """And by how much: the logarithm of a typical square against the mean square. Single steps across frames
 of 96 x 128 pixels had -0.23 and -0.78, odd against even columns and dark current within 0.01 of zero, sixty
 bursts a frame -0.05."""
+_OF_ITS_OWN = 0.3
+"""Share of what a name changes, in nats, that no unknown finding changes far more."""
+_SHADOW = "what it changes, a finding without a name changes far more"
 _PIXELS = 1.2e6
 """Pixels of all frames that are looked at, beyond which fewer are."""
 
@@ -55,18 +67,20 @@ def doubts(
     of: Callable[..., SensorModel],
     key: Key[Array, ""],
     alpha: float,
+    confirmed: Sequence[bool],
     tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Doubt | None, ...]:
-    """What speaks against the name of each step, on the frames held back; None: nothing does, or it has none.
+    """What speaks against the name of each step, on all frames; None: nothing does, or it has none.
 
     of: the camera model with some of the steps, and one of them `silent` where asked, see
-    `model.extended_model`. alpha: chance that something is said against a true one.
+    `model.extended_model`. alpha: chance that something is said against a true one. confirmed: whether the
+    frames held back show each step.
     """
-    drawn = [n for n, s in enumerate(steps) if s.named.mechanism != UNKNOWN]
-    if not drawn:
-        return (None,) * len(steps)
+    named = [n for n, s in enumerate(steps) if s.named.mechanism != UNKNOWN]
+    out: list[Doubt | None] = [None] * len(steps)
+    if not named:
+        return tuple(out)
     chosen = _few(capture, splits)
-
     off = [_off(s, n) for n, s in enumerate(steps)]
 
     def drawn_from(model: SensorModel, names: Sequence[int]) -> Compared:
@@ -75,14 +89,14 @@ def doubts(
 
     model, plain, every = of(steps), of(()), list(range(len(steps)))
     full, start = drawn_from(model, every), drawn_from(plain, ())
-    borne: dict[int, tuple[Compared, list[Borne], frozenset[str]]] = {}
     # Where all names together make it worse, each has to show by itself what it is worth.
     alone = _found(full) > _found(start)
-    for n in drawn:
+
+    def bears(n: int) -> tuple[Compared, list[Borne], frozenset[str]] | None:
         silent = of((steps[n],), silent=steps[n])
         still = len(silent.mechanisms) == len(plain.mechanisms)
         if still and not off[n]:
-            continue  # of the capture or the bookkeeping: it is not drawn
+            return None  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}")
         others = [k for k in every if k != n]
         claimed = steps[n].named.signature.speaks_for if off[n] and (alone or still) else frozenset[str]()
@@ -97,20 +111,34 @@ def doubts(
             else:
                 less = of(tuple(s for s in steps if s is not steps[n]))
             one, without = full, drawn_from(less, others)
-        borne[n] = (one, borne_by(one, without, claimed), claimed)
+        return one, borne_by(one, without, claimed), claimed
+
+    borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])
-    out: list[Doubt | None] = [None] * len(steps)
     for n, (one, each, claimed) in borne.items():
-        out[n] = doubt(one, owned(each, most), claimed)
-    structured = [n for n, (_, each, _) in borne.items() if out[n] is None and drawn_structures(each)]
-    if structured:
-        # How a structure is spread was fitted on no frame: those that were fitted can tell as well.
-        source = beside(modelled(model, key), [o for o in off if o], capture)
-        shown = _few(capture, [([], [*a, *b]) for a, b in splits])
-        whole = compare_bank(capture, source, alpha=alpha, held_back=shown, sets=2)
-        for n in structured:
-            out[n] = uneven(whole, borne[n][1])
+        # How a structure is spread was fitted on no frame.
+        own = owned(each, most)
+        out[n] = doubt(one, own, claimed) or patterned(steps[n]) or uneven(full, own)
+    unknown = [n for n in every if n not in named or out[n] is not None]
+    left = [n for n in borne if out[n] is None]
+    if unknown and left:
+        # What has no name leaves traces that look like others: what it moves more is no evidence for them.
+        theirs = [found[1] for n in unknown if (found := borne.get(n) or bears(n)) is not None]
+        for n in left:
+            out[n] = shadowed(borne[n][1], most_of(theirs), confirmed[n])
     return tuple(out)
+
+
+def shadowed(each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], confirmed: bool) -> Doubt | None:
+    """What speaks against a name beside something unknown: that it bears on little but what the unknown bears
+    on far more, or on nothing and the frames held back do not show it."""
+    whole = sum(float(b.change[b.own].sum()) for b in each)
+    alone = [b for b in each if b.at not in unknown]
+    alone += owned([b for b in each if b.at in unknown], unknown)
+    own = sum(float(b.change[b.own].sum()) for b in alone)
+    if own > _OF_ITS_OWN * whole or (confirmed and not whole):
+        return None
+    return Doubt(1 - own / whole if whole else 1.0, (_SHADOW,))
 
 
 def _off(step: Step, n: int) -> dict[int, np.ndarray]:
@@ -169,8 +197,14 @@ def doubt(full: Compared, each: list[Borne], speaks_for: frozenset[str] = frozen
     """What the simulator with a mechanism leaves of that mechanism's part of the mismatch, see `borne_by`;
     None where nothing significant is left or it is little."""
     part = own_part(each)
-    few = LEFT_OF_SCENES if speaks_for else LEFT
-    if not (part.left or part.more) or part.after <= (few if part.left else LEFT_TOGETHER) * part.before:
+    if not (part.left or part.more):
+        return None
+    if speaks_for or not part.left:
+        most = (LEFT_OF_SCENES if part.left else LEFT_TOGETHER) * part.before
+    else:
+        share = LEFT + (LEFT_STATIC - LEFT) * part.static
+        most = min(share * part.before + _SLACK, LEFT_OF_WEAK * part.before)
+    if part.after <= most:
         return None
     return Doubt(part.after / max(part.before, 1e-9), tuple(lines_of(full, part.left)[:3]))
 
@@ -203,9 +237,9 @@ def uneven(whole: Compared, each: list[Borne]) -> Doubt | None:
 
 
 def _few(capture: CaptureSet, splits: Sequence[tuple[list[int], list[int]]]) -> Chosen:
-    """The frames that are looked at, of those held back: of large recordings two of each, and of many large
-    ones those of some recordings, spread evenly, the first and the last among them."""
-    chosen = frames_for(list(splits))
+    """The frames that are looked at, of all: of large recordings two of each, and of many large ones those of
+    some recordings, spread evenly, the first and the last among them."""
+    chosen = [(list[int](), [*look, *held]) for look, held in splits]
     size = [r.size[0] * r.size[1] for r in capture.recordings]
 
     def pixels(some: Chosen) -> int:

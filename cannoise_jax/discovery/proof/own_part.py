@@ -9,7 +9,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, STRUCTURE, TEMPORAL, of
+from cannoise_jax.discovery.compare.families import (
+    FAMILIES,
+    MOMENTS,
+    STATIC,
+    STRUCTURE,
+    TAILS,
+    TEMPORAL,
+    UNSTEADY,
+    of,
+)
 from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.measure import Statistics
 from cannoise_jax.discovery.compare.run import Compared
@@ -52,13 +61,15 @@ class Borne(NamedTuple):
 
 class Part(NamedTuple):
     """A mechanism's own part of the mismatch: nats without and with it beyond what chance leaves, of how many
-    statistics, those that still differ, and whether all together leave more than chance."""
+    statistics, those that still differ, whether all together leave more than chance, and what share of it is
+    of what stays."""
 
     before: float
     after: float
     number: int
     left: list[tuple[Judgement, np.ndarray]]
     more: bool
+    static: float
 
 
 def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset()) -> list[Borne]:
@@ -76,6 +87,8 @@ def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozen
         weight = np.clip(0.5 * j.z**2 / np.maximum(two, 1e-9), 0.0, 1.0) * (two > 1) + (two <= 1)
         one, two = weight * one, weight * two
         own, claimed = _moved(one, two), np.zeros(one.shape, bool)
+        if full.recorded[j.where].coarse:
+            own &= ~_of_shape(j.family, one.size)
         if full.seen[j.where].kind in speaks_for and FAMILIES[j.family].part == STATIC:
             claimed = one > _BEARS
         share = np.where(own & ~claimed, share_of(one, two), 1.0)
@@ -125,13 +138,26 @@ def own_part(each: list[Borne]) -> Part:
     ]
     # Twice the nats of two equal normal laws are chi-squared.
     more = number > 0 and float(stats.chi2.sf(2 * left_over, number)) < _CHANCE
-    return Part(max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more)
+    stays = sum(
+        float((b.weight * b.before)[b.own].sum()) for b in each if FAMILIES[b.judged.family].part == STATIC
+    )
+    static = stays / before if before > 0 else 0.0
+    return Part(max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more, static)
 
 
 def drawn_structures(each: Sequence[Borne]) -> list[tuple[Borne, Bool[np.ndarray, "k"]]]:
     """The energies of what is redrawn that come nearer with the mechanism."""
     mine = [(b, b.own & (b.before > b.after)) for b in each if b.judged.family == of(TEMPORAL, STRUCTURE)]
     return [(b, cells) for b, cells in mine if cells.any()]
+
+
+def _of_shape(family: str, number: int) -> Bool[np.ndarray, "k"]:
+    """Statistics of the shape of the noise, which below a code follow where the level lies between two codes,
+    to a hundredth of one."""
+    name = FAMILIES[family].name
+    if name == MOMENTS:
+        return np.arange(number) >= number // 3
+    return np.full(number, name in (TAILS, UNSTEADY))
 
 
 def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:

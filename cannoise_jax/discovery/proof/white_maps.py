@@ -1,0 +1,84 @@
+"""Whether a map that a name says is of single pixels is: each pixel by itself, not a structure of many.
+
+A map is estimated from two halves of the recordings, whose noise is independent. Their products, in the
+orthonormal basis of `signatures.bank`, are what the map itself has at every scale, without noise. Pixels that
+have nothing to do with each other have the same at all scales; what fringes, spots, shadows or a texture add
+lies at those of many pixels. Whole rows and columns, and what is as smooth as light, are others' to tell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.signature import Many
+
+_STRUCTURED = 0.5
+"""Share of the map's variance at scales of many pixels, beyond what single pixels have there, from which on
+it is no map of single pixels."""
+_SURE = 5.0
+"""Standard deviations from which on that is no chance."""
+_SMOOTH = 8
+"""Parts of the frame that are as smooth as light along a side."""
+
+
+def patterned(step: Step) -> Doubt | None:
+    """What speaks against a step that names a map of single pixels; None: nothing does, it names none, or
+    only one recording shows it."""
+    axes = step.named.signature.axes
+    if step.named.mechanism == UNKNOWN or (axes.time, axes.varies_over, axes.law) != (
+        "frozen",
+        "pixel",
+        "white",
+    ):
+        return None
+    halves = [_map(step, half) for half in _halves(step.before)]
+    one, two = halves
+    if one is None or two is None:
+        return None
+    each, other, both = (bank.energies(m.astype(np.float32)) for m in (one, two, one + two))
+    shared, scatter = (both - each - other) / 2, np.sqrt(each * other)
+    weight = bank.counts(one.shape) * _local(one.shape)
+    fine = np.zeros_like(weight)
+    fine[:, 0, 0] = weight[:, 0, 0]
+    if not weight.any() or not fine.any():
+        return None
+    every, alone = (float(np.sum(w * shared) / w.sum()) for w in (weight, fine))
+    more = weight / weight.sum() - fine / fine.sum()
+    error = float(np.sqrt(np.sum(more**2 * scatter**2 / np.maximum(weight, 1))))
+    if every <= 0 or every - max(alone, 0.0) < max(_STRUCTURED * every, _SURE * error):
+        return None
+    share = 1 - max(alone, 0.0) / every
+    length = _length(shared, weight, one.shape)
+    return Doubt(share, (f"{share:.0%} of the map is a structure of some {length} px, not of single pixels",))
+
+
+def _halves(fields: Many) -> tuple[Many, Many]:
+    """The recordings in two halves, of the dark and of the lit ones alike."""
+    known = sorted((f for f in fields if f.static is not None), key=lambda f: f.lit)
+    return tuple(known[0::2]), tuple(known[1::2])
+
+
+def _map(step: Step, fields: Many) -> Float[np.ndarray, "h w"] | None:
+    found = step.named.signature.predict(fields, step.named.score) if fields else None
+    return None if found is None or found.pattern is None or np.ndim(found.pattern) != 2 else found.pattern
+
+
+def _local(size: tuple[int, int]) -> Bool[np.ndarray, "4 i j"]:
+    """Scales along neither side of which the structure is a whole line, or smooth along both."""
+    rows, columns = (bank.scales(bank.cropped_side(n) // 2) for n in size)
+    slow_rows = np.array([s.length * _SMOOTH > size[0] for s in rows])
+    slow_columns = np.array([s.length * _SMOOTH > size[1] for s in columns])
+    whole = np.array([s.whole for s in rows])[:, None] | np.array([s.whole for s in columns])
+    out = ~(whole | (slow_rows[:, None] & slow_columns))
+    return np.broadcast_to(out, (4, *out.shape))
+
+
+def _length(shared: np.ndarray, weight: np.ndarray, size: tuple[int, int]) -> int:
+    """Pixels of the blocks that hold most of the structure."""
+    _, i, j = np.unravel_index(int(np.argmax(shared * weight)), weight.shape)
+    rows, columns = (bank.scales(bank.cropped_side(n) // 2) for n in size)
+    return 2 * max(min(rows[i].length, columns[j].length), 1)
