@@ -167,15 +167,15 @@ def borne(before, after, where="dark"):
 def test_a_name_in_the_shadow_of_something_unknown_is_none():
     name, other = borne([50, 40, 3], [4, 5, 2]), borne([900, 700, 3], [10, 10, 2])
     unknown = most_of([[other]])
-    found = shadowed([name], unknown, confirmed=True)
+    found = shadowed([name], unknown, of_its_own=True)
     assert found is not None and found.left > 0.9 and "without a name" in found.against[0]
     # Of its own: elsewhere, or as much as the unknown.
-    assert shadowed([name], most_of([[borne([60, 40, 3], [9, 9, 2])]]), confirmed=True) is None
-    assert shadowed([name, borne([90], [2], "flat")], unknown, confirmed=True) is None
+    assert shadowed([name], most_of([[borne([60, 40, 3], [9, 9, 2])]]), of_its_own=True) is None
+    assert shadowed([name, borne([90], [2], "flat")], unknown, of_its_own=True) is None
     # It bears on nothing that the layer sees: the frames held back decide.
     nothing = borne([1, 1, 1], [1, 1, 1])
-    assert shadowed([nothing], unknown, confirmed=True) is None
-    assert shadowed([nothing], unknown, confirmed=False) is not None
+    assert shadowed([nothing], unknown, of_its_own=True) is None
+    assert shadowed([nothing], unknown, of_its_own=False) is not None
 
 
 def response(pattern):

@@ -39,6 +39,9 @@ LEFT_STATIC = 0.1
 """The same of a part that stays: a blur of another form than crosstalk leaves 0.07."""
 _SLACK = 15.0
 """Nats that it may leave beyond that share, so that one statistic does not speak against a weak effect."""
+_SLACK_OF_SCENES = 50.0
+"""The same of a name that speaks for all that stays in scenes: references softened so little that they cost
+400 nats leave up to 75."""
 LEFT_OF_WEAK = 0.25
 """Share beyond which that is no excuse."""
 LEFT_OF_SCENES = 0.1
@@ -125,18 +128,29 @@ def doubts(
         # What has no name leaves traces that look like others: what it moves more is no evidence for them.
         theirs = [found[1] for n in unknown if (found := borne.get(n) or bears(n)) is not None]
         for n in left:
-            out[n] = shadowed(borne[n][1], most_of(theirs), confirmed[n])
+            of_its_own = confirmed[n] and not any(_outweighs(steps[k], steps[n]) for k in unknown)
+            out[n] = shadowed(owned(borne[n][1], most), most_of(theirs), of_its_own)
     return tuple(out)
 
 
-def shadowed(each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], confirmed: bool) -> Doubt | None:
-    """What speaks against a name beside something unknown: that it bears on little but what the unknown bears
-    on far more, or on nothing and the frames held back do not show it."""
+def _outweighs(one: Step, other: Step) -> bool:
+    """Whether a step has more evidence than another that is alike in time, which may be a trace of it."""
+    alike = one.named.signature.frozen == other.named.signature.frozen
+    return alike and one.named.score.gain > other.named.score.gain
+
+
+def shadowed(each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_its_own: bool) -> Doubt | None:
+    """What speaks against a name beside something unknown: that it accounts for less than half of its part,
+    that it bears on little but what the unknown bears on far more, or on nothing at all where its evidence is
+    not of its own: not shown by the frames held back, or less than that of an unknown finding of its kind."""
+    part = own_part(each)
     whole = sum(float(b.change[b.own].sum()) for b in each)
+    if part.after > LEFT_TOGETHER * part.before:
+        return Doubt(part.after / max(part.before, 1e-9), (_SHADOW,))
     alone = [b for b in each if b.at not in unknown]
     alone += owned([b for b in each if b.at in unknown], unknown)
     own = sum(float(b.change[b.own].sum()) for b in alone)
-    if own > _OF_ITS_OWN * whole or (confirmed and not whole):
+    if own > _OF_ITS_OWN * whole or (of_its_own and not whole):
         return None
     return Doubt(1 - own / whole if whole else 1.0, (_SHADOW,))
 
@@ -199,8 +213,10 @@ def doubt(full: Compared, each: list[Borne], speaks_for: frozenset[str] = frozen
     part = own_part(each)
     if not (part.left or part.more):
         return None
-    if speaks_for or not part.left:
-        most = (LEFT_OF_SCENES if part.left else LEFT_TOGETHER) * part.before
+    if speaks_for:
+        most = LEFT_OF_SCENES * part.before + _SLACK_OF_SCENES
+    elif not part.left:
+        most = LEFT_TOGETHER * part.before
     else:
         share = LEFT + (LEFT_STATIC - LEFT) * part.static
         most = min(share * part.before + _SLACK, LEFT_OF_WEAK * part.before)
