@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import pwd
 from pathlib import Path
 
 MOST_BYTES = 1 << 30
@@ -19,9 +20,23 @@ _WORTH_S = "0.3"
 
 
 def caches() -> Path:
-    """Folder of all that can be made again: below XDG_CACHE_HOME, or ~/.cache."""
+    """Folder of all that can be made again: below XDG_CACHE_HOME, or ~/.cache. Neither may depend on where a
+    command is called: where HOME is no absolute path, the home that the system has for the user is it.
+
+    Raises RuntimeError where there is none.
+    """
     base = os.environ.get("XDG_CACHE_HOME") or ""
-    return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "cannoise_jax"
+    return (Path(base) if Path(base).is_absolute() else _home() / ".cache") / "cannoise_jax"
+
+
+def _home() -> Path:
+    stated = Path(os.environ.get("HOME") or "")
+    if stated.is_absolute():
+        return stated
+    try:
+        return Path(pwd.getpwuid(os.getuid()).pw_dir)
+    except KeyError as error:
+        raise RuntimeError("no home folder") from error
 
 
 def keep_compiled() -> None:

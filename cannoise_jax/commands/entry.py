@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from cannoise_jax.commands.compiled import caches
+from cannoise_jax.recordings.recording import BadInput
 
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 10.0, 0.05
 
@@ -122,8 +123,11 @@ def _shown(command_name: str, message, category, filename, lineno, file=None, li
 
 
 def cache_folder() -> Path:
-    """Where conversions of folders are kept."""
-    return caches() / "folders"
+    """Where conversions of folders are kept. Raises BadInput where the user has no home folder."""
+    try:
+        return caches() / "folders"
+    except RuntimeError as error:
+        raise BadInput("no home folder to keep converted files in: set XDG_CACHE_HOME") from error
 
 
 def progress(doing: str) -> Callable[[int, int], None]:

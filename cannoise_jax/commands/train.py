@@ -6,6 +6,7 @@ Several devices, and processes on several machines, may share the work; a run re
 
 from __future__ import annotations
 
+import difflib
 import json
 import logging
 import re
@@ -135,6 +136,8 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValue
             rest = values(["bin/train", *arguments])[1:]
             config = values.config
             config.to_dict()  # a file that could not be loaded says so only when it is looked at
+    except flags.UnrecognizedFlagError as error:
+        raise BadInput(f"unknown flag --{error.flagname}{_near_flag(error.flagname)}") from error
     except flags.Error as error:
         raise BadInput(" ".join(str(error).split())) from error
     except BadInput:
@@ -225,6 +228,20 @@ def _refuse_unknown_field(arguments: list[str], error: Exception) -> None:
             raise BadInput(f"--{flag}: no such field: {advice}") from error
 
 
+def _near_flag(name: str) -> str:
+    """What an unknown flag may be a slip of: another flag, or a field of the config by its last name."""
+    fields = [f"config.{field.partition('=')[0]}" for field in _fields(_default_fields())]
+    known = {field.rpartition(".")[2]: field for field in fields} | {field: field for field in fields}
+    for flag in (f for f in _flags([]) if "." not in f):
+        known |= {flag: flag, flag.replace("-", "_"): flag}
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
+    return f": did you mean --{known[near[0]]}?" if near else ": see bin/train --help"
+
+
+def _default_fields() -> dict[str, Any]:
+    return runpy.run_path(_default_config())["get_config"]().to_dict()
+
+
 def _help() -> str:
     values = _flags([])
     lines = [__doc__ or ""]
@@ -232,9 +249,9 @@ def _help() -> str:
         default = values[name].default if name != "config" else "configs/default.py"
         shown = "" if default in (None, []) else f" (default {default})"
         lines.append(f"  --{name}  {values[name].help}{shown}")
-    fields = runpy.run_path(_default_config())["get_config"]().to_dict()
     lines.append("\nFields of the config, --config.FIELD=VALUE, with the defaults of configs/default.py:")
-    lines += textwrap.wrap(", ".join(_fields(fields)), 100, initial_indent="  ", subsequent_indent="  ",
+    fields = ", ".join(_fields(_default_fields()))
+    lines += textwrap.wrap(fields, 100, initial_indent="  ", subsequent_indent="  ",
                            break_long_words=False, break_on_hyphens=False)  # fmt: skip
     return "\n".join(lines)
 

@@ -74,14 +74,14 @@ def open_fits(path: str | Path) -> Opened:
         shape = hdu.shape if len(hdu.shape) == 3 else (1, *hdu.shape)
         if len(shape) != 3:
             raise BadInput(f"{path}: image has shape {hdu.shape}: expected one mosaic or a cube of them")
-        _check_colours(path, hdu, header)
+        three = _check_colours(path, hdu, header)
         native = (header["BITPIX"], header.get("BZERO", 0)) in ((8, 0), (16, 32768))
         if not native:
             whole_numbers(path, np.asarray(hdu.data))
     with reading(path, "not a readable FITS header"):  # cards are parsed when they are looked at
         upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
         known, about = known_of(header), about_of(header)
-        about["doubt"] = "; ".join(filter(None, (about["doubt"], _outside(header, shape)))) or None
+        about["doubt"] = "; ".join(filter(None, (about["doubt"], _outside(header, shape), three))) or None
         kept, black = _sections(path, number, header, shape)
     if known["cfa"] is not None:
         rows = shape[1] - kept[0].stop if upside_down else kept[0].start
@@ -122,13 +122,20 @@ def _check_raw(path: str | Path, header: fits.Header) -> None:
         raise BadInput(f"{path}: rescaled values (BSCALE {scale:g}, BZERO {zero:g}): give the raw frames")
 
 
-def _check_colours(path: str | Path, hdu: Any, header: fits.Header) -> None:
-    """Raises BadInput for three planes, or three values a pixel, that are the colours of one picture."""
+def _check_colours(path: str | Path, hdu: Any, header: fits.Header) -> str | None:
+    """Raises BadInput for three planes, or three values a pixel, that are the colours of one picture; a doubt
+    where only the header could tell three planes from three frames, and does not."""
     check_pixels(path, tuple(hdu.shape))
     if len(hdu.shape) != 3 or hdu.shape[0] != 3:
-        return
+        return None
     words = [str(header.get(name, "")).upper() for name in ("CTYPE3", "COLORSPC", "COLORTYP", "CSPACE")]
-    levels = [float(np.median(hdu.section[n])) for n in range(3)]
+    planes = [np.asarray(hdu.section[n]) for n in range(3)]
+    levels = [float(np.median(plane)) for plane in planes]
+    if np.ptp(planes[0]) and all(np.array_equal(planes[0], plane) for plane in planes[1:]):
+        raise BadInput(
+            f"{path}: image has shape {hdu.shape}: three planes of the same pixels are a grey picture saved "
+            "in colours: give the raw mosaics"
+        )
     apart = max(levels) - min(levels) > _PLANES * max(max(levels), 1.0)
     if any("RGB" in w or "COLOR" in w for w in words) or (apart and "BAYERPAT" not in header):
         raise BadInput(
@@ -136,6 +143,8 @@ def _check_colours(path: str | Path, hdu: Any, header: fits.Header) -> None:
             f"{', '.join(f'{v:g}' for v in levels)} are the colours of a developed picture: "
             "give the raw mosaics, or three frames as three files"
         )
+    said = words[0].strip() or "BAYERPAT" in header
+    return None if said else "three planes are read as three frames: of a colour picture they would be none"
 
 
 def _sections(

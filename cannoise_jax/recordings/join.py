@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -16,7 +15,7 @@ from cannoise_jax.recordings.recording import BadInput, Recording
 
 # What may drift from file to file while the setting stays the same.
 ALIKE_KELVIN = 2.5
-"""Temperatures are one where each is this near to the next."""
+"""Temperatures are one where the coldest and the warmest are this near."""
 _DRIFTING = ("temperature_c", "egain")
 
 
@@ -65,11 +64,13 @@ def _check_temperatures(recordings: Sequence[Recording]) -> None:
     known = sorted(
         ((r.temperature_c, str(r.path)) for r in recordings if r.temperature_c is not None),
     )
-    for (cold, first), (warm, other) in itertools.pairwise(known):
-        if warm - cold > ALIKE_KELVIN:
-            raise BadInput(
-                f"{other}: {warm:.1f} C, {first}: {cold:.1f} C: join equal settings, or set --temperature"
-            )
+    if not known:
+        return
+    (cold, first), (warm, other) = known[0], known[-1]
+    if warm - cold > ALIKE_KELVIN:
+        raise BadInput(
+            f"{other}: {warm:.1f} C, {first}: {cold:.1f} C: join equal settings, or set --temperature"
+        )
 
 
 def _one_a_frame(recording: Recording) -> Any:

@@ -55,6 +55,16 @@ def test_nothing_is_kept_where_the_user_says_so_or_it_cannot_be(tmp_path, monkey
     assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
 
 
+def test_no_cache_depends_on_where_a_command_is_called(tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.chdir(tmp_path)
+    for home in ("relative", "", "."):
+        monkeypatch.setenv("HOME", home)
+        assert compiled.caches().is_absolute() and tmp_path not in compiled.caches().parents
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert compiled.caches() == tmp_path / ".cache" / "cannoise_jax"
+
+
 @pytest.mark.parametrize("most, left", [(400, 5), (399, 2)])
 def test_the_oldest_go_where_it_grows_too_large(tmp_path, monkeypatch, most, left):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

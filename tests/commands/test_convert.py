@@ -216,6 +216,11 @@ def test_files_that_contradict_are_not_joined_and_copies_are_used_once(tmp_path,
     assert capsys.readouterr().err.count("the same pixels as") == 2
     np.testing.assert_array_equal(read_recording(tmp_path / "out.h5").frames[:], FRAMES[[1, 2]])
     assert run(cold, warm, tmp_path / "stated.h5", *levels, "--temperature", -7) == 0
+    between = write_fits(tmp_path / "c.fits", FRAMES[0], **{"CCD-TEMP": -6.5})
+    for n, t in ((3, -8.0), (4, -9.0)):  # each near to the next, the ends apart
+        write_fits(tmp_path / f"{n}.fits", FRAMES[n % len(FRAMES)], **{"CCD-TEMP": t})
+    chain = (warm, between, tmp_path / "3.fits", tmp_path / "4.fits")
+    assert run(*chain, tmp_path / "chain.h5", *levels) == 2 and "-9.0 C" in capsys.readouterr().err
 
 
 def test_frames_without_noise_are_written_and_said_in_one_line(tmp_path, capsys):

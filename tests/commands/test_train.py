@@ -174,6 +174,10 @@ def test_a_workdir_goes_on_with_its_own_config(tmp_path):
         ("--config.stepz=5", "--config.stepz: no such field: did you mean --config.steps?"),
         ("--config.data.sourc=x", "--config.data.sourc: no such field: did you mean --config.data.source?"),
         ("--config.qqqqqq=5", "--config.qqqqqq: no such field"),
+        ("--stepz=5", "unknown flag --stepz: did you mean --config.steps?"),
+        ("--recording=x", "unknown flag --recording: did you mean --recordings?"),
+        ("--black_level=64", "unknown flag --black_level: did you mean --black-level?"),
+        ("--qqqqqq", "unknown flag --qqqqqq: see bin/train --help"),
     ],
 )
 def test_a_field_that_does_not_exist_is_named_with_its_neighbour(flag, said, tmp_path, capsys):

@@ -217,6 +217,18 @@ def test_three_planes_of_a_developed_picture(tmp_path):
     assert load_recording(write(tmp_path / "b.fits", frames), cfa="MONO", **LEVELS).count == 3
 
 
+def test_three_planes_that_are_no_three_frames_or_may_be_none(tmp_path, caplog):
+    frames = np.random.default_rng(0).normal(900, 5, (3, 6, 10)).astype(np.uint16)
+    with pytest.raises(BadInput, match="three planes of the same pixels are a grey picture"):
+        load_recording(write(tmp_path / "a.fits", frames[[0, 0, 0]]), cfa="MONO", **LEVELS)
+    assert load_recording(write(tmp_path / "b.fits", frames), cfa="MONO", **LEVELS).count == 3
+    assert "b.fits: three planes are read as three frames" in caplog.text
+    caplog.clear()
+    assert load_recording(write(tmp_path / "c.fits", frames, CTYPE3="TIME"), cfa="MONO", **LEVELS).count == 3
+    assert load_recording(write(tmp_path / "d.fits", frames[:2]), cfa="MONO", **LEVELS).count == 2
+    assert not caplog.text
+
+
 def test_a_picture_of_three_values_a_pixel(tmp_path):
     colours = np.random.default_rng(0).integers(800, 1000, (20, 30, 3)).astype(np.uint16)
     np.save(tmp_path / "a.npy", colours)

@@ -188,13 +188,19 @@ def _exposures(
 
 
 def _clusters(values: Sequence[float | None]) -> list[float | None]:
-    """Each temperature as the mean of those that hang together with it."""
-    order = sorted({v for v in values if v is not None})
-    chains: list[list[float]] = []
-    for value in order:
-        if chains and value - chains[-1][-1] <= ALIKE_KELVIN:
-            chains[-1].append(value)
-        else:
-            chains.append([value])
-    middle = {v: float(np.mean(chain)) for chain in chains for v in chain}
+    """Each temperature as the mean of those that are one with it."""
+    parts = _parted(sorted({v for v in values if v is not None}))
+    middle = {v: float(np.mean(part)) for part in parts for v in part}
     return [None if v is None else middle[v] for v in values]
+
+
+def _parted(order: list[float]) -> list[list[float]]:
+    """Sorted temperatures, parted at the widest gap until the ends of each part agree: a night that warms by
+    a kelvin an hour is no one setting. Of gaps that are as wide the one nearest the middle counts."""
+    if not order or order[-1] - order[0] <= ALIKE_KELVIN:
+        return [order] if order else []
+    gaps = np.diff(order)
+    wide = np.flatnonzero(gaps > 0.99 * gaps.max())
+    off = [abs(order[n] + order[n + 1] - order[0] - order[-1]) for n in wide]
+    at = int(wide[np.argmin(off)]) + 1
+    return _parted(order[:at]) + _parted(order[at:])

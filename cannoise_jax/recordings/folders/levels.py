@@ -111,9 +111,14 @@ def _white(groups: Sequence[Group]) -> tuple[float | None, str]:
     if step > 1 and (step & (step - 1)) == 0:  # codes shifted left: the highest code of a full word
         highest = 65536 - step
         return float(highest), f"white level {highest} DN: codes {step} apart, shifted to 16 bits"
+    if all(g.kind in DARK for g in groups) and top < depth:  # hot pixels may reach the highest code
+        return None, (
+            f"the white level: darks alone, here of {top} DN at most, do not show it: add flats, or state it "
+            "with --white-level"
+        )
     return float(depth), (
         f"white level {depth} DN: the highest value is {top}, so of {depth.bit_length()} bits; where the "
-        "sensor saturates lower, state it with --white-level"
+        "sensor saturates elsewhere, state it with --white-level"
     )
 
 

@@ -59,6 +59,44 @@ def test_cameras_without_cooling_may_drift(tmp_path):
     assert "temperatures from 12 to 24 C" in notes(plan)
 
 
+def test_temperatures_that_drift_on_and_on_are_no_one_setting(tmp_path):
+    for celsius in range(20, 26):
+        for n in (1, 2):
+            shot(tmp_path / f"dark_{celsius}_{n}.fits", "dark", IMAGETYP="Dark", EXPTIME=60.0,
+                 INSTRUME="Acme 100", CCD_TEMP=celsius + 0.1 * n, seed=10 * celsius + n)  # fmt: skip
+    night(tmp_path, CCD_TEMP=20.5)
+    groups = {g.label: g for g in plan_folder(tmp_path).sets[0].groups if g.kind == "dark"}
+    spans = {label: np.ptp([s.known["temperature_c"] for s in g.shots]) for label, g in groups.items()}
+    assert len(groups) == 2 and sum(g.frames for g in groups.values()) == 14
+    assert max(spans.values()) <= 2.5
+    middles = sorted(g.settings["temperature_c"] for g in groups.values())
+    assert middles == pytest.approx([21.0, 24.15], abs=0.1)
+
+
+def test_tight_groups_of_temperatures_are_not_cut_through(tmp_path):
+    for n, celsius in enumerate((15.0, 15.3, 15.6, 17.0, 17.2, 17.4, 19.0, 19.1)):
+        shot(tmp_path / f"dark_{n}.fits", "dark", IMAGETYP="Dark", EXPTIME=60.0, INSTRUME="Acme 100",
+             CCD_TEMP=celsius)  # fmt: skip
+    plan = plan_folder(tmp_path, {"white_level": 16383.0})
+    counts = sorted(g.frames for g in plan.sets[0].groups)
+    assert counts in ([2, 6], [3, 5])
+
+
+def test_a_white_level_is_not_guessed_from_darks_alone(tmp_path):
+    for n in (1, 2):
+        shot(tmp_path / f"dark_{n}.fits", "dark", IMAGETYP="Dark", EXPTIME=60.0, INSTRUME="Acme 100")
+    plan = plan_folder(tmp_path, {"cfa": "MONO"})
+    assert (
+        "the white level: darks alone, here of 10" in plan.problems[0] and "--white-level" in plan.problems[0]
+    )
+    assert not plan_folder(tmp_path, {"cfa": "MONO", "white_level": 16383.0}).problems
+    hot = np.asarray(fits.getdata(tmp_path / "dark_1.fits")).copy()
+    hot[3, 5] = 16383  # a hot pixel reaches the highest code
+    fits.PrimaryHDU(hot, fits.getheader(tmp_path / "dark_1.fits")).writeto(tmp_path / "dark_3.fits")
+    seen = plan_folder(tmp_path, {"cfa": "MONO"})
+    assert not seen.problems and seen.sets[0].levels.values["white_level"] == 16383
+
+
 @pytest.mark.parametrize(
     "change, label",
     [
@@ -271,8 +309,8 @@ def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_pa
 def test_dim_frames_of_a_wider_word_are_no_camera_of_8_bits(tmp_path):
     for n in range(2):
         values = np.random.default_rng(n).integers(90, 110, (24, 32)).astype(np.uint16)
-        fits.PrimaryHDU(values, fits.Header({"IMAGETYP": "Bias"})).writeto(tmp_path / f"bias_{n}.fits")
-    plan = plan_folder(tmp_path, {"cfa": "MONO"})
+        fits.PrimaryHDU(values, fits.Header({"IMAGETYP": "Flat"})).writeto(tmp_path / f"flat_{n}.fits")
+    plan = plan_folder(tmp_path, {"cfa": "MONO", "black_level": 64.0})
     assert "white level 1023 DN: the highest value is 109, so of 10 bits" in notes(plan)
 
 
