@@ -76,7 +76,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if findings:
         print(format_findings(findings), end="\n\n")
     model = sensor_model(transfers, findings)
-    with texts_in_place(_texts(beside, model.camera, transfers, capture)):
+    texts = _texts(beside, model.camera, transfers, capture)
+    with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")

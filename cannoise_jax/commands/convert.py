@@ -13,6 +13,7 @@ from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_takes_files, line_of
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides, place
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.unfinished import is_finished
 
 if TYPE_CHECKING:
     from cannoise_jax.recordings.recording import Recording
@@ -68,7 +69,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         raise BadInput(f"{missing}: no such file or folder")
     if output.suffix.lower() not in _NATIVE:
         raise BadInput(f"{output}: the output comes last and ends in .h5 (or is a folder, for one folder)")
-    if output.exists() and not force:
+    if is_finished(output) and not force:
         raise BadInput(f"{output}: exists: name another file, or replace it with --force")
     if not output.parent.is_dir():
         raise BadInput(f"{output}: no such folder {output.parent}")
@@ -138,7 +139,7 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
         return 0
     written = {f"{one.folder}/{group.label}.h5".lstrip("/") for one in plan.sets for group in one.groups}
     for path in sorted(rest[0].rglob("*.h5")) if rest[0].is_dir() else []:
-        if path.relative_to(rest[0]).as_posix() not in written:
+        if path.relative_to(rest[0]).as_posix() not in written and is_finished(path):
             print(f"note: {path}: not of this conversion, and stays", flush=True)
     tell = progress("writing recordings")
     total = sum(len(one.groups) for one in plan.sets)

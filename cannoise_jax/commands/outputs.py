@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.unfinished import is_finished
 
 if TYPE_CHECKING:
     from cannoise_jax.recordings.recording import Recording
@@ -23,7 +24,7 @@ def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "th
     for name in names:
         if (out / name).is_dir():
             raise BadInput(f"{out / name}: is a folder: name another one for {what}")
-        if (out / name).exists() and not force:
+        if is_finished(out / name) and not force:
             raise BadInput(f"{out / name}: exists: name another folder, or replace it with --force")
     check_takes_files(out, out)
 
@@ -41,7 +42,7 @@ def check_file(path: Path, suffix: str, force: bool) -> None:
         raise BadInput(f"{path}: no such folder {path.parent}")
     if path.is_dir():
         raise BadInput(f"{path}: is a folder: name a file")
-    if path.exists() and not force:
+    if is_finished(path) and not force:
         raise BadInput(f"{path}: exists: name another file, or replace it with --force")
     check_takes_files(path.parent, path)
 

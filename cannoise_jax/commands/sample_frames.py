@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.commands.entry import progress
-from cannoise_jax.recordings.atomic import new_folder
+from cannoise_jax.recordings.atomic import new_folder, one_work
 from cannoise_jax.recordings.codes import detect_code_step
 from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
 from cannoise_jax.recordings.native import write_recording
@@ -27,6 +27,7 @@ from cannoise_jax.recordings.recording import (
     per_channel,
 )
 from cannoise_jax.recordings.references import mean_frame
+from cannoise_jax.recordings.unfinished import is_finished
 
 _PATCH, _PATCHES = 64, 16
 """Reference patches: side in packed pixels, as in training, and how many of a recording, on a 4x4 grid."""
@@ -92,7 +93,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             f"{arguments.clean}: two files of one name would be written to one: rename one of them"
         )
     for path in outputs:
-        if path.exists() and not arguments.force:
+        if is_finished(path) and not arguments.force:
             raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
     tell = progress("sampling pixels")
     pixels, done = arguments.frames * sum(source.image.size for source in sources), 0
@@ -102,7 +103,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
         done += count
         tell(done, pixels)
 
-    with new_folder(arguments.out):
+    with new_folder(arguments.out), one_work(outputs):
         for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
             frames = []
             for t in range(arguments.frames):

@@ -111,8 +111,9 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
 
     from cannoise_jax.commands.scenes import scenes
     from cannoise_jax.physics.core.sensor import Settings
-    from cannoise_jax.recordings.atomic import new_folder
+    from cannoise_jax.recordings.atomic import new_folder, one_work
     from cannoise_jax.recordings.native import write_recording
+    from cannoise_jax.recordings.unfinished import is_finished
 
     model = _sensor(arguments.sensor, arguments.mechanisms)
     if arguments.unit is not None:
@@ -122,22 +123,21 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
-    for clean in clean_scenes:
+    paths = [arguments.out / _name(clean, settings, arguments.unit) for clean in clean_scenes]
+    for clean, path in zip(clean_scenes, paths, strict=True):
         height, width = clean.values.shape
         if model.cfa != "MONO" and (height % 2 or width % 2):
             raise BadInput(
                 f"{clean.name}: {height} x {width} pixels: a {model.cfa} mosaic has even sizes: crop it"
             )
-        path = arguments.out / _name(clean, settings, arguments.unit)
-        if path.exists() and not arguments.force:
+        if is_finished(path) and not arguments.force:
             raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
     for size in {clean.values.shape for clean in clean_scenes}:
         # Raises BadInput where the unit's measured maps are of another size; draws nothing.
         jax.eval_shape(lambda size=size: model.with_maps(size).mechanisms)
     key, tell = jax.random.key(arguments.seed), progress("drawing recordings")
-    with new_folder(arguments.out):
-        for number, clean in enumerate(clean_scenes):
-            path = arguments.out / _name(clean, settings, arguments.unit)
+    with new_folder(arguments.out), one_work(paths):
+        for number, (clean, path) in enumerate(zip(clean_scenes, paths, strict=True)):
             recording = record(model, jax.random.fold_in(key, number), clean, settings)
             write_recording(path, recording)
             yield path, recording

@@ -8,18 +8,25 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.unfinished import abandoned, disown, listed
 
 REPORT_FILES = ("report.json", "report.html", "sensor.json")
 """What is written of a diagnosis; stands where JAX is not imported: a command first refuses to replace it."""
 
 
 def remove_leftovers(path: Path) -> None:
-    """Removes what writers of `path` that were killed left beside it, `.NAME.PID.partial`."""
+    """Removes what writers of `path` that were killed left beside it, `.NAME.PID.partial`, before it is
+    written anew."""
+    disown(path)
+    _remove_partials(path)
+
+
+def _remove_partials(path: Path) -> None:
     for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
         number = left.name.removesuffix(".partial").rpartition(".")[2]
         if not number.isdigit() or int(number) == os.getpid() or is_running(int(number)):
@@ -90,6 +97,39 @@ def new_folder(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def one_work(paths: Collection[Path]) -> Iterator[None]:
+    """The block writes these files into folders that exist: they are finished when it has ended.
+
+    First goes what works that were killed left in the folders. Where the block fails, those of the files that
+    were not there before go, and where it is killed the next work removes them. Raises BadInput where a
+    folder cannot be written.
+    """
+    folders = sorted({path.parent for path in paths})
+    for folder in folders:
+        for work in abandoned(folder):
+            for path in work.paths:
+                _remove_partials(path)
+            for path in (*work.made, work.place):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+    fresh = [path for path in paths if not path.exists()]
+    with contextlib.ExitStack() as lists:
+        for folder in folders:
+            names = [path.name for path in fresh if path.parent == folder]
+            try:
+                if names:
+                    lists.enter_context(listed(folder, names))
+            except OSError as error:
+                raise BadInput(f"{folder}: cannot be written ({error.strerror}): make room for it") from error
+        try:
+            yield
+        except BaseException:
+            for path in fresh:
+                path.unlink(missing_ok=True)
+            raise
+
+
+@contextlib.contextmanager
 def file_in_place(path: Path) -> Iterator[BinaryIO]:
     """A file beside its place to write to, moved there when the block has ended without an error.
 
@@ -108,11 +148,16 @@ def file_in_place(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextlib.contextmanager
-def texts_in_place(texts: Mapping[Path, str]) -> Iterator[None]:
+def texts_in_place(texts: Mapping[Path, str], also: Collection[Path] = ()) -> Iterator[None]:
     """Writes texts beside their places, runs the block, then moves them there: all or none.
 
-    Raises BadInput where they cannot be written.
+    also: files of the same work that the block writes. Raises BadInput where they cannot be written.
     """
+    with one_work([*texts, *also]) if len(texts) + len(also) > 1 else contextlib.nullcontext():
+        yield from _texts_in_place(texts)
+
+
+def _texts_in_place(texts: Mapping[Path, str]) -> Iterator[None]:
     for path in texts:
         remove_leftovers(path)
     beside = {path: path.with_name(f".{path.name}.{os.getpid()}.partial") for path in texts}

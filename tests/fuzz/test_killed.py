@@ -21,6 +21,7 @@ from tests.fuzz import killed
 from tests.fuzz.cases import Case
 from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.test_fuzz import Worker, prepared
+from tests.recordings.folders.night import night
 
 FEW, MANY, SOME = 3, 200, 50
 CODE = (
@@ -42,7 +43,8 @@ def kill(worker: Worker, target: str, folder: Path, seconds: float) -> bool:
 
 
 def leftovers(folder: Path) -> list[str]:
-    return [p.name for p in folder.rglob(".*") if p.name.endswith((".partial", ".tmp"))]
+    ends, starts = (".partial", ".tmp"), ".unfinished."
+    return [p.name for p in folder.rglob(".*") if p.name.endswith(ends) or p.name.startswith(starts)]
 
 
 def told(tables, what: str, killed: int, runs: int, held: str) -> None:
@@ -189,19 +191,27 @@ def survives(worker: Worker, case: Case, folder: Path, kills: int, seed: int, cp
     assert whole["status"] == 0, whole["err"][-600:]
     names = {p.name for p in (folder / "out").iterdir()}
     rng, killed_, number = random.Random(seed), 0, 0
+    plain = Case("", case.target, [word for word in case.argv if word != "--force"])
     while number < kills or (
         not killed_ and number < 10 * kills
     ):  # a busy machine may end before it is killed
         early = 1.05 if number < kills else 0.5
         number += 1
-        if not number % 2:  # as often into an empty folder as over what is there
+        empty = not number % 2  # as often into an empty folder as over what is there
+        if empty:
             shutil.rmtree(folder / "out")
             (folder / "out").mkdir()
-        answer = worker.run(case, folder, rng.uniform(0, early) * whole["seconds"], cpu=cpu)
+        answer = worker.run(
+            plain if empty else case, folder, rng.uniform(0, early) * whole["seconds"], cpu=cpu
+        )
         assert answer["status"] in ("hung", 0), answer["err"][-600:]
         killed_ += answer["status"] == "hung"
         left = [p for p in (folder / "out").iterdir() if not p.name.startswith(".")]
         assert {p.name for p in left} <= names and all(sound(p) for p in left)
+        if empty and answer["status"] == "hung":  # what is not finished is made again, what is stays
+            again = worker.run(plain, folder, 1000, cpu=cpu)
+            assert again["status"] == 0 or ("exists:" in again["err"] and {p.name for p in left} == names)
+            assert {p.name for p in (folder / "out").iterdir()} == names
     assert worker.run(case, folder, 1000, cpu=cpu)["status"] == 0
     assert {p.name for p in (folder / "out").iterdir()} == names
     assert all(sound(p) for p in (folder / "out").iterdir())
@@ -209,7 +219,10 @@ def survives(worker: Worker, case: Case, folder: Path, kills: int, seed: int, cp
 
 
 def drawing(folder: Path, command: str) -> Case:
-    """A call of simulate or sample that draws three recordings."""
+    """A call that makes three recordings: simulate or sample draws them, convert sorts a night into them."""
+    if command == "convert":
+        night(folder / "in", size=(400, 600))
+        return Case("", "convert", ["in", "out", "--force"])
     rng = np.random.default_rng(0)
     (folder / "in" / "clean").mkdir()
     for name in "abc":
@@ -222,12 +235,15 @@ def drawing(folder: Path, command: str) -> Case:
     return Case("", "sample", ["--model", "in", "--reference", "A", "--iso", "100", *levels, *more])
 
 
-@pytest.mark.parametrize("command", ["simulate", pytest.param("sample", marks=pytest.mark.slow)])
-def test_drawing_that_is_killed_leaves_whole_recordings(command, worker, tmp_path, request, tables):
+@pytest.mark.parametrize("command", ["convert", "simulate", pytest.param("sample", marks=pytest.mark.slow)])
+def test_recordings_in_the_making_are_whole_after_a_kill_and_made_again(
+    command, worker, tmp_path, request, tables
+):
     folder = prepared(tmp_path / "case")
     kills = SOME if request.config.getoption("--slow") else FEW
     count = survives(worker, drawing(folder, command), folder, kills, 5)
-    told(tables, f"`{command}`", count, kills, "every recording is whole, and the next run completes them")
+    what = "`convert`, a folder" if command == "convert" else f"`{command}`"
+    told(tables, what, count, kills, "every recording is whole, and the next run completes them")
     assert count
 
 

@@ -14,6 +14,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
 from cannoise_jax.recordings.atomic import REPORT_FILES, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.unfinished import is_finished
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import Diagnosis
@@ -34,7 +35,7 @@ def save(
     Raises BadInput where a file exists (without force) or cannot be written; then all that was there is kept.
     """
     folder = Path(folder)
-    there = [name for name in REPORT_FILES if (folder / name).exists()]
+    there = [name for name in REPORT_FILES if is_finished(folder / name)]
     if there and not force:
         raise BadInput(f"{folder / there[0]}: exists: name another folder, or replace it (force)")
     report = document(
@@ -63,7 +64,8 @@ def write(folder: Path, texts: dict[str, str], model: SensorModel) -> None:
         raise BadInput(f"{folder}: no folder can be made here ({error.strerror})") from error
     try:
         check_place(folder / "sensor.json")
-        with texts_in_place({folder / name: text for name, text in texts.items()}):
+        model_files = (folder / "sensor.json", folder / "sensor.npz")
+        with texts_in_place({folder / name: text for name, text in texts.items()}, model_files):
             write_sensor(folder / "sensor.json", model)
     except BaseException:
         if fresh and not any(folder.iterdir()):

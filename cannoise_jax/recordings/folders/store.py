@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cannoise_jax.recordings.atomic import is_running
+from cannoise_jax.recordings.atomic import is_running, one_work
 from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder, text
 from cannoise_jax.recordings.folders.shots import Tell
@@ -28,6 +28,7 @@ from cannoise_jax.recordings.native import open_native, write_recording
 from cannoise_jax.recordings.opened import stated
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.sidd import is_instance
+from cannoise_jax.recordings.unfinished import is_finished
 
 _KEPT = 6
 """Conversions that a cache keeps."""
@@ -89,7 +90,7 @@ def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[
     named = [(out / one.folder / f"{g.label}.h5", one, g) for one in plan.sets for g in one.groups]
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out}: is a file: name a folder")
-    there = [path for path, _, _ in named if path.exists()]
+    there = [path for path, _, _ in named if is_finished(path)]
     if there and not force:
         raise BadInput(f"{there[0]}: exists: name another folder, or replace it with --force")
     lacking = [one for one in plan.sets if one.levels.missing and not _complete(one)]
@@ -97,20 +98,19 @@ def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[
         words = "; ".join(f"{one.folder}: {'; '.join(one.levels.missing)}" for one in lacking)
         raise BadInput(f"{plan.folder}: {words}")
     made = list(dict.fromkeys(p for one in plan.sets for p in _missing_parents(out / one.folder)))
-    written: list[Path] = []
     try:
-        for path, one, group in named:
-            recording = recording_of(group, one, plan.overrides)
-            fresh = not path.exists()
+        for path, _, _ in named:
             path.parent.mkdir(parents=True, exist_ok=True)
-            written += [path] if fresh else []  # before: Ctrl-C may come right after
-            write_recording(path, recording)
-            yield path, recording
+        with one_work([path for path, _, _ in named]):
+            for path, one, group in named:
+                recording = recording_of(group, one, plan.overrides)
+                write_recording(path, recording)
+                yield path, recording
     except OSError as error:
-        _undo(written, made)
+        _undo(made)
         raise BadInput(f"{out}: cannot be written ({error.strerror}): name another folder") from error
     except BaseException:
-        _undo(written, made)
+        _undo(made)
         raise
 
 
@@ -253,10 +253,8 @@ def _missing_parents(out: Path) -> list[Path]:
     return missing
 
 
-def _undo(written: Iterable[Path], made: Iterable[Path]) -> None:
-    """Removes files and folders of a conversion that failed; empty folders of the user's own stay."""
-    for path in written:
-        path.unlink(missing_ok=True)
+def _undo(made: Iterable[Path]) -> None:
+    """Removes the folders of a conversion that failed; empty folders of the user's own stay."""
     for folder in sorted(made, key=lambda p: len(p.parts), reverse=True):
         try:
             folder.rmdir()
