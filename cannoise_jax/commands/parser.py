@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 import sys
 from collections.abc import Callable, Sequence
 from itertools import takewhile
@@ -62,6 +63,8 @@ class OneLineParser(argparse.ArgumentParser):
                 self.error(f"unknown flag {name}" + (f": did you mean {near[0]}?" if near else ""))
 
     def error(self, message: str) -> NoReturn:
+        for kind, words in (("int", "a whole number"), ("float", "a number")):
+            message = re.sub(rf"invalid {kind} value: (.*)$", rf"\1: give {words}", message)
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see --help)\n")
 
 

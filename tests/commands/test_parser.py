@@ -32,6 +32,8 @@ from cannoise_jax.recordings.recording import BadInput
         (sample, ["--frames", "two"], "--frames: 'two': give a whole number"),
         (sample, ["--black-level", "abc"], "--black-level: 'abc': give one value"),
         (simulate, ["--out", "x", "--size", "5"], "--size"),
+        (simulate, ["--out", "x", "--frames", "two"], "--frames: 'two': give a whole number"),
+        (simulate, ["--out", "x", "--iso", "high"], "--iso: 'high': give a number"),
         (simulate, ["--out", "x", "--nonsense"], "unknown flag --nonsense"),
         (simulate, ["--outt", "x"], "unknown flag --outt: did you mean --out?"),
         (calibrate, ["-out=x"], "unknown flag -out: did you mean --out?"),
