@@ -29,7 +29,6 @@ NAMES = frozenset(MECHANISMS) - frozenset(CLASSES)  # a class of mechanisms is c
 LATE = {
     ("cannoise_jax.physics.core.registry", "cannoise_jax.mechanisms"),
     ("cannoise_jax.physics.core.sensor", "cannoise_jax.physics.core.sensor_json"),
-    ("cannoise_jax.discovery.diagnose", "cannoise_jax.discovery.report.save"),
 }
 """Arrows up that are followed when they are used: a mechanism that a caller names, in one place; and methods
 that store what they belong to, whose readers and writers are built on it."""
@@ -51,8 +50,9 @@ FLOORS = (
     ("discovery.search",),
     ("discovery.compare",),
     ("discovery.proof",),
-    ("discovery.diagnose", "training", "blind"),
-    ("discovery.report", "discovery"),
+    ("discovery.result", "training", "blind"),
+    ("discovery.report",),
+    ("discovery.diagnose", "discovery"),
     ("trials", "bench", "commands"),
 )
 """From the ground up: a room imports from its own floor and those below."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,110 +21,32 @@ from cannoise_jax.discovery.proof.adequacy import doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
 from cannoise_jax.discovery.proof.judged import CALIBRATED, Judged, opened, own_effects, searched, without_own
-from cannoise_jax.discovery.proof.prove import Proof, Proofs, prove, standing, unconfirmed, unproven
-from cannoise_jax.discovery.proof.quality import Quality, composite_proofs, open_panel, quality_of
+from cannoise_jax.discovery.proof.prove import prove, standing, unconfirmed, unproven
+from cannoise_jax.discovery.proof.quality import composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.proof.sides import Sides
-from cannoise_jax.discovery.proof.twosample import differs as told_apart
-from cannoise_jax.discovery.proof.verdict import Verdict, verdict_of
+from cannoise_jax.discovery.report.save import save
+from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search import declare
-from cannoise_jax.discovery.search.fit import Fitted, part_of, stepwise
+from cannoise_jax.discovery.search.fit import Fitted, stepwise
 from cannoise_jax.discovery.search.locate import locate
-from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
-from cannoise_jax.mechanisms import VOCABULARY
+from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.recordings.usable import LeftOutWarning, usable
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.vocabulary import Term
 
 AFTER = "the simulator handed back"
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """What a run found. `report.document` turns it into the report, `model` is the extended simulator.
-
-    entries: mechanisms that may be named. splits: frames of every recording that looked for effects, and that
-    proved them. steps of `fitted` and `proofs` go together; proven: also the likelihood of the frames held
-    back; quality: draws of the simulator before and after against those, None where not measured."""
-
-    capture: CaptureSet
-    simulator: str
-    alpha: float
-    entries: tuple[Entry, ...]
-    testable: tuple[str, ...]
-    not_testable: tuple[tuple[str, str], ...]
-    splits: list[tuple[list[int], list[int]]]
-    first: Prepared
-    second: Prepared | None
-    fitted: Fitted
-    proven: Proofs
-    quality: Quality | None
-    model: SensorModel
-    gated: Gated | None = None
-    remains: Checked | None = None
-    entered: bool = True
-
-    @property
-    def verdict(self) -> Verdict:
-        """What all of it says together: findings, the layer that knows no names, and the two-sample test."""
-        handed_back = self.gated.steps if self.gated else self.fitted.steps if self.entered else ()
-        aside = part_of(self.fitted.steps)
-        kept = [
-            s.named.mechanism
-            for n, (s, p) in enumerate(zip(self.fitted.steps, self.proofs, strict=True))
-            if n not in aside and (s in handed_back or p.confirmed)
-        ]
-        before, after = (self.differs(which) for which in (0, 1))
-        return verdict_of(
-            # Where nothing may be named, what is left of the battery still looks for structures.
-            tested=bool(self.testable or self.fitted.first.scores),
-            named=any(m != UNKNOWN for m in kept),
-            unnamed=UNKNOWN in self.findings,
-            differs_before=bool(before) or bool(self.findings),
-            differs_after=after,
-            remainder=self.gated is not None and self.gated.remainder,
-        )
-
-    def differs(self, which: int) -> bool | None:
-        """Whether the simulator before (0) or after (1) is told from the recordings; None: unknown."""
-        seen: list[bool] = []
-        if self.remains is not None:
-            seen.append(bool((self.remains.before, self.remains.after)[which].differences))
-        if self.quality is not None and self.quality.two_sample is not None:
-            areas = (self.quality.two_sample.before, self.quality.two_sample.after)
-            seen.append(told_apart(areas[which], float(np.log(self.alpha * SHARED.network))))
-        return any(seen) if seen else None
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """Names that may be given."""
-        return tuple(entry.id for entry in self.entries)
-
-    @property
-    def terms(self) -> dict[str, Term]:
-        """What names mean."""
-        return {**VOCABULARY, **{entry.id: entry.term for entry in self.entries}}
-
-    @property
-    def proofs(self) -> tuple[Proof, ...]:
-        """One for each step."""
-        return self.proven.each
-
-    @property
-    def findings(self) -> list[str]:
-        """Mechanisms found, in the order of acceptance; without what is part of another."""
-        aside = part_of(self.fitted.steps)
-        return [s.named.mechanism for n, s in enumerate(self.fitted.steps) if n not in aside]
+class Diagnosis(Result):
+    """What a run found, which writes itself down."""
 
     def save(self, folder: str | Path, *, force: bool = False) -> dict[str, Any]:
         """Writes report.html, report.json and sensor.json into a folder, and returns the report.
 
         Raises BadInput where one exists (without force) or cannot be written.
         """
-        from cannoise_jax.discovery.report.save import save
-
         return save(self, folder, force=force)
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import outcome
 from cannoise_jax.discovery.report.card import card
 from cannoise_jax.discovery.report.not_found import absorbed_by, detectable
 from cannoise_jax.discovery.report.wording import sentence
+from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.declare import kinds
 from cannoise_jax.discovery.search.fit import Step, part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -42,7 +42,7 @@ def plain(value: Any) -> Any:
 
 
 def document(
-    diagnosis: Diagnosis,
+    diagnosis: Result,
     *,
     key: int,
     version: str,
@@ -130,7 +130,7 @@ def document(
     )
 
 
-def listed_steps(diagnosis: Diagnosis) -> list[int]:
+def listed_steps(diagnosis: Result) -> list[int]:
     """Places of the steps that the report lists, by held-out gain."""
     gains = [-np.inf if p.gain is None else p.gain for p in diagnosis.proofs]
     aside = part_of(diagnosis.fitted.steps)
@@ -154,7 +154,7 @@ def digests(recording: Recording) -> dict[str, Any]:
     return {**out, "files": files} if recording.sources else out
 
 
-def quality(diagnosis: Diagnosis, which: int) -> dict[str, Any]:
+def quality(diagnosis: Result, which: int) -> dict[str, Any]:
     """The simulator before (0) or after (1) on the frames held back.
 
     `score` says what `nll_nats_per_pixel` is: minus the mean log-probability of the codes ('likelihood'),
@@ -180,7 +180,7 @@ def quality(diagnosis: Diagnosis, which: int) -> dict[str, Any]:
     }
 
 
-def two_sample(diagnosis: Diagnosis) -> dict[str, Any] | None:
+def two_sample(diagnosis: Result) -> dict[str, Any] | None:
     """How far the area under the curve came nearer to 0.5, patches to a decision, and the control."""
     q = diagnosis.quality
     if q is None or q.two_sample is None:
@@ -194,7 +194,7 @@ def two_sample(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def finding(diagnosis: Diagnosis, step: Step, proof: Proof) -> dict[str, Any]:
+def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     """One finding, fitted on the frames that did not select it (on the others where there are none).
 
     mechanism: the first candidate.

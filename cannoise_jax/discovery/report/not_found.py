@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cannoise_jax.discovery.diagnose import Diagnosis
+from cannoise_jax.discovery.result import Result
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.signature import NO_STRENGTH, Asked
 
 
-def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None:
+def detectable(diagnosis: Result, mechanism: str) -> tuple[float, str] | None:
     """Amplitude of a mechanism that this run would find with probability one half, and its unit; None for
     one whose amplitude is no strength but a level or a period."""
     scores = diagnosis.fitted.first.scores
@@ -28,7 +28,7 @@ def detectable(diagnosis: Diagnosis, mechanism: str) -> tuple[float, str] | None
     return (float(best), diagnosis.terms[mechanism].unit) if np.isfinite(best) else None
 
 
-def absorbed_by(diagnosis: Diagnosis, mechanism: str) -> list[str]:
+def absorbed_by(diagnosis: Result, mechanism: str) -> list[str]:
     """Findings that took away what spoke for a mechanism; none where nothing ever spoke for it. Its
     statistic stood out before anything was taken out, so that no limit says that it is not there."""
     first, steps = diagnosis.fitted.first, diagnosis.fitted.steps

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.discovery.compare.report import difference_document
-from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.proof.gate import Gated, Tried
+from cannoise_jax.discovery.result import Result
 
 
-def baseline(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has; the ISO is None where no file states one, and not the stand-in by which
     a camera model knows that gain."""
@@ -29,7 +29,7 @@ def baseline(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def shares(diagnosis: Diagnosis, listed: list[int]) -> tuple[list[float | None], float]:
+def shares(diagnosis: Result, listed: list[int]) -> tuple[list[float | None], float]:
     """Share of the whole gain on frames held back of every finding (None: not measured), and of the
     remainder.
 
@@ -56,14 +56,14 @@ def score_of(gated: Gated) -> float:
     return 0.0 if one is None or two is None else float(two.mean() - one.mean())
 
 
-def entered(diagnosis: Diagnosis, n: int) -> bool | None:
+def entered(diagnosis: Result, n: int) -> bool | None:
     """Whether a finding is in the simulator that is handed back; None where none was chosen by draws."""
     if diagnosis.gated is None:
         return None if diagnosis.entered else False
     return diagnosis.fitted.steps[n] in diagnosis.gated.steps
 
 
-def gate(diagnosis: Diagnosis) -> dict[str, Any] | None:
+def gate(diagnosis: Result) -> dict[str, Any] | None:
     """What was tried beside the simulator that was judged, and what entered; None: nothing was measured.
 
     worse: whether what is handed back is worse than what was judged, by a measure of which the interval
@@ -93,7 +93,7 @@ def _interval(change: Any) -> dict[str, Any]:
     return {"value": change.value, "ci90": [change.low, change.high]}
 
 
-def remains(diagnosis: Diagnosis) -> dict[str, Any] | None:
+def remains(diagnosis: Result) -> dict[str, Any] | None:
     """What differs before and after by the layer that knows no names, largest share first; None: not looked.
 
     pixels: of all frames that were looked at; left: nats that are left of those before (above 1: more than

@@ -11,12 +11,12 @@ from typing import Any
 import jinja2
 
 from cannoise_jax.discovery.compare.report import percent
-from cannoise_jax.discovery.diagnose import Diagnosis
 from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
 from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
 from cannoise_jax.discovery.report.pictures import quality_pictures, where_pictures
 from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats
+from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.physics.core import places
@@ -174,7 +174,7 @@ def not_looked_for(report: dict[str, Any]) -> str:
     return ", ".join(_name(e["mechanism"]) for e in unseen)
 
 
-def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
+def page(diagnosis: Result, report: dict[str, Any]) -> str:
     """The report as HTML with its pictures inside."""
     steps = diagnosis.fitted.steps
     pictures = []

@@ -11,12 +11,7 @@ import io
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.colors import SymLogNorm
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 
 from cannoise_jax.discovery.proof.quality import Curves, Quality
 from cannoise_jax.signatures.covariance import LAGS
@@ -36,13 +31,15 @@ class Picture(NamedTuple):
 
 def _picture(draw: Callable[..., None], *more: Any) -> Picture:
     """One panel, drawn by draw(panel, ...), which titles it."""
-    figure, panel = plt.subplots(figsize=_INCHES, layout="constrained")
+    from matplotlib.figure import Figure  # a diagnosis that is not written down does not wait for it
+
+    figure = Figure(figsize=_INCHES, layout="constrained")
+    panel = figure.subplots()
     draw(panel, *more)
     panel.tick_params(labelsize=8)
     alt = panel.get_title().replace("\n", " ")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    plt.close(figure)
     return Picture(base64.b64encode(buffer.getvalue()).decode(), alt)
 
 
@@ -104,6 +101,8 @@ def where_pictures(
 
 
 def _map(panel, image: np.ndarray, title: str) -> None:
+    from matplotlib.colors import SymLogNorm
+
     top = float(np.clip(np.quantile(np.abs(image), 0.995), 1, 400))
     norm = SymLogNorm(linthresh=min(3.0, top / 2), vmin=-top, vmax=top)
     shown = panel.imshow(image, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")

@@ -6,22 +6,20 @@ import importlib.metadata
 import json
 import resource
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
+from cannoise_jax.discovery.result import Result
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
 from cannoise_jax.recordings.atomic import REPORT_FILES, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.unfinished import is_finished
 
-if TYPE_CHECKING:
-    from cannoise_jax.discovery.diagnose import Diagnosis
-
 
 def save(
-    found: Diagnosis,
+    found: Result,
     folder: str | Path,
     *,
     key: int = 0,
