@@ -364,7 +364,8 @@ def _model(arrays):
 
 def _sensor(document, arrays, prefix: str) -> SensorModel:
     """A camera model that a model file holds, with its maps."""
-    return model_of(document, {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)})
+    maps = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
+    return model_of(SensorModel.poisson_gaussian, document, maps)
 
 
 def _fields(module):

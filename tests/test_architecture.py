@@ -26,12 +26,8 @@ NAMED = (
 )
 """Where the name of a mechanism may stand: its own room, the injectors, and cameras made of named parts."""
 NAMES = frozenset(MECHANISMS) - frozenset(CLASSES)  # a class of mechanisms is called as one of them is
-LATE = {
-    ("cannoise_jax.physics.core.registry", "cannoise_jax.mechanisms"),
-    ("cannoise_jax.physics.core.sensor", "cannoise_jax.physics.core.sensor_json"),
-}
-"""Arrows up that are followed when they are used: a mechanism that a caller names, in one place; and methods
-that store what they belong to, whose readers and writers are built on it."""
+LATE = {("cannoise_jax.physics.core.registry", "cannoise_jax.mechanisms")}
+"""The one arrow up, followed when it is used: a mechanism that a caller names."""
 FLOORS = (
     ("vocabulary", "exports"),
     ("", "recordings", "physics", "physics.hidden_level", "physics.robust"),

@@ -249,7 +249,8 @@ def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
     """Camera models of the training part that are asked for, kept in the workdir once fitted."""
     import jax
 
-    from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+    from cannoise_jax.physics.core.sensor import SensorModel
+    from cannoise_jax.physics.core.sensor_json import write_sensor
     from cannoise_jax.training.denoise_data import training_part
 
     wanted = {name.partition("+")[0] for name in labels.values()} & {"calibrated", "discovered"}
@@ -273,7 +274,7 @@ def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
                     tell=lambda text: print(f"  {text}", flush=True),
                 ).model  # fmt: skip
             write_sensor(path, model)
-        out[name] = read_sensor(path)
+        out[name] = SensorModel.load(path)
     return out
 
 

@@ -137,9 +137,9 @@ def _flow(bench, arguments, tell):
 
 def _sensor_files(path: Path, cameras) -> dict[str, Any]:
     """One sensor.json a camera, named after it. Raises BadInput where one is missing."""
-    from cannoise_jax.physics.core.sensor_json import read_sensor
+    from cannoise_jax.physics.core.sensor import SensorModel
 
-    return {camera.name: read_sensor(path / f"{camera.name}.json") for camera in cameras}
+    return {camera.name: SensorModel.load(path / f"{camera.name}.json") for camera in cameras}
 
 
 def _plain(value: Any) -> Any:

@@ -198,11 +198,10 @@ def _stored_size(model: SensorModel) -> tuple[int, int]:
 def _sensor(name: str, places: Sequence[str]) -> SensorModel:
     from cannoise_jax.mechanisms.outside import entries_of
     from cannoise_jax.physics.core.sensor import SensorModel
-    from cannoise_jax.physics.core.sensor_json import read_sensor
 
     if name.startswith("preset:"):
         return SensorModel.preset(name.removeprefix("preset:"))
-    return read_sensor(name, entries_of(places))
+    return SensorModel.load(name, entries_of(places))
 
 
 if __name__ == "__main__":

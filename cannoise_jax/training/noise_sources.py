@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.physics.synthetic.scenes import numpy_generator
@@ -176,7 +175,7 @@ def open_source(name: str, data: HalfReal, sensors: dict[str, SensorModel]) -> S
         return sensor(data, sensors[name])
     path = Path(name)
     if path.suffix == ".json" and path.is_file():
-        return sensor(data, read_sensor(path))
+        return sensor(data, SensorModel.load(path))
     if path.exists():
         return learned(data, path)
     known = ", ".join([*NAMED, "calibrated", "discovered"])

@@ -10,7 +10,7 @@ import pytest
 
 from cannoise_jax.commands.calibrate import main
 from cannoise_jax.mechanisms.outside import entries_at
-from cannoise_jax.physics.core.sensor_json import read_sensor
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings import Recording
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
@@ -43,7 +43,7 @@ def test_writes_a_model_with_what_it_found(folder, tmp_path, capsys):
     text = capsys.readouterr().out
     for expected in ("system gain", "PRNU1288", "row_noise", "in the model", "saturates"):
         assert expected in text
-    model = read_sensor(out)
+    model = SensorModel.load(out)
     assert np.allclose(model.gain_dn_per_e, GAIN, rtol=0.03)
     assert np.allclose(model.read_noise_e, READ, rtol=0.05)
     assert np.allclose(model.black_level, BLACK, atol=0.5)
@@ -176,9 +176,9 @@ def test_a_mechanism_of_ones_own_is_measured_and_modelled(folder, tmp_path, caps
     assert main(["--recordings", str(folder), "--out", str(out), "--mechanisms", f"{place}:PULSE"]) == 0
     assert "pulse" in capsys.readouterr().out
     with pytest.raises(BadInput, match="needs the mechanism pulse"):
-        read_sensor(out)
+        SensorModel.load(out)
     (own,) = entries_at(f"{place}:PULSE")
-    fitted = {f.mechanism: f for f in read_sensor(out, [own]).mechanisms}
+    fitted = {f.mechanism: f for f in SensorModel.load(out, [own]).mechanisms}
     assert float(np.ravel(fitted["pulse"].parameters["sigma_dn"])[0]) == pytest.approx(40, rel=0.5)
 
 

@@ -18,7 +18,6 @@ from cannoise_jax.commands.diagnose import main, teller
 from cannoise_jax.discovery.report import save as saving
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.folders.plan import plan_folder
 from cannoise_jax.recordings.folders.store import write_plan
 from cannoise_jax.recordings.load import load_capture_set
@@ -101,9 +100,11 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
     assert first["amplitude"]["ci90"][0] < 2.0 < first["amplitude"]["ci90"][1]
     assert "droop" in (tmp_path / "out" / "report.html").read_text()
     with pytest.raises(BadInput, match="needs the mechanism droop"):
-        read_sensor(tmp_path / "out" / "sensor.json")
+        SensorModel.load(tmp_path / "out" / "sensor.json")
     entries = entries_at("droop:DROOP")
-    assert "droop" in [m.mechanism for m in read_sensor(tmp_path / "out" / "sensor.json", entries).mechanisms]
+    assert "droop" in [
+        m.mechanism for m in SensorModel.load(tmp_path / "out" / "sensor.json", entries).mechanisms
+    ]
     sys.modules.pop("droop", None)
     assert main([*arguments[:-1], "droop", "--force"]) == 2
     assert "names nothing" in capsys.readouterr().err

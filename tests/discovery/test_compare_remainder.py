@@ -11,7 +11,7 @@ from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from tests.discovery.capture import capture_set
 
 KEY = jax.random.key(3)
@@ -94,7 +94,7 @@ def test_noise_that_the_simulator_has_is_not_added_once_more():
 def test_it_is_kept_in_a_file_and_belongs_to_one_unit(models, tmp_path):
     _, plain, mended = models
     write_sensor(tmp_path / "sensor.json", mended)
-    back = read_sensor(tmp_path / "sensor.json")
+    back = SensorModel.load(tmp_path / "sensor.json")
     clean, settings = np.zeros((96, 128), np.float32), Settings(frames=2)
     one, two = (np.asarray(m.sample(KEY, clean, settings)) for m in (mended, back))
     assert (one == two).all()

@@ -18,7 +18,7 @@ from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import baseline_model, extended_model, with_addition
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.physics.core.settings import ExtrapolationWarning
 from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.signatures.covariance import neighbour_kernel
@@ -131,7 +131,7 @@ def test_an_unnamed_model_survives_its_file(tmp_path):
     model = extended_model(capture, first, steps)
     assert model.mechanisms and all(f.mechanism.startswith("unknown") for f in model.mechanisms)
     write_sensor(tmp_path / "sensor.json", model)
-    read = read_sensor(tmp_path / "sensor.json")
+    read = SensorModel.load(tmp_path / "sensor.json")
     clean, settings = np.zeros(SIZE, np.float32), Settings(100.0, 0.01, None, 2)
     both = [np.asarray(m.sample(jax.random.key(1), clean, settings)) for m in (model, read)]
     np.testing.assert_array_equal(*both)
@@ -190,7 +190,7 @@ def test_correlations_without_a_name_are_drawn_by_a_kernel_that_survives_its_fil
     model = SensorModel.poisson_gaussian(1.0, 4.0 * np.sqrt(1 - share), 500.0)
     model = model.with_mechanism("unknown_lags", point=point, sigma_dn=float(4.0 * np.sqrt(share)))
     write_sensor(tmp_path / "sensor.json", model)
-    read = read_sensor(tmp_path / "sensor.json")
+    read = SensorModel.load(tmp_path / "sensor.json")
     dark, settings = np.zeros((128, 128), np.float32), Settings(100.0, 0.01, None, 16)
     frames = np.asarray(read.sample(jax.random.key(0), dark, settings), float) - 500
     power = np.mean(frames**2)

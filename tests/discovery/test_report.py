@@ -22,7 +22,7 @@ from cannoise_jax.discovery.report.document import digests, document
 from cannoise_jax.discovery.report.page import advice, page
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
-from cannoise_jax.physics.core.sensor_json import read_sensor
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import CaptureSet
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
@@ -258,7 +258,7 @@ def test_command_writes_report_page_and_model(tmp_path, capsys):
     assert report["key"] == 3 and report["seconds"] > 0 and report["peak_memory_mb"] > 0
     assert (out / "report.html").stat().st_size > 10000
     assert "row_noise" in capsys.readouterr().out
-    names = {f.mechanism for f in read_sensor(out / "sensor.json").mechanisms}
+    names = {f.mechanism for f in SensorModel.load(out / "sensor.json").mechanisms}
     assert {"row_noise", "column_fpn"} <= names
     before = (out / "report.json").read_bytes()
     assert command.main(["--recordings", str(tmp_path / "none"), "--out", str(out)]) == 2

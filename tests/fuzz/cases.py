@@ -283,7 +283,7 @@ def broken_sensor(kit: Kit, rng: random.Random, folder: Path) -> Case:
         maps.write_bytes(data)
     else:
         path.write_text(damaged_json(rng, path.read_text()), errors="surrogatepass")
-    target = "read:cannoise_jax.physics.core.sensor_json.read_sensor"
+    target = "read:cannoise_jax.physics.core.sensor.SensorModel.load"
     return Case("sensor", target, [f"in/{path.name}"], must)
 
 

@@ -21,7 +21,7 @@ import pytest
 
 from cannoise_jax import SensorModel
 from cannoise_jax.networks import Generator
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import Camera, Setting, make_model, save_model
@@ -145,7 +145,7 @@ def faults(case: Case, answer: dict, before: dict, after: dict, folder: Path) ->
         for path in (folder / "out").rglob("*.h5"):
             found += unsound(path)
         for path in (folder / "out").glob("sensor.json"):
-            read_sensor(path)
+            SensorModel.load(path)
         if case.target in ("convert", "calibrate") and "--dry-run" not in case.argv:
             found += [] if any((folder / "out").iterdir()) else ["wrote nothing"]
     return found

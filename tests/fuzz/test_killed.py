@@ -12,7 +12,8 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording, write_recording
 from tests.commands.test_sample import write_model
 from tests.conftest import ROOT
@@ -63,7 +64,7 @@ def test_a_camera_model_is_one_of_the_two_that_were_written(worker, tmp_path, re
     write_sensor(path, killed.versions(1))
     for _ in range(counts(request)):
         assert kill(worker, "write_sensors", tmp_path, rng.uniform(0, 0.2))
-        model = read_sensor(path)
+        model = SensorModel.load(path)
         fitted = model.mechanisms[0]
         number = round(float(np.ravel(jax.tree.leaves(fitted.parameters)[-1])[0]))
         assert number in (1, 2) and next(iter(fitted.maps.values())).shape[-1] == 6 * number
@@ -94,7 +95,7 @@ def test_the_files_of_a_report_are_whole(worker, tmp_path, request, tables):
                 lines = (tmp_path / name).read_text().splitlines()
                 assert len(lines) == 1000 and len(set(lines)) == 1
         if (tmp_path / "sensor.json").exists():
-            read_sensor(tmp_path / "sensor.json")
+            SensorModel.load(tmp_path / "sensor.json")
     told(
         tables, "the files of a report written over and over", *2 * (counts(request),), "every file is whole"
     )
@@ -178,7 +179,7 @@ def sound(path: Path) -> bool:
     if path.suffix == ".h5":
         return np.asarray(read_recording(path).frames[:]).ndim == 3
     if path.name == "sensor.json":
-        return bool(read_sensor(path).camera)
+        return bool(SensorModel.load(path).camera)
     text = path.read_text()
     return bool(json.loads(text)) if path.suffix == ".json" else text.rstrip().endswith("</html>")
 

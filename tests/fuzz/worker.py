@@ -118,9 +118,8 @@ def call(target: str, argv: list[str]) -> int:
             return int(module.main(argv) or 0)
         except SystemExit as ended:
             return int(ended.code or 0)
-    home, _, name = target.removeprefix("read:").rpartition(".")
     try:
-        getattr(importlib.import_module(home), name)(*argv)
+        pkgutil.resolve_name(target.removeprefix("read:"))(*argv)
     except BadInput as error:
         print(f"read: {error}", file=sys.stderr)
         return 2

@@ -15,7 +15,7 @@ from cannoise_jax.commands import simulate
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.vocabulary import Term
@@ -71,7 +71,7 @@ def test_a_stored_model_is_refused_without_the_entry_in_one_line(droop, tmp_path
     camera = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop, sigma_dn=5.0)
     write_sensor(path, camera)
     with pytest.raises(BadInput, match="needs the mechanism droop of droop:DROOP") as error:
-        read_sensor(path)
+        SensorModel.load(path)
     assert str(error.value).startswith(str(path)) and "\n" not in str(error.value)
     document = json.loads(path.read_text())
     for wrong, said in (
@@ -82,7 +82,7 @@ def test_a_stored_model_is_refused_without_the_entry_in_one_line(droop, tmp_path
         document["mechanisms"][0]["parameters"] = wrong
         path.write_text(json.dumps(document))
         with pytest.raises(BadInput, match=said):
-            read_sensor(path, [droop])
+            SensorModel.load(path, [droop])
 
 
 def test_simulate_draws_it(droop, tmp_path, capsys):

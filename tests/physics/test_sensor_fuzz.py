@@ -11,7 +11,7 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings import BadInput
 
 REMOVED = object()
@@ -62,7 +62,7 @@ def complaints(path, document, cases):
     for place, value in cases:
         path.write_text(json.dumps(damaged(document, place, value)))
         try:
-            read_sensor(path)
+            SensorModel.load(path)
         except BadInput as error:
             said = str(error)
             words = [key.rstrip("s") for key in place if isinstance(key, str)]

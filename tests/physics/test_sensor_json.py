@@ -13,7 +13,7 @@ from cannoise_jax.mechanisms import ENTRIES, MECHANISMS
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import SCHEMA, read_sensor, sensor_document, write_sensor
+from cannoise_jax.physics.core.sensor_json import SCHEMA, sensor_document, write_sensor
 from cannoise_jax.recordings import BadInput
 
 SIZE = (8, 10)
@@ -56,7 +56,7 @@ def test_round_trip_with_tables_scaling_grammar_and_maps(tmp_path):
     model = camera().with_maps(SIZE)
     path = tmp_path / "sensor.json"
     write_sensor(path, model)
-    again = read_sensor(path)
+    again = SensorModel.load(path)
     assert_same(model, again)
     settings = Settings(iso=250, exposure_s=0.1, frames=2)
     clean = np.full(SIZE, 0.2, np.float32)
@@ -76,7 +76,7 @@ def test_the_earlier_word_for_one_number_a_frame_is_read(tmp_path):
     text = path.read_text()
     assert text.count('"over": "frame"') == 1
     path.write_text(text.replace('"over": "frame"', '"over": "whole"'))
-    assert_same(model, read_sensor(path))
+    assert_same(model, SensorModel.load(path))
 
 
 @pytest.mark.parametrize("id", MECHANISMS)
@@ -84,7 +84,7 @@ def test_every_mechanism_round_trips(id, tmp_path):
     model = SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, "RGGB").with_mechanism(id)
     path = tmp_path / "sensor.json"
     write_sensor(path, model)
-    assert_same(model, read_sensor(path))
+    assert_same(model, SensorModel.load(path))
     document = json.loads(path.read_text())
     assert document["schema"] == SCHEMA and document == sensor_document(model)
     assert set(document["mechanisms"][0]) >= {"mechanism", "parameters", "scaling", "maps"}
@@ -96,7 +96,7 @@ def test_the_ends_of_all_ranges_can_be_stored(end, tmp_path):
     for id, record in ((e.id, e.record) for e in ENTRIES):
         values = {p.name: getattr(p, end) for p in record.parameters}
         write_sensor(path, base.with_mechanism(id, **values))
-        (fitted,) = read_sensor(path).mechanisms
+        (fitted,) = SensorModel.load(path).mechanisms
         assert fitted.parameters == pytest.approx(values, rel=1e-6)
 
 
@@ -181,7 +181,7 @@ def test_damaged_files_are_one_line(change, message, tmp_path):
     change(document)
     path.write_text(json.dumps(document))
     with pytest.raises(BadInput, match=message) as caught:
-        read_sensor(path)
+        SensorModel.load(path)
     assert "\n" not in str(caught.value) and str(tmp_path) in str(caught.value)
 
 
@@ -190,7 +190,7 @@ def test_the_unit_is_the_same_whatever_the_generator(implementation, tmp_path):
     key = jax.random.key(3, impl=implementation)
     base = SensorModel.poisson_gaussian(0.5, 2.0, 64, 1023, unit_key=key).with_mechanism("dsnu")
     write_sensor(tmp_path / "sensor.json", base)
-    again = read_sensor(tmp_path / "sensor.json")
+    again = SensorModel.load(tmp_path / "sensor.json")
     assert_same(base, again)
     assert jax.random.key_impl(again.unit_key) == jax.random.key_impl(key)
     first, second = (m.with_maps(SIZE).mechanisms[0].maps["field"] for m in (base, again))
@@ -226,10 +226,10 @@ def test_a_model_that_could_not_be_read_is_not_written(change, message, tmp_path
 
 def test_files_that_are_no_sensor_model(tmp_path):
     with pytest.raises(BadInput, match="cannot be read"):
-        read_sensor(tmp_path / "absent.json")
+        SensorModel.load(tmp_path / "absent.json")
     (tmp_path / "text.json").write_text("hello")
     with pytest.raises(BadInput, match="not JSON"):
-        read_sensor(tmp_path / "text.json")
+        SensorModel.load(tmp_path / "text.json")
 
 
 def test_pickled_maps_are_refused(tmp_path):
@@ -242,7 +242,7 @@ def test_pickled_maps_are_refused(tmp_path):
     document["maps"]["sha256"] = hashlib.sha256((tmp_path / "sensor.npz").read_bytes()).hexdigest()
     path.write_text(json.dumps(document))
     with pytest.raises(BadInput, match="no plain arrays"):
-        read_sensor(path)
+        SensorModel.load(path)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_maps_that_are_no_finite_images(values, message, tmp_path):
     document["maps"]["sha256"] = hashlib.sha256((tmp_path / "sensor.npz").read_bytes()).hexdigest()
     path.write_text(json.dumps(document))
     with pytest.raises(BadInput, match=message) as caught:
-        read_sensor(path)
+        SensorModel.load(path)
     assert "\n" not in str(caught.value)
 
 
@@ -275,7 +275,7 @@ def test_deep_nesting_is_one_line(tmp_path):
     path = tmp_path / "sensor.json"
     path.write_text("[" * 100_000 + "]" * 100_000)
     with pytest.raises(BadInput, match="is not JSON"):
-        read_sensor(path)
+        SensorModel.load(path)
 
 
 def test_unwritable_place_is_one_line(tmp_path):
@@ -319,5 +319,5 @@ def test_a_name_of_any_length_is_refused_in_a_line_of_some_length(tmp_path):
     text = (tmp_path / "s.json").read_text()
     (tmp_path / "s.json").write_text(text.replace('"prnu"', '"' + "a" * 5000 + '"'))
     with pytest.raises(BadInput, match="it is no mechanism") as refused:
-        read_sensor(tmp_path / "s.json")
+        SensorModel.load(tmp_path / "s.json")
     assert len(str(refused.value)) < 1200

@@ -9,7 +9,7 @@ import pytest
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.physics.transfer.estimators.lines import columns_apart, row_groups, row_noise
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.maps import shrunk
@@ -85,7 +85,7 @@ def test_the_stored_maps_are_those_of_the_unit(truth, found, id, least):
 def test_the_file_keeps_the_unit_and_another_unit_is_another(found, tmp_path):
     path = tmp_path / "sensor.json"
     write_sensor(path, found)
-    again = read_sensor(path)
+    again = SensorModel.load(path)
     assert path.with_suffix(".npz").exists() and '"sha256"' in path.read_text()
     for id in ("prnu", "dsnu", "row_fpn", "hot_pixels"):
         np.testing.assert_array_equal(drawn(again, id), drawn(found, id))

@@ -21,7 +21,6 @@ from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import read_sensor
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, load_model, sample_noise
@@ -50,7 +49,7 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
         return Simulator(getattr(simulator, "__name__", "function"), simulator, True)
     path = Path(simulator)
     if path.suffix == ".json" and path.is_file():
-        model = read_sensor(path)
+        model = SensorModel.load(path)
         return Simulator(str(path), model.sample, True, model)
     if path.exists():
         return Simulator(str(path), _generator(path, capture), False)

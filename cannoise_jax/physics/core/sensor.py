@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from cannoise_jax.physics.core.chain import altered_noise, closed_form, maps_of,
 from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
+from cannoise_jax.physics.core.sensor_json import read_model, write_sensor
 from cannoise_jax.physics.core.settings import (
     DEFAULT,
     ExtrapolationWarning,
@@ -205,18 +207,15 @@ class SensorModel:
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Writes a sensor.json, and an .npz of the same stem for measured maps. Raises BadInput where the
         file exists (without force) or cannot be written."""
-        from cannoise_jax.physics.core.sensor_json import write_sensor
-
         if Path(path).exists() and not force:
             raise BadInput(f"{path}: exists: name another file, or replace it with force=True")
         write_sensor(path, self)
 
     @staticmethod
-    def load(path: str | Path) -> SensorModel:
-        """The model of a sensor.json. Raises BadInput."""
-        from cannoise_jax.physics.core.sensor_json import read_sensor
-
-        return read_sensor(path)
+    def load(path: str | Path, mechanisms: Sequence[HasRecord] = ()) -> SensorModel:
+        """The model of a sensor.json. mechanisms: entries from outside the package that it may name. Raises
+        BadInput with one line for anything that is not one, and where an entry is missing."""
+        return read_model(SensorModel.poisson_gaussian, path, mechanisms)
 
     def n_init(self, *, discretise: bool = True) -> InitialNoise:
         """An initial noise for training: `(key, clean[B,h,w,4], shot[B,4], read[B,4]) -> (noise, sigma)`,

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import reprlib
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,11 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.ranges import check_point, is_whole
-from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
+from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.recordings.recording import per_channel
+
+if TYPE_CHECKING:
+    from cannoise_jax.physics.core.sensor import SensorModel
 
 IMPLEMENTATION = "threefry2x32"
 _KEY_WORDS = {IMPLEMENTATION: 2, "rbg": 4, "unsafe_rbg": 4}
@@ -33,10 +36,14 @@ class Foreign(ValueError):
 
 
 def model_of(
-    document: Mapping[str, Any], maps: Mapping[str, np.ndarray], mechanisms: Sequence[HasRecord] = ()
+    baseline: Callable[..., SensorModel],
+    document: Mapping[str, Any],
+    maps: Mapping[str, np.ndarray],
+    mechanisms: Sequence[HasRecord] = (),
 ) -> SensorModel:
-    """The model of a document as `sensor_json.sensor_document` makes it; maps: by the names it gives them;
-    mechanisms: those from outside the package. Raises Foreign where one is not given."""
+    """The model of a document as `sensor_json.sensor_document` makes it, begun by `baseline`, which is
+    `SensorModel.poisson_gaussian`; maps: by the names it gives them; mechanisms: those from outside the
+    package. Raises Foreign where one is not given."""
     known = {**{m.record.id: m.record for m in mechanisms}, **registry.packaged()}
     rows = [
         _of_kind(row, f"baseline {n}", dict) for n, row in enumerate(entry_of(document, "baseline", list))
@@ -51,7 +58,7 @@ def model_of(
         name: [_channels(of_row(n, name), f"baseline {n}: {name}") for n in range(len(rows))]
         for name in ("gain_dn_per_e", "read_noise_e")
     }
-    model = SensorModel.poisson_gaussian(
+    model = baseline(
         table["gain_dn_per_e"],
         table["read_noise_e"],
         _channels(_entry(document, "black_level"), "black_level"),

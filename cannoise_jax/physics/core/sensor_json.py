@@ -15,20 +15,23 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
 from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
-from cannoise_jax.physics.core.sensor import IsoTable, SensorModel
 from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
+from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.physics.core.sensor import SensorModel
 
 SCHEMA = "cannoise/sensor/1"
 
@@ -38,7 +41,7 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
     model before goes where there are none now.
 
     Raises BadInput where `path` is a folder, the `.npz` is there and not of the model at `path`, or the model
-    (changed with `dataclasses.replace`, say) holds what `read_sensor` would refuse.
+    (changed with `dataclasses.replace`, say) holds what would be refused when it is read.
     """
     path = Path(path)
     maps: dict[str, Any] = {
@@ -49,7 +52,7 @@ def write_sensor(path: str | Path, model: SensorModel) -> None:
     check_place(path, bool(maps))
     try:
         document = sensor_document(model)
-        model_of(document, maps, model.mechanisms)
+        model_of(model.poisson_gaussian, document, maps, model.mechanisms)
     except (ValueError, TypeError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"{path}: not written, {said}: correct the model") from error
@@ -170,9 +173,10 @@ def _mechanism(index: int, fitted) -> dict[str, Any]:
     return entry
 
 
-def read_sensor(path: str | Path, mechanisms: Sequence[HasRecord] = ()) -> SensorModel:
-    """The model of a `sensor.json`. mechanisms: entries from outside the package that it may name. Raises
-    BadInput with one line for anything that is not one, and where an entry is missing."""
+def read_model(
+    baseline: Callable[..., SensorModel], path: str | Path, mechanisms: Sequence[HasRecord]
+) -> SensorModel:
+    """What `SensorModel.load` returns. baseline: see `model_of`."""
     path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -183,7 +187,7 @@ def read_sensor(path: str | Path, mechanisms: Sequence[HasRecord] = ()) -> Senso
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise BadInput(f"{path}: has no schema {SCHEMA}: name a sensor.json written by bin/calibrate")
     try:
-        return model_of(document, _read_maps(path, document), mechanisms)
+        return model_of(baseline, document, _read_maps(path, document), mechanisms)
     except BadInput:
         raise
     except Foreign as error:
