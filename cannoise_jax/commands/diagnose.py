@@ -152,8 +152,8 @@ def _stated_gains(found: Diagnosis) -> list[str]:
     notes = []
     for baseline in found.first.baselines:
         own = [r for r in found.capture.recordings if r.iso == baseline.iso]
-        known = (baseline.gain > 0) & (baseline.gain_error > 0)
-        notes.append(gain_note(own, baseline.gain[known].tolist(), baseline.gain_error[known].tolist()))
+        known = (baseline.gain > 0) & (baseline.gain_stderr > 0)
+        notes.append(gain_note(own, baseline.gain[known].tolist(), baseline.gain_stderr[known].tolist()))
     return [note for note in notes if note]
 
 

@@ -18,7 +18,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
 from cannoise_jax.physics.transfer.table import format_outcome
 from cannoise_jax.recordings.packing import site
-from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.recordings.recording import DARK, per_channel
 
 _RANGE = (0.05, 0.95)
 """Share of saturation between which linearity is judged (EMVA 1288, section 6.7)."""
@@ -53,7 +53,7 @@ def _setting(t: PhotonTransfer) -> dict[str, Any]:
     first = t.statistics[0].recording
     base = t.baseline if isinstance(t.baseline, Baseline) else None
     # Without a baseline the level of the darks, where there are any, is still better than what was stated.
-    black = base.black_level if base else first.black_level
+    black = per_channel(base.black_level) if base else first.black_level
     lit = [s for s in t.statistics if s.recording.kind == "flat"]
     lit = lit or [s for s in t.statistics if s.recording.kind == "scene"]
     dark = [s for s in t.statistics if s.recording.kind in DARK]
@@ -67,8 +67,8 @@ def _setting(t: PhotonTransfer) -> dict[str, Any]:
         "cfa": t.cfa,
         "recordings": [_recording(s) for s in t.statistics],
         "table": _table(t, base, straight),
-        "gain": list(base.gain) if base else None,
-        "read_noise_dn": list(base.read_noise) if base else None,
+        "gain": base.gain.tolist() if base else None,
+        "read_noise_dn": base.read_noise.tolist() if base else None,
         "transfer": points,
         "linearity": straight,
         "dark": _dark_points(dark),

@@ -101,7 +101,19 @@ def simulate(entry: Entry, case: Case, simulations: int, seed: int = 0) -> Itera
 
 def assumed_baseline() -> Baseline:
     """The baseline that the simulated recordings are described with."""
-    return Baseline(per_channel(GAIN), per_channel(GAIN * READ_E), per_channel(BLACK), WHITE, 1.0)
+
+    def same(value: float) -> np.ndarray:
+        return np.full(4, value)
+
+    return Baseline(
+        gain=same(GAIN),
+        read_noise=same(GAIN * READ_E),
+        black_level=same(BLACK),
+        gain_stderr=same(0.0),
+        read_stderr=same(0.0),
+        white_level=WHITE,
+        code_step=1.0,
+    )
 
 
 def format_rows(rows: Sequence[Row]) -> str:

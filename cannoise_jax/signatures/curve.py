@@ -42,9 +42,9 @@ def stated_score(
         if gain is None:
             continue
         value, error, other = (
-            (baseline.gain, baseline.gain_error, gain)
+            (baseline.gain, baseline.gain_stderr, gain)
             if kind == "gain"
-            else (baseline.read_dn, baseline.read_error, read)
+            else (baseline.read_noise, baseline.read_stderr, read)
         )
         for c in range(4):
             if error[c] <= 0 or other[c] <= 0:
@@ -83,7 +83,7 @@ def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) ->
             if len(levels) < 4:
                 continue
             model = (
-                baseline.read_dn[c] ** 2
+                baseline.read_noise[c] ** 2
                 + step**2 / 12
                 + baseline.gain[c] * np.array([p.signal for p in levels])
             )
@@ -123,7 +123,7 @@ def saturation_score(
         baseline = baselines[0]
         low = min(full, key=lambda p: p.signal)
         model = [
-            baseline.read_dn[p.channel] ** 2 + step**2 / 12 + baseline.gain[p.channel] * p.signal
+            baseline.read_noise[p.channel] ** 2 + step**2 / 12 + baseline.gain[p.channel] * p.signal
             for p in full
         ]
         z = min((p.variance / m - 1) / np.sqrt(2 / p.pixels) for p, m in zip(full, model, strict=True))

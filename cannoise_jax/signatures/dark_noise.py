@@ -133,7 +133,7 @@ def beside_level(recorded: Recorded, *, name: str, rate: str, share: str) -> tup
         told = found.score.parameters
         return Addition({rate: told["e_per_s"][0], share: told["share"][0]})
 
-    if not all(np.all(b.gain_error > 0) for b in recorded.baselines):
+    if not all(np.all(b.gain_stderr > 0) for b in recorded.baselines):
         return ()
     return (
         Signature(

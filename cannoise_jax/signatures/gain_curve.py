@@ -116,13 +116,15 @@ def signal_step_score(fields, *, baselines: tuple[GroupBaseline, ...]) -> Score 
 
 def iso_step_score(fields, *, baselines: tuple[GroupBaseline, ...]) -> Score | None:
     """Read noise in electrons that falls at one ISO beyond what amplifier and converter noise make of it."""
-    known = [b for b in baselines if b.iso and np.mean(b.gain) > 0 and np.mean(b.read_error) > 0]
+    known = [b for b in baselines if b.iso and np.mean(b.gain) > 0 and np.mean(b.read_stderr) > 0]
     if len(known) < 5:
         return None
     known.sort(key=lambda b: float(b.iso or 0))
     k = np.array([float(np.mean(b.gain)) for b in known])
-    y = np.array([float(np.mean(np.square(b.read_dn / b.gain))) for b in known])
-    e = np.hypot(2 * y * np.array([float(np.mean(b.read_error / b.read_dn)) for b in known]) / 2, 0.04 * y)
+    y = np.array([float(np.mean(np.square(b.read_noise / b.gain))) for b in known])
+    e = np.hypot(
+        2 * y * np.array([float(np.mean(b.read_stderr / b.read_noise)) for b in known]) / 2, 0.04 * y
+    )
     smooth = np.stack([np.ones_like(k), 1 / k**2], 1)
     one, _ = _fit(smooth, y, e)
     best, at, ratio = one, 0, 1.0

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from cannoise_jax.physics.transfer.baseline import Baseline
 
 
 class Level(NamedTuple):
@@ -25,16 +28,12 @@ class Level(NamedTuple):
     part: int = 0
 
 
-class GroupBaseline(NamedTuple):
-    """Poisson-Gaussian parameters of one gain setting: per mosaic site, DN and DN/e-; error: of the gain.
-    pedestal: black level before rounding and clipping at code 0, `black` as the darks store it."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroupBaseline(Baseline):
+    """The baseline of one gain setting, what rows share in its read noise, and the curve that it is of.
+    pedestal: black level before rounding and clipping at code 0, `black_level` as the darks store it."""
 
     iso: float | None
-    black: Float[np.ndarray, "4"]
-    gain: Float[np.ndarray, "4"]
-    read_dn: Float[np.ndarray, "4"]
-    gain_error: Float[np.ndarray, "4"]
-    read_error: Float[np.ndarray, "4"]
     levels: tuple[Level, ...]
     pedestal: Float[np.ndarray, "4"]
 

@@ -79,7 +79,7 @@ def inject(capture: CaptureSet, alpha: float, tell: Tell) -> dict[str, Any]:
     prepared = whole(capture)
     baseline = prepared.baselines[0]
     gain = float(np.mean(baseline.gain)) if np.all(np.isfinite(baseline.gain)) else 1.0
-    camera = real.described(capture, gain or 1.0, float(np.mean(baseline.read_dn)), prepared.step, unit=1)
+    camera = real.described(capture, gain or 1.0, float(np.mean(baseline.read_noise)), prepared.step, unit=1)
     before = amplitudes(capture, alpha)
     names = [n for n in real.INJECTED if capture.of_kind("scene", "flat") or n not in real.LIT]
     rows: list[dict[str, Any]] = []

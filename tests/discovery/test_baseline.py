@@ -58,7 +58,7 @@ def test_calibration_and_diagnosis_agree_on_gain_and_read_noise(real_data, camer
     assert found.gain == pytest.approx(transfer.baseline.gain, rel=0.03)
     # Calibration states the noise of pixels beside that of rows; the baseline holds both, and weak
     # flicker.
-    assert found.read_dn == pytest.approx(transfer.baseline.read_noise, rel=0.04)
+    assert found.read_noise == pytest.approx(transfer.baseline.read_noise, rel=0.04)
 
 
 @pytest.mark.slow
@@ -94,8 +94,8 @@ def test_calibration_and_diagnosis_agree_on_a_camera_and_differ_by_its_row_noise
     (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
     assert found.gain == pytest.approx(transfer.baseline.gain, rel=0.01)
     assert found.gain == pytest.approx(np.full(4, 1.5), rel=0.03)
-    assert found.read_dn == pytest.approx(np.hypot(transfer.baseline.read_noise, rows), rel=0.025)
-    assert found.read_dn == pytest.approx(np.full(4, np.hypot(4.5, rows)), rel=0.03)
+    assert found.read_noise == pytest.approx(np.hypot(transfer.baseline.read_noise, rows), rel=0.025)
+    assert found.read_noise == pytest.approx(np.full(4, np.hypot(4.5, rows)), rel=0.03)
 
 
 def test_levels_close_together_are_not_taken_for_full_pixels(real_data):
@@ -103,7 +103,7 @@ def test_levels_close_together_are_not_taken_for_full_pixels(real_data):
     capture, _ = central(load_capture_set(real_data / "lwir"), 24576)
     (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
     assert not any(level.full for level in found.levels)
-    assert np.ptp(found.read_dn) < 0.2 * found.read_dn.mean() and found.gain.max() < 1e-3
+    assert np.ptp(found.read_noise) < 0.2 * found.read_noise.mean() and found.gain.max() < 1e-3
 
 
 def curve(rng, darks, flats, full=()):

@@ -43,7 +43,7 @@ def test_strong_flicker_is_named_and_does_not_bend_the_photon_transfer_curve(kin
     capture = capture_set(3, flickering(0.2, (1.0, 0.95, 0.95, 0.85)), kinds=kinds, size=SIZE)
     first, fitted = looked_at(capture)
     np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.03)
-    np.testing.assert_allclose(first.baselines[0].read_dn, 4.5, rtol=0.05)
+    np.testing.assert_allclose(first.baselines[0].read_noise, 4.5, rtol=0.05)
     found = fitted.steps[0].named
     assert found.mechanism == "flicker"
     assert found.score.amplitude == pytest.approx(0.2 * 0.94, rel=0.1)

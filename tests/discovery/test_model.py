@@ -67,7 +67,7 @@ def test_draws_show_the_finding_as_strong_as_the_recordings_did(alter, hidden, e
     assert score.amplitude == pytest.approx(named.score.amplitude, abs=4 * named.score.error, rel=0.1)
     # The noise that the effect was part of is not counted twice.
     for before, after in zip(first.baselines, again.baselines, strict=True):
-        np.testing.assert_allclose(after.read_dn, before.read_dn, rtol=0.04)
+        np.testing.assert_allclose(after.read_noise, before.read_noise, rtol=0.04)
         np.testing.assert_allclose(after.gain, before.gain, rtol=0.04)
 
 
@@ -108,7 +108,7 @@ def test_read_noise_is_that_of_short_darks_though_others_are_noisier():
     )
     temporal = np.sqrt(np.median(drawn.var(0, ddof=1)) * 7 / stats.chi2.median(7))
     assert temporal == pytest.approx(np.hypot(4.5, 0.8), rel=0.05)
-    assert first.baselines[0].read_dn.min() > 1.3 * temporal
+    assert first.baselines[0].read_noise.min() > 1.3 * temporal
 
 
 def test_what_whole_frames_share_does_not_lower_the_noise_of_pixels():

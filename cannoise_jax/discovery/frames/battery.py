@@ -259,7 +259,7 @@ def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], st
             out.append((None, None))
             continue
         fitted = fit_baseline([stack(r, n, list(range(r.count)), step) for n, r in chosen], baseline.iso)
-        out.append((fitted.gain, fitted.read_dn))
+        out.append((fitted.gain, fitted.read_noise))
     return tuple(out)
 
 

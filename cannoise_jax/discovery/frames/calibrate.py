@@ -67,7 +67,18 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
         if (s.recording.exposure_s or 0.0) == _shortest(chosen):
             pedestal, read = _before_rounding(s, [p for p in levels if p.recording == s.number], black, read)
             break
-    return GroupBaseline(iso, black, gain, read, gain_error, read_error, tuple(levels), pedestal)
+    return GroupBaseline(
+        gain=gain,
+        read_noise=read,
+        black_level=black,
+        gain_stderr=gain_error,
+        read_stderr=read_error,
+        white_level=chosen[0].recording.white_level,
+        code_step=chosen[0].step,
+        iso=iso,
+        levels=tuple(levels),
+        pedestal=pedestal,
+    )
 
 
 def _line(
@@ -158,9 +169,9 @@ class Modelled(NamedTuple):
 def modelled(stacked: Stack, baseline: GroupBaseline) -> Modelled:
     """Signal and variance of every pixel under the fitted baseline."""
     channel = channel_index(stacked.mean.shape)
-    expected = expected_signal(stacked, baseline.black)
+    expected = expected_signal(stacked, baseline.black_level)
     signal = np.maximum(expected, 0)
-    gain, read = baseline.gain[channel], baseline.read_dn[channel]
+    gain, read = baseline.gain[channel], baseline.read_noise[channel]
     return Modelled(expected, signal, gain * signal + read**2 + stacked.step**2 / 12)
 
 
@@ -171,7 +182,7 @@ def smooth_part(
     clean: the recording's `reference`, where it has one."""
     recording, size = stacked.recording, stacked.mean.shape
     if recording.kind in DARK or recording.kind == "flat":
-        return by.expected + mosaic_map(baseline.black, size)
+        return by.expected + mosaic_map(baseline.black_level, size)
     if clean is None or recording.reference == "burst_mean":
         return None
     steady = by.signal < 0.9 * full_level(baseline)
@@ -187,7 +198,7 @@ def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
     clean = None if recording.clean is None else reference(recording)
     smooth = smooth_part(stacked, baseline, by, clean)
     static = None if smooth is None else stacked.mean - smooth
-    mean = signal + baseline.black[channel] if smooth is None else smooth
+    mean = signal + baseline.black_level[channel] if smooth is None else smooth
     if recording.kind in DARK:
         variance = own_variance(stacked, channel, variance, mean)
     sigma = np.sqrt(variance).astype(np.float32)
@@ -216,7 +227,7 @@ def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
         static=None if static is None else (static * scaled).astype(np.float32),
         clean=clean,
         gain=baseline.gain,
-        black=baseline.black,
+        black=baseline.black_level,
         before=stacked.before,
     )
 

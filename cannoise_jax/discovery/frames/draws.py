@@ -51,7 +51,7 @@ def frames_at_once(pixels: int) -> int:
 def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
     """As many frames as every recording of the split has, of its expected signal and at its settings; where
     they are seen against frames before, as many of those first; times: all that so many times."""
-    black = {b.iso: b.black for b in prepared.baselines}
+    black = {b.iso: b.black_level for b in prepared.baselines}
     out = {}
     for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
         r = stacked.recording

@@ -124,10 +124,10 @@ def noise_ratio(capture: CaptureSet, first: Prepared, drawn: tuple, gain_too: bo
             return None
         channel = channel_index(clean.shape)
         baseline = first.baselines[n]
-        signal = clean * (recording.white_level - np.mean(baseline.black))
+        signal = clean * (recording.white_level - np.mean(baseline.black_level))
         have = gain[channel] * signal + read[channel] ** 2
         better = (baseline.gain if gain_too else gain)[channel] * signal
-        wanted = better + (baseline.read_dn if read_too else read)[channel] ** 2
+        wanted = better + (baseline.read_noise if read_too else read)[channel] ** 2
         return np.sqrt(wanted / np.maximum(have, 1e-9))
 
     return ratio

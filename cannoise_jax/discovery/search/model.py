@@ -35,7 +35,7 @@ def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None
         baseline = prepared.baselines[n]
         gain, read = stated[n] if stated is not None and stated[n][0] is not None else (None, None)
         gains.append(np.maximum(baseline.gain if gain is None else gain, 1e-6))
-        reads.append((baseline.read_dn if read is None else read) / gains[-1])
+        reads.append((baseline.read_noise if read is None else read) / gains[-1])
     baselines = [prepared.baselines[n] for n in order]
     return SensorModel.poisson_gaussian(
         np.stack(gains),
@@ -92,7 +92,7 @@ def addition(step: Step, prepared: Prepared, rng: np.random.Generator) -> Additi
         fields=step.before,
         pattern=signature.pattern(step.before, score, rng),
         gain=float(np.mean(prepared.baselines[0].gain)) or 1.0,
-        read_dn=float(np.mean(prepared.baselines[0].read_dn)),
+        read_dn=float(np.mean(prepared.baselines[0].read_noise)),
         seconds=max(e or 1.0 for e in exposures),
         longest=max(e or 0.0 for e in exposures),
         span=prepared.span,

@@ -1,30 +1,30 @@
-"""The Poisson-Gaussian baseline as photon transfer measures it, and as estimators assume it."""
+"""The Poisson-Gaussian baseline as it is measured, and as estimators and signatures assume it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-from cannoise_jax.recordings.recording import PerChannel, per_channel
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Baseline:
     """Poisson-Gaussian noise per channel, mosaic order: var = K (signal above black) + (read noise)^2, DN.
 
-    gain: DN/e-. read_noise: DN, rows not included. black_level: DN. code_step: 0 where there is no lattice.
-    gain_stderr: standard error of the gain, DN/e-.
+    gain: DN/e-. read_noise: DN. black_level: DN. gain_stderr, read_stderr: standard errors, 0 where nothing
+    tells them. code_step: 0 where there is no lattice.
     """
 
-    gain: PerChannel
-    read_noise: PerChannel
-    black_level: PerChannel
+    gain: Float[np.ndarray, "4"]
+    read_noise: Float[np.ndarray, "4"]
+    black_level: Float[np.ndarray, "4"]
+    gain_stderr: Float[np.ndarray, "4"]
+    read_stderr: Float[np.ndarray, "4"]
     white_level: float
     code_step: float
-    gain_stderr: PerChannel = (0.0, 0.0, 0.0, 0.0)
 
     @property
-    def read_noise_e(self) -> PerChannel:
+    def read_noise_e(self) -> Float[np.ndarray, "4"]:
         """Read noise in electrons."""
-        return per_channel(np.array(self.read_noise) / np.array(self.gain))
+        return self.read_noise / self.gain

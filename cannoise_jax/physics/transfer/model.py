@@ -31,7 +31,7 @@ from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_expo
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
-from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
+from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers, per_channel
 
 Verdict = Literal[
     "in the model",
@@ -160,7 +160,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
     model = SensorModel.poisson_gaussian(
         np.array([b.gain for _, b in measured]),
         np.array([b.read_noise_e for _, b in measured]),
-        base.black_level,
+        per_channel(base.black_level),
         base.white_level,
         first.cfa,
         iso=tuple(numbers[iso] for iso in isos),

@@ -32,7 +32,7 @@ from cannoise_jax.physics.transfer.quantities import (
 )
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.packing import PACKED_CHANNELS, site, to_mosaic_order
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording, per_channel
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
 _LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
 
@@ -174,7 +174,14 @@ def _baseline(
     for outcome in (*lines, *reads):
         if isinstance(outcome, NotMeasurable):
             return outcome
-    gain = per_channel(np.array([line.slope.value for line in lines if isinstance(line, Line)]))
-    read = per_channel(np.array([r.value for r in reads if isinstance(r, Estimate)]))
-    errors = per_channel(np.array([line.slope.stderr for line in lines if isinstance(line, Line)]))
-    return Baseline(gain, read, black, first.white_level, step, errors)
+    slopes = [line.slope for line in lines if isinstance(line, Line)]
+    noises = [r for r in reads if isinstance(r, Estimate)]
+    return Baseline(
+        gain=np.array([e.value for e in slopes]),
+        read_noise=np.array([e.value for e in noises]),
+        black_level=np.array(black),
+        gain_stderr=np.array([e.stderr for e in slopes]),
+        read_stderr=np.array([e.stderr for e in noises]),
+        white_level=first.white_level,
+        code_step=step,
+    )
