@@ -18,11 +18,12 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts
+from cannoise_jax.signatures.group_sums import LineSums, response
 from cannoise_jax.signatures.least import (
     signal,
     sinusoid,
 )
-from cannoise_jax.signatures.line_sums import LineSums, line_sums, response
+from cannoise_jax.signatures.line_sums import line_sums
 from cannoise_jax.signatures.score import Score, sidak, variance_component
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,

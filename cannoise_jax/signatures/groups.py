@@ -15,16 +15,17 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.places import PlaceName
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index, map_contrasts
-from cannoise_jax.signatures.line_sums import (
+from cannoise_jax.signatures.group_sums import (
+    Groups,
     LineSums,
-    alone,
     by_own_noise,
-    component_score,
     group_pixels,
+    grouped,
     held_variance,
     response,
     shared_sums,
 )
+from cannoise_jax.signatures.line_sums import alone, component_score
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -42,7 +43,12 @@ from cannoise_jax.signatures.signature import (
 
 
 @lru_cache(maxsize=16)
-def layout(name: str, size: tuple[int, int]) -> np.ndarray:
+def layout(name: str, size: tuple[int, int]) -> Groups:
+    """The groups of a layout."""
+    return grouped(_numbers(name, size))
+
+
+def _numbers(name: str, size: tuple[int, int]) -> np.ndarray:
     """Number of the group of every pixel."""
     rows, columns = np.indices(size)
     if name == "site":
@@ -57,24 +63,22 @@ def layout(name: str, size: tuple[int, int]) -> np.ndarray:
     return rows // side * -(-size[1] // side) + columns // side
 
 
-def _sums(field: Fields, values: np.ndarray, groups: np.ndarray, scaling: str, own: bool = False):
+def _sums(field: Fields, values: np.ndarray, groups: Groups, scaling: str, own: bool = False):
     """Scores [n, groups] and information [groups] of one offset per group, the frame's own taken out, and the
     share of a degree of freedom that this leaves to each group."""
     r = response(field, scaling).astype(np.float32)
-    flat, number = groups.ravel(), int(groups.max()) + 1
-    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    information = groups.sums(r.astype(np.float64) ** 2)
     total = max(float(information.sum()), 1e-30)
-    score = np.array([np.bincount(flat, (v * r).ravel(), number) for v in values])
+    score = np.array([groups.sums(v * r) for v in values])
     score = score - score.sum(1, keepdims=True) / total * information
     left = 1 - information / total
     if own:
-        count = np.bincount(flat, (r > 0).ravel(), number)
-        score, more = by_own_noise(score, group_pixels(values, r, groups), count)
+        score, more = by_own_noise(score, group_pixels(values, r, groups), groups.sums(r > 0))
         information = information * more
     return score, information, left
 
 
-def _shared(fields: tuple[Fields, ...], groups: np.ndarray) -> LineSums | None:
+def _shared(fields: tuple[Fields, ...], groups: Groups) -> LineSums | None:
     """Sums of a pattern that stays. The smooth mean of a flat takes large tiles away, so only darks and
     scenes show it."""
     return shared_sums(tuple(f for f in fields if f.kind != "flat"), groups, "additive")
@@ -129,7 +133,7 @@ def group_absorb(
     if stays is None:
         return fields
     u, i = stays
-    spread = (u * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups]
+    spread = (u * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups.of]
     return tuple(
         f
         if f.static is None or f.kind == "flat"
@@ -138,38 +142,37 @@ def group_absorb(
     )
 
 
-def _whitened(field: Fields, groups: np.ndarray, variance: float) -> Fields:
+def _whitened(field: Fields, groups: Groups, variance: float) -> Fields:
     """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. The modelled
     noise holds them too."""
-    flat, number = groups.ravel(), int(groups.max()) + 1
     if len(field.contrasts):
         held = held_variance(group_pixels(field.contrasts, field.weight.astype(np.float32), groups))
-        field = alone(field, held[groups], variance, "additive")
+        field = alone(field, held[groups.of], variance, "additive")
     r = field.weight.astype(np.float32)
-    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    information = groups.sums(r.astype(np.float64) ** 2)
     shrink = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
 
     def function(x: np.ndarray) -> np.ndarray:
-        scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]
-        removed = [(s * shrink)[groups] * r for s in scores]
+        removed = [(groups.sums(v * r) * shrink)[groups.of] * r for v in x]
         return (x - np.array(removed)).astype(np.float32) if len(x) else x
 
     return map_contrasts(field, function)
 
 
-def _apart(field: Fields, groups: np.ndarray, variance: float, scaling: str) -> Fields:
+def _apart(field: Fields, groups: Groups, variance: float, scaling: str) -> Fields:
     """What a few groups, such as the sites of a colour, differ by projected out: they are too few for one
     variance to fit each. What that adds to the mean of the frame is whitened, the rest of it is the frame's
     own. The modelled noise is without these offsets."""
-    flat, number = groups.ravel(), int(groups.max()) + 1
     r = response(field, scaling).astype(np.float32)
-    information = np.bincount(flat, (r.astype(np.float64) ** 2).ravel(), number)
+    information = groups.sums(r.astype(np.float64) ** 2)
     total = max(float(information.sum()), 1e-30)
     kept = 1 / np.sqrt(1 + variance * float(np.sum(information**2)) / total)
 
     def function(x: np.ndarray) -> np.ndarray:
-        scores = [np.bincount(flat, (v * r).ravel(), number) for v in x]
-        removed = [(s / np.maximum(information, 1e-30) - kept * s.sum() / total)[groups] * r for s in scores]
+        scores = [groups.sums(v * r) for v in x]
+        removed = [
+            (s / np.maximum(information, 1e-30) - kept * s.sum() / total)[groups.of] * r for s in scores
+        ]
         return (x - np.array(removed)).astype(np.float32) if len(x) else x
 
     return map_contrasts(field, function)

@@ -11,17 +11,11 @@ from jaxtyping import Float
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import draw, placed, posterior, strength
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.group_sums import response, shows
 from cannoise_jax.signatures.least import (
     random_offsets,
 )
-from cannoise_jax.signatures.line_sums import (
-    component_score,
-    line_sums,
-    response,
-    shows,
-    static_sums,
-    whiten_lines,
-)
+from cannoise_jax.signatures.line_sums import component_score, line_sums, static_sums, whiten_lines
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,

@@ -11,17 +11,12 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.fields import Fields, helmert
+from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise, response
 from cannoise_jax.signatures.least import (
     frame_offsets,
     random_offsets,
 )
-from cannoise_jax.signatures.line_sums import (
-    LineSums,
-    Pixels,
-    by_own_noise,
-    component_score,
-    response,
-)
+from cannoise_jax.signatures.line_sums import component_score
 from cannoise_jax.signatures.reference import drop_scenes, white_error
 from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score

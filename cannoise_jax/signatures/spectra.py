@@ -15,12 +15,13 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, map_contrasts
+from cannoise_jax.signatures.group_sums import held_variance
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     pink,
 )
-from cannoise_jax.signatures.line_sums import alone, held_variance, line_pixels, line_sums
+from cannoise_jax.signatures.line_sums import alone, line_pixels, line_sums
 from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,

@@ -21,7 +21,7 @@ ALLOWED = frozenset({"row_noise", "column_noise", "row_fpn", "column_fpn", "dsnu
 
 def dark(rng, number, tiles=0.0, columns=0.0, frames=6):
     """A dark of unit noise with offsets of tiles and of columns, both new in every frame."""
-    tile = groups.layout("tile_16", SIZE)
+    tile = groups.layout("tile_16", SIZE).of
     values = rng.standard_normal((frames, *SIZE)) + columns * rng.standard_normal((frames, 1, SIZE[1]))
     values += tiles * rng.standard_normal((frames, tile.max() + 1))[:, tile]
     one = np.ones(SIZE, np.float32)

@@ -43,7 +43,7 @@ def test_p_is_uniform_without_an_effect(name):
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_an_offset_new_in_every_frame_is_found_and_taken_out(name):
     rng = np.random.default_rng(1)
-    layout = groups.layout(name, SIZE)
+    layout = groups.layout(name, SIZE).of
     draws = rng.standard_normal((6, layout.max() + 1))
     draws -= draws.mean(1, keepdims=True)
     sigma = 0.6
@@ -60,7 +60,7 @@ def test_an_offset_new_in_every_frame_is_found_and_taken_out(name):
 @pytest.mark.parametrize("name", ["tile_8", "diagonal"])
 def test_an_offset_that_stays_is_not_taken_for_one_that_is_redrawn(name):
     rng = np.random.default_rng(2)
-    layout = groups.layout(name, SIZE)
+    layout = groups.layout(name, SIZE).of
     pattern = 0.3 * rng.standard_normal(layout.max() + 1)[layout]
     fields = tuple(field(rng, 4, pattern, n) for n in range(2))
     assert log_p(fields, name, "redrawn") > np.log(1e-3)

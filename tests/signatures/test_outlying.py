@@ -9,7 +9,7 @@ from scipy import stats
 from cannoise_jax.signatures.added import draw_pixels, likeness
 from cannoise_jax.signatures.code_spacing import _wider
 from cannoise_jax.signatures.fields import helmert
-from cannoise_jax.signatures.line_sums import outlying, shared_sums
+from cannoise_jax.signatures.group_sums import grouped, outlying, shared_sums
 from cannoise_jax.signatures.shape import kurtosis_score
 from tests.discovery.looks import SIGNATURES, white
 
@@ -61,7 +61,7 @@ def test_lines_are_as_strong_with_hot_pixels_as_without(name, axis):
 
 def test_sums_of_normal_noise_are_those_of_all_pixels():
     (field,) = white(_RNG(4), kinds=("dark",), size=SIZE)
-    rows = np.indices(SIZE)[0]
+    rows = grouped(np.indices(SIZE)[0])
     sums = shared_sums((field,), rows, "additive")
     plain = (field.static - field.static.mean()).sum(1)
     normal = sums.score / np.sqrt(sums.information)
