@@ -70,7 +70,8 @@ class Model:
     generator_module, encoder_module, initial_noise, level: static; initial_noise a name or a function as in
     `physics.initial_noise`; level: of `LEVELS`, where the initial noise's level came from in training, as it
     must in use. sensors: the camera models that the initial noise is drawn from, instead of `initial_noise`:
-    one for all cameras, or one for each, named by it; see `of_camera`.
+    one for all cameras, or one for each, named by it; see `of_camera`. exposure_s: at which they are taken,
+    with their own baseline; None: with the level that is told, at their default exposure.
     """
 
     generator: dict[str, Any]
@@ -81,6 +82,7 @@ class Model:
     initial_noise: str | InitialNoise = struct.field(pytree_node=False, default="poisson_gaussian")
     level: str = struct.field(pytree_node=False, default="both")
     sensors: tuple[SensorModel, ...] = ()
+    exposure_s: float | None = struct.field(pytree_node=False, default=None)
 
 
 def make_model(
@@ -91,6 +93,7 @@ def make_model(
     cameras: dict[str, Camera] | None = None,
     initial_noise: str | InitialNoise = "poisson_gaussian",
     level: str = "both",
+    exposure_s: float | None = None,
 ) -> Model:
     """A model from modules and their variables (`params` and `spectral`), as training leaves them.
 
@@ -111,6 +114,7 @@ def make_model(
         initial_noise,
         level,
         sensors,
+        exposure_s,
     )
 
 
@@ -174,7 +178,9 @@ def initial_noise_of(model: Model) -> InitialNoise:
     if len(model.sensors) > 1:
         names = ", ".join(sensor.camera for sensor in model.sensors)
         raise ValueError(f"this model holds the sensors of {names}: choose one with of_camera(model, name)")
-    return model.sensors[0].n_init() if model.sensors else initial_noise(model.initial_noise)
+    if not model.sensors:
+        return initial_noise(model.initial_noise)
+    return model.sensors[0].n_init(exposure_s=model.exposure_s)
 
 
 def of_camera(model: Model, name: str) -> Model:
@@ -272,6 +278,7 @@ def save_model(path: str | Path, model: Model) -> None:
         "encoder": _fields(model.encoder_module) if model.encoder_module else None,
         "initial_noise": model.initial_noise,
         "level": model.level,
+        "exposure_s": model.exposure_s,
         "cameras": {name: sorted(camera.settings, key=float) for name, camera in model.cameras.items()},
     }
     arrays: dict[str, Any] = {}
@@ -359,6 +366,7 @@ def _model(arrays):
         description["initial_noise"],
         description["level"],
         tuple(_sensor(d, arrays, f"sensors/{s}/") for s, d in enumerate(description.get("sensors", ()))),
+        description.get("exposure_s"),
     )
 
 

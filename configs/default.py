@@ -33,6 +33,9 @@ def get_config() -> ConfigDict:
             # poisson_gaussian (paper), gaussian, sensor:FILE (for all cameras), sensor:FILE,FILE (one each),
             # preset:NAME, or a function (key, clean, shot, read) -> (noise, sigma)
             "initial_noise": "poisson_gaussian",
+            # Of the sensors of initial_noise, which then keep their own baseline too, and of the darks of
+            # recordings; none: the level that is told, and darks of up to a second.
+            "exposure_s": placeholder(float),
             # Where the initial noise's level comes from, in training as in use: estimated from the
             # references, given (paper), or both by turns, and G is told which.
             "level": "both",
@@ -51,6 +54,7 @@ def get_config() -> ConfigDict:
                 # Of two draws against the paired real noise; paper: none, 0.
                 "quantiles": 1.0,
                 "spectra": 0.05,
+                "knee": 0.0,  # of both, in sigma: what is larger counts by its logarithm; 0: as it is
                 # Of the branches' parameters against those of a drawn camera; paper: none, 0.
                 "physics": 1.0,
                 "parts": {"level": 20.0, "tails": 1.0, "lines": 1.0, "neighbours": 1.0},

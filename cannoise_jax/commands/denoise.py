@@ -10,21 +10,20 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import json
-import re
 import shlex
 import sys
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+from cannoise_jax.commands.denoise_sources import check_sources, generators_of, labels_of, sensors_of, slug
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
-ORDER = ("gaussian", "pg", "calibrated", "discovered", "real_darks")
+ORDER = ("gaussian", "pg", "calibrated", "discovered", "ours_on_discovered", "real_darks")
 """As the noise models are expected: each no worse than the one before."""
 _DEFAULT = "gaussian,gaussian_pooled,pg,pg_at_exposure,pg_estimated,random_phase,calibrated,real_darks"
 _TEST_SCENES = 16
@@ -64,12 +63,12 @@ def _train(arguments, argv) -> None:
     )
     check_folder(arguments.workdir, (), force=True)
     capture = load_capture_set(arguments.recordings)
-    labels = _labels(arguments.noise)
-    _check_sources(labels)
+    labels = labels_of(arguments.noise)
+    check_sources(labels)
     every = {exposure: half_real(capture, exposure, arguments.full_scale) for exposure in arguments.exposure}
-    sensors = _sensors(labels, capture, arguments.workdir)
+    sensors = sensors_of(labels, capture, arguments.workdir)
     for exposure, data in every.items():
-        folder = arguments.workdir / "denoisers" / f"{_slug(data.camera)}_{exposure:g}s"
+        folder = arguments.workdir / "denoisers" / f"{slug(data.camera)}_{exposure:g}s"
         clean = None
         for label, name in labels.items():
             source = None
@@ -81,7 +80,8 @@ def _train(arguments, argv) -> None:
                     clean = dim_scenes(
                         jax.random.key(1), "train", recipe.scenes, data.train.shape[1:], data.cfa
                     )
-                source = source or open_source(name, data, sensors)
+                if source is None:
+                    source = open_source(name, data, sensors, generators_of(name, data, sensors, arguments))
                 started = time.monotonic()
                 about: dict[str, Any] = {
                     "noise": label, "seed": seed, "camera": data.camera, "exposure_s": exposure,
@@ -115,7 +115,7 @@ def _test(arguments, argv) -> None:
     started = time.monotonic()
     found = [(p, load_denoiser(p)) for p in sorted((arguments.workdir / "denoisers").glob("*/*.npz"))]
     capture = load_capture_set(arguments.recordings)
-    path = arguments.workdir / f"denoising_{_slug(capture.camera)}.json"
+    path = arguments.workdir / f"denoising_{slug(capture.camera)}.json"
     found = [(p, d) for p, d in found if d.about["camera"] == capture.camera]
     if not found:
         raise BadInput(f"{arguments.workdir}: no denoiser for {capture.camera}: bin/denoise train makes them")
@@ -222,67 +222,6 @@ def _apply(arguments, argv) -> None:
     print(arguments.out)
 
 
-def _labels(names: str) -> dict[str, str]:
-    """Noise models by the name that their files get."""
-    out: dict[str, str] = {}
-    for name in (n.strip() for n in names.split(",") if n.strip()):
-        base, plus, more = name.partition("+")
-        path = Path(base)
-        stem = path.parent.name + "_" + path.stem if path.suffix and path.exists() else path.name
-        out[f"{stem.strip('_')}{plus}{more}"] = name
-    return out
-
-
-def _check_sources(labels: dict[str, str]) -> None:
-    """Raises BadInput, before anything is made, for the name of no noise model."""
-    from cannoise_jax.training.noise_sources import NAMED
-
-    known = (*NAMED, "calibrated", "discovered")
-    for name in (part for label in labels.values() for part in label.split("+")):
-        if name not in known and not Path(name).exists():
-            raise BadInput(
-                f"--noise {name}: neither {', '.join(known)}, nor a sensor.json or a trained model"
-            )
-
-
-def _sensors(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
-    """Camera models of the training part that are asked for, kept in the workdir once fitted."""
-    import jax
-
-    from cannoise_jax.physics.core.sensor import SensorModel
-    from cannoise_jax.physics.core.sensor_json import write_sensor
-    from cannoise_jax.training.denoise_data import training_part
-
-    wanted = {name.partition("+")[0] for name in labels.values()} & {"calibrated", "discovered"}
-    out = {}
-    for name in sorted(wanted):
-        folder = workdir / "sensors" / _slug(capture.camera)
-        path = folder / f"{name}.json"
-        if not path.exists():
-            make_folder(folder)
-            print(f"{path}: fitting to the training part of {capture.camera}", flush=True)
-            if name == "calibrated":
-                from cannoise_jax.commands.calibrate import calibrate
-                from cannoise_jax.physics.transfer.model import sensor_model
-
-                model = sensor_model(*calibrate(training_part(capture)))
-            else:
-                from cannoise_jax.discovery.diagnose import diagnose
-
-                model = diagnose(
-                    training_part(capture), key=jax.random.key(0), compare=False,
-                    tell=lambda text: print(f"  {text}", flush=True),
-                ).model  # fmt: skip
-            write_sensor(path, model)
-        out[name] = SensorModel.load(path)
-    return out
-
-
-def _slug(name: str) -> str:
-    """A camera's name as that of a file."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_")
-
-
 def _exposures(text: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
@@ -319,12 +258,14 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--noise", default=_DEFAULT, metavar="NAME,...",
         help="gaussian, gaussian_pooled, pg, pg_at_exposure, pg_estimated, random_phase, calibrated, "
-        "discovered, real_darks, a sensor.json, or a trained model; A+real_darks: five to one",
+        "discovered, ours_on_calibrated, ours_on_discovered (a generator that starts from that "
+        "sensor model), real_darks, a sensor.json, or a trained model; A+real_darks: five to one",
     )  # fmt: skip
     add("--exposure", type=_exposures, default=(0.1, 10.0, 100.0), metavar="S,...", help="of the darks")
     add("--full-scale", type=_positive, default=100.0, metavar="E", help="electrons of full scale")
     add("--seeds", type=count, default=3, help="training runs of each")
     add("--steps", type=count, default=600, help="of training")
+    add("--generator-steps", type=count, default=200, help="of training the generators of ours_on_...")
     add("--batch", type=count, default=8, help="patches a step")
     add("--features", type=count, default=32, help="of every layer; the paper: 64")
     add("--scenes", type=count, default=32, help="clean training images")

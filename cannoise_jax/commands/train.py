@@ -37,6 +37,11 @@ def _default_config() -> str:
     return str(next((f for f in folders if (f / "default.py").is_file()), folders[0]) / "default.py")
 
 
+def default_config() -> ConfigDict:
+    """What configs/default.py gives."""
+    return runpy.run_path(_default_config())["get_config"]()
+
+
 def _flags(arguments: list[str], default: str | None = None) -> flags.FlagValues:
     """The command's flags, not yet parsed. Made anew each time: a config file that fails to load is kept."""
     values = flags.FlagValues()

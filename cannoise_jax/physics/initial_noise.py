@@ -68,11 +68,14 @@ def sensors_of(choice: str | InitialNoise) -> tuple[SensorModel, ...]:
     return (SensorModel.preset(name),) if name and kind == "preset" else ()
 
 
-def initial_noise_by_camera(choice: str | InitialNoise) -> Callable[..., tuple[Any, Any]]:
+def initial_noise_by_camera(
+    choice: str | InitialNoise, exposure_s: float | None = None
+) -> Callable[..., tuple[Any, Any]]:
     """`(key, clean, shot, read, camera) -> (noise, sigma)`: of the sensor of each image's camera, `[B]`,
-    where the choice names several; else as `initial_noise`."""
+    where the choice names several; else as `initial_noise`. exposure_s: of sensors, see
+    `SensorModel.n_init`."""
     sensors = sensors_of(choice)
-    draws = [sensor.n_init() for sensor in sensors] or [initial_noise(choice)]
+    draws = [sensor.n_init(exposure_s=exposure_s) for sensor in sensors] or [initial_noise(choice)]
 
     def draw(key, clean, shot, read, camera):
         if len(draws) == 1:

@@ -19,10 +19,12 @@ _COUNTS = (
     "data.calibration_patches", "data.cameras", "data.references", "data.validation_cameras",
     "data.calibration_scenes",
 )  # fmt: skip
-_POSITIVE = ("width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate")
+_POSITIVE = (
+    "width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate", "exposure_s",
+)  # fmt: skip
 _NOT_NEGATIVE = (
     "optimiser.warmup", "loss.adversarial", "loss.penalty", "loss.feature_matching", "loss.statistics",
-    "loss.triplet", "loss.margin", "loss.physics", "loss.quantiles", "loss.spectra",
+    "loss.triplet", "loss.margin", "loss.physics", "loss.quantiles", "loss.spectra", "loss.knee",
 )  # fmt: skip
 _BELOW_ONE = ("ema", "optimiser.beta1", "optimiser.beta2")
 _CHOICES = {

@@ -187,6 +187,7 @@ def _recordings(config: ConfigDict, workdir: Path) -> TrainingData:
         data.half_real_scenes,
         data.per_recording,
         triplet=bool(config.loss.triplet),
+        exposure_s=config.exposure_s,
     )
     train, validation, test = (HeldOut(**part) for part in parts)
     return _in_memory(train, validation, test, names, cfas)

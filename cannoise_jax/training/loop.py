@@ -117,7 +117,7 @@ def make_sampler(config: ConfigDict) -> Callable[[State], Samplers]:
 
 @lru_cache(maxsize=4)
 def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
-    networks, draw = make_networks(config), initial_noise_by_camera(config.initial_noise)
+    networks, draw = make_networks(config), initial_noise_by_camera(config.initial_noise, config.exposure_s)
 
     @partial(jax.jit, compiler_options=compiler_options(config))
     def sample(average, spectral, key, clean, reference, nlf, camera):

@@ -7,7 +7,6 @@ the training darks of the exposure, and that of a sensor model is the median of 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,9 @@ from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.physics.synthetic.scenes import numpy_generator
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
 from cannoise_jax.recordings.recording import BadInput, mosaic_map
-from cannoise_jax.sampling import load_model, sample_noise
+from cannoise_jax.sampling import Model, load_model, sample_noise
 from cannoise_jax.training.denoise_data import HalfReal, dim_scenes, site_medians, with_photons
+from cannoise_jax.training.refine import iso_of, own_black, span_of
 
 Source = Callable[[Any, Float[np.ndarray, "h w"]], Float[np.ndarray, "h w"]]
 
@@ -88,14 +88,12 @@ def random_phase(data: HalfReal) -> Source:
 
 def sensor(data: HalfReal, model: SensorModel) -> Source:
     """Frames of a camera model at this exposure, about the median of its own darks."""
-    iso = float(np.asarray(model.iso)[0]) if data.iso is None else data.iso
-    settings = Settings(iso=iso, exposure_s=data.exposure_s, frames=1)
-    span = np.float32(np.asarray(model.white_level) - np.asarray(model.black_level).mean())
+    settings = Settings(iso=iso_of(data, model), exposure_s=data.exposure_s, frames=1)
+    span = np.float32(span_of(model))
     # The frozen patterns of the unit are drawn once, and so is where its black level lies.
-    model = model.with_maps(data.train.shape[1:])
-    flat: np.ndarray = np.zeros(data.train.shape[1:], np.float32)
-    darks = model.sample(jax.random.key(0), flat, dataclasses.replace(settings, frames=4))
-    black = mosaic_map(site_medians(np.asarray(darks, np.float32)), (flat.shape[0], flat.shape[1]))
+    height, width = data.train.shape[1:]
+    model = model.with_maps((height, width))
+    black = mosaic_map(own_black(data, model), (height, width))
 
     def draw(key, clean):
         # The model's own gain may differ from the measured one: the signal is what must agree.
@@ -115,6 +113,24 @@ def learned(data: HalfReal, folder: Path) -> Source:
         return np.asarray(unpack(np.asarray(packed + sample(model, key, packed, shown)), data.cfa))
 
     return draw
+
+
+def refined(data: HalfReal, model: Model) -> Source:
+    """Frames of a generator that starts from a sensor model at this exposure (`refine`), about the median of
+    its own darks."""
+    scale = np.float32(data.span_dn / span_of(model.sensors[0]))
+    level = (scale / data.full_scale_e, 0.0)
+    sample = jax.jit(sample_noise)
+
+    def frame(key, clean):
+        packed = jnp.asarray(pack(clean * scale, data.cfa))
+        noise = sample(model, key, packed, packed, level)
+        return np.asarray(unpack(np.asarray(packed + noise), data.cfa)) / scale
+
+    flat = np.zeros(data.train.shape[1:], np.float32)
+    darks = np.stack([frame(jax.random.key(k), flat) for k in range(4)])
+    black = mosaic_map(site_medians(darks), (flat.shape[0], flat.shape[1]))
+    return lambda key, clean: frame(key, clean) - black
 
 
 def references(data: HalfReal) -> Float[np.ndarray, "n h w 4"]:
@@ -159,16 +175,25 @@ NAMED: dict[str, Callable[[HalfReal], Source]] = {
     "real_darks": real_darks,
 }
 """Sources that need the recordings alone."""
+FITTED = ("calibrated", "discovered")
+"""Sensor models, fitted to the training part."""
+REFINED = {f"ours_on_{name}": name for name in FITTED}
+"""Generators that start from them, trained on the training part."""
 
 
-def open_source(name: str, data: HalfReal, sensors: dict[str, SensorModel]) -> Source:
-    """A source by its name in `NAMED` or `sensors`, or of a sensor.json or trained model named by path.
+def open_source(
+    name: str, data: HalfReal, sensors: dict[str, SensorModel], models: dict[str, Model] | None = None
+) -> Source:
+    """A source by its name in `NAMED`, `sensors` or `models` (generators that refine a sensor), or of a
+    sensor.json or trained model named by path.
 
     "A+real_darks" shows one image of real darks to five of A. Raises BadInput for what is none.
     """
     base, plus, more = name.partition("+")
     if plus:
-        return mixed(open_source(base, data, sensors), open_source(more, data, sensors))
+        return mixed(*(open_source(n, data, sensors, models) for n in (base, more)))
+    if models and name in models:
+        return refined(data, models[name])
     if name in NAMED:
         return NAMED[name](data)
     if name in sensors:
@@ -178,7 +203,7 @@ def open_source(name: str, data: HalfReal, sensors: dict[str, SensorModel]) -> S
         return sensor(data, SensorModel.load(path))
     if path.exists():
         return learned(data, path)
-    known = ", ".join([*NAMED, "calibrated", "discovered"])
+    known = ", ".join([*NAMED, *FITTED, *REFINED])
     raise BadInput(f"--noise {name}: neither {known}, nor a sensor.json or a trained model")
 
 

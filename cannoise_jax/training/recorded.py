@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,8 @@ from cannoise_jax.recordings.references import referenced_frames
 _SHARES = (0.7, 0.8)
 """Where validation and test frames begin."""
 _LONGEST_S = 1.0
-"""Darks of longer exposures hold dark signal and hot pixels, which are no part of a scene's `clean`."""
+"""Darks of longer exposures hold dark signal and hot pixels, which are no part of a scene's `clean`: they are
+taken only where initial noise is drawn at their exposure."""
 _log = logging.getLogger(__name__)
 Columns = dict[str, np.ndarray]
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -62,11 +64,13 @@ def recorded_patches(
     per_recording: int,
     *,
     triplet: bool = True,
+    exposure_s: float | None = None,
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Columns, Columns, Columns]]:
     """Camera names, their colour orders, columns of training, validation, test patches (see `data.HeldOut`).
 
     scenes: computed scenes per camera for its darks. per_recording: patches at most of one
-      recording and split. Raises BadInput, also for one camera with a triplet.
+      recording and split. exposure_s: of the darks; None: all of up to a second. Raises BadInput, also for
+      one camera with a triplet.
     """
     captures = [load_capture_set(folder, **overrides) for folder in folders]
     names = tuple(captured.camera for captured in captures)
@@ -79,7 +83,8 @@ def recorded_patches(
         )
     parts: tuple[list[Columns], ...] = ([], [], [])
     for c, captured in enumerate(captures):
-        cut = list(_camera_patches(captured, jax.random.fold_in(key, c), scenes, per_recording))
+        own_key = jax.random.fold_in(key, c)
+        cut = list(_camera_patches(captured, own_key, scenes, per_recording, exposure_s))
         for s, part in enumerate(parts):
             own = [columns for split, columns in cut if split == s]
             if not own:
@@ -94,12 +99,12 @@ def recorded_patches(
 
 
 def _camera_patches(
-    captured: CaptureSet, key: Key[Array, ""], scenes: int, most: int
+    captured: CaptureSet, key: Key[Array, ""], scenes: int, most: int, exposure_s: float | None
 ) -> Iterator[tuple[int, Columns]]:
     """(split, patches) of one camera."""
     repeated = [r for r in captured.of_kind(*LIT) if r.clean is not None or r.count > 1]
     repeated = [r for r in repeated if not _is_saturated(r)]
-    darks = [r for r in captured.of_kind(*DARK) if r.count > 2 and (r.exposure_s or 0) <= _LONGEST_S]
+    darks = [r for r in captured.of_kind(*DARK) if r.count > 2 and _is_wanted(r.exposure_s or 0, exposure_s)]
     known = all(r.shot is not None and r.read is not None for r in repeated) and not darks
     transfer = None if known else _levels_of(captured)
     found = []
@@ -125,6 +130,10 @@ def _camera_patches(
     for split, number, recording, frames in found:
         if len(frames):
             yield split, _cut(recording, frames, number, most, transfer)
+
+
+def _is_wanted(exposure_s: float, wanted: float | None) -> bool:
+    return exposure_s <= _LONGEST_S if wanted is None else math.isclose(exposure_s, wanted, rel_tol=1e-3)
 
 
 def _is_saturated(recording: Recording) -> bool:

@@ -37,6 +37,7 @@ def export_model(config: ConfigDict, state: State, data: TrainingData) -> Model:
         data.examples,
         config.initial_noise,
         config.level,
+        config.exposure_s,
     )
 
 

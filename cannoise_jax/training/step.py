@@ -79,7 +79,7 @@ def make_train_step(
 def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoise, mesh: Mesh | None):
     """Cached, so that a run that is resumed in the same process compiles once."""
     networks, optimisers = make_networks(config), make_optimisers(config)
-    draw = initial_noise_by_camera(choice)
+    draw = initial_noise_by_camera(choice, config.exposure_s)
     weights = config.loss
     adversarial = bool(weights.adversarial or weights.feature_matching)
     # With a level that is handed over the camera may be shown at another setting: by the positive.
@@ -182,7 +182,9 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
                 terms["statistics"] = losses.statistics_loss(made[0] / sigma, real / sigma, clean)
             for name, statistic in (("quantiles", losses.quantiles), ("spectra", losses.log_spectra)):
                 if weights[name]:
-                    terms[name] = losses.paired_loss(*(statistic(n / unit) for n in (*made, real)))
+                    terms[name] = losses.paired_loss(
+                        *(statistic(losses.bent(n / unit, weights.knee)) for n in (*made, real))
+                    )
             total = sum(weights[name] * value for name, value in terms.items())
             if weights.physics and "truth" in batch and "physics" in changed:
                 physics = jax.tree.map(lambda x: x[: len(clean)], changed["physics"]["parameters"][0])

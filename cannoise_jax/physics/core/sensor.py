@@ -15,11 +15,12 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
 from cannoise_jax.physics.core import presets, ranges, registry
-from cannoise_jax.physics.core.chain import altered_noise, closed_form, maps_of, run_chain, to_codes
+from cannoise_jax.physics.core.chain import closed_form, maps_of, run_chain, to_codes
 from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
 from cannoise_jax.physics.core.sensor_json import read_model, write_sensor
+from cannoise_jax.physics.core.sensor_noise import noise_at_exposure, noise_at_level, with_drawn
 from cannoise_jax.physics.core.settings import (
     DEFAULT,
     ExtrapolationWarning,
@@ -29,11 +30,9 @@ from cannoise_jax.physics.core.settings import (
     Settings,
     chain_order,
     context_of,
-    context_of_nlf,
     resolve,
     warn_outside,
 )
-from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
 from cannoise_jax.recordings.recording import BadInput, PerChannel
 
 __all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings", "closed_moments"]
@@ -180,7 +179,7 @@ class SensorModel:
     def with_maps(self, size: tuple[int, int]) -> SensorModel:
         """The same camera unit with its frozen patterns of [H, W] drawn once and kept, instead of at every
         `sample`. Maps that scale with the settings are kept before scaling."""
-        return _with_drawn(self, _draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
+        return with_drawn(self, _draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
 
     def sample(
         self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
@@ -194,7 +193,7 @@ class SensorModel:
         # The frozen patterns are drawn by a program of their own: fused with the frames they would be
         # drawn anew for each of them.
         drawn = _draw_maps(self, setting, np.shape(clean))
-        return _sample_codes(_with_drawn(self, drawn), key, clean, setting, settings.frames)
+        return _sample_codes(with_drawn(self, drawn), key, clean, setting, settings.frames)
 
     def expected(self, clean: Float[Array, "h w"], settings: Settings = DEFAULT) -> Float[Array, "h w"]:
         """Expected value in DN before rounding and clipping: black level, signal and the closed-form mean
@@ -217,38 +216,19 @@ class SensorModel:
         BadInput with one line for anything that is not one, and where an entry is missing."""
         return read_model(SensorModel.poisson_gaussian, path, mechanisms)
 
-    def n_init(self, *, discretise: bool = True) -> InitialNoise:
+    def n_init(self, *, discretise: bool = True, exposure_s: float | None = None) -> InitialNoise:
         """An initial noise for training: `(key, clean[B,h,w,4], shot[B,4], read[B,4]) -> (noise, sigma)`,
         both [B,h,w,4], packed and normalised; sigma: the model's standard deviation in closed form.
 
-        The baseline is that of shot and read; the mechanisms are this model's, at the ISO whose gain is
-        theirs. Measured maps larger than the patch are cropped, at another even place in every call.
-        discretise: round to the code step and clip at the rails, as stored frames are.
+        Without exposure_s the baseline is that of shot and read; the mechanisms are this model's, at the ISO
+        whose gain is theirs. With it the noise is this model's own, dark charge and read noise included, at
+        the gain setting whose shot noise is nearest. Measured maps larger than the patch are cropped, at
+        another even place in every call. discretise: round to the code step and clip at the rails, as stored
+        frames are.
         """
-
-        def draw(key, clean, shot, read):
-            mosaic = unpack(clean, self.cfa)
-            place, key = jax.random.split(key)
-            model = _cropped(self, place, mosaic.shape[-2:])
-            levels = tuple(to_mosaic_order(v, self.cfa) for v in (shot, read))
-            context = context_of_nlf(model, mosaic, *levels)
-            values = resolve(model, context)
-            y, step = run_chain(model, key, context, values, mosaic.shape[0])
-            if discretise:
-                y = to_codes(model, key, y, step, context, values)
-            noise = (y - context.black_level) / context.span_dn - mosaic
-
-            def sigma(mosaic, shot, read):  # of one patch: closed forms know one frame
-                context = context_of_nlf(model, mosaic[None], shot[None], read[None])
-                values = resolve(model, context)
-                _, variance = closed_form(model, context, values)
-                rounding = jnp.maximum(altered_noise(model, context, values).code_step, 1.0) ** 2 / 12
-                variance = variance + rounding if discretise else variance
-                return (jnp.sqrt(jnp.maximum(variance, rounding)) / context.span_dn)[0]
-
-            return pack(noise, self.cfa), pack(jax.vmap(sigma)(mosaic, *levels), self.cfa)
-
-        return draw
+        if exposure_s is None:
+            return noise_at_level(self, discretise)
+        return noise_at_exposure(self, exposure_s, discretise)
 
 
 @jax.jit
@@ -287,36 +267,12 @@ def _spread(values: Any, shape: tuple[int, ...]) -> Any:
     return xp.broadcast_to(values, shape) + np.float32(0)
 
 
-def _cropped(model: SensorModel, key: Key[Array, ""], size: tuple[int, int]) -> SensorModel:
-    """The model with its measured maps cut to [H, W], all at the same even place, which keeps the colours."""
-    shapes = [m.shape[-2:] for f in model.mechanisms for m in f.maps.values()]
-    starts = []
-    for axis, axis_key in enumerate(jax.random.split(key)):
-        spare = [shape[axis] - size[axis] for shape in shapes if shape[axis] > size[axis]]
-        starts.append(2 * jax.random.randint(axis_key, (), 0, min(spare, default=0) // 2 + 1))
-
-    def cut(values):
-        for axis in (-2, -1):
-            if values.shape[axis] > size[axis]:
-                values = jax.lax.dynamic_slice_in_dim(
-                    jnp.asarray(values), starts[axis], size[axis], values.ndim + axis
-                )
-        return values
-
-    return _with_drawn(model, tuple({name: cut(m) for name, m in f.maps.items()} for f in model.mechanisms))
-
-
 @partial(jax.jit, static_argnames="size")
 def _draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tuple[dict[str, Array], ...]:
     """The frozen maps of every mechanism, measured or drawn."""
     context = context_of(model, jnp.zeros((1, *size)), Settings(*setting))
     values = resolve(model, context)
     return tuple(maps_of(model, i, values[i], context) for i in range(len(model.mechanisms)))
-
-
-def _with_drawn(model: SensorModel, maps: tuple[dict[str, Array], ...]) -> SensorModel:
-    kept = tuple(dataclasses.replace(f, maps=m) for f, m in zip(model.mechanisms, maps, strict=True))
-    return dataclasses.replace(model, mechanisms=kept)
 
 
 @partial(jax.jit, static_argnames="frames")
