@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.evaluation.denoising import psnr
+from cannoise_jax.networks import Generator
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.sampling import make_model
 from cannoise_jax.training.denoise import (
     Recipe,
     applied,
@@ -20,7 +24,8 @@ from cannoise_jax.training.denoise import (
     train_denoiser,
 )
 from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images, training_part
-from cannoise_jax.training.noise_sources import NAMED, open_source
+from cannoise_jax.training.noise_sources import NAMED, open_source, refined, sensor
+from cannoise_jax.training.refine import refine_data, span_of
 
 GAIN, READ_E, BLACK = 2.0, 3.0, 200.0
 SMALL = Recipe(steps=120, batch_size=4, patch=16, features=8, depth=3, scenes=2, realisations=1)
@@ -95,6 +100,56 @@ def test_a_sensor_model_is_sampled_in_the_datas_own_units(data):
     # Up to the error of the measured gain, with which the data's units are made.
     assert noise.mean() == pytest.approx(0, abs=0.02)
     assert noise.var() == pytest.approx(expected, rel=0.15)
+
+
+DARK_E_S, PATTERN_DN = 9.0, 12.0
+
+
+@pytest.fixture(scope="module")
+def unit():
+    """A sensor with dark charge and a frozen pattern, in other levels than those of the recordings."""
+    model = SensorModel.poisson_gaussian(GAIN, READ_E, 64.0, 4095.0, "RGGB")
+    model = model.with_mechanism("dark_current", e_per_s=DARK_E_S)
+    return model.with_mechanism("dsnu", sigma_dn=PATTERN_DN).with_maps((64, 64))
+
+
+def test_a_generator_that_learned_nothing_gives_its_sensors_noise(data, unit):
+    """Dark charge of the exposure and the frozen pattern included, about the median of its own darks."""
+    generator = Generator(1 / 64, hidden=4, spectral=False, physics=False)
+    image, key = np.ones((1, 32, 32, 4), np.float32), jax.random.key(0)
+    shapes = jax.eval_shape(
+        lambda: generator.init({"params": key, "noise": key}, image, image, image[:, 0, 0, :1], image,
+                               train=False)
+    )  # fmt: skip
+    silent = jax.tree.map(lambda leaf: np.zeros(leaf.shape, np.float32), shapes)
+    model = dataclasses.replace(
+        make_model(generator, silent, None, {}, level="given", exposure_s=data.exposure_s), sensors=(unit,)
+    )
+    clean = np.full((64, 64), 0.3, np.float32)
+    made = {}
+    for name, source in (("ours", refined(data, model)), ("sensor", sensor(data, unit))):
+        made[name] = np.stack([source(jax.random.key(i), clean) for i in range(8)]) - clean
+    temporal = 0.3 / data.full_scale_e + (READ_E**2 + DARK_E_S * data.exposure_s) / data.full_scale_e**2
+    for noise in made.values():
+        assert noise.mean() == pytest.approx(0, abs=0.02)
+        assert noise.var(axis=0, ddof=1).mean() == pytest.approx(temporal, rel=0.1)
+    frozen = [noise.mean(0) for noise in made.values()]
+    # What 8 frames leave of the temporal noise is in both, independently.
+    kept = (PATTERN_DN / data.span_dn) ** 2
+    expected = kept / (kept + temporal / 8)
+    assert np.corrcoef(frozen[0].ravel(), frozen[1].ravel())[0, 1] == pytest.approx(expected, abs=0.08)
+
+
+def test_generators_learn_from_the_darks_of_the_exposure_in_the_sensors_units(data, unit):
+    made = refine_data(data, unit)
+    scale = data.span_dn / span_of(unit)
+    noise = (made.train.noisy - made.train.clean) / scale
+    shift = DARK_E_S * data.exposure_s * GAIN / data.span_dn
+    assert noise.mean() == pytest.approx(shift, rel=0.1)
+    shot = made.train.clean.mean() / scale / data.full_scale_e
+    assert noise.var() == pytest.approx(shot + np.var(data.train), rel=0.15)
+    np.testing.assert_allclose(made.train.shot, scale / data.full_scale_e, rtol=1e-5)
+    assert not np.isin(made.validation.clean, made.train.clean).all()
 
 
 def test_five_synthetic_to_one_real(data):

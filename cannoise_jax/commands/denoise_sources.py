@@ -1,0 +1,108 @@
+"""What bin/denoise trains on: names of noise models, and the camera models and generators that they need."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from cannoise_jax.commands.outputs import make_folder
+from cannoise_jax.recordings.recording import BadInput
+
+
+def labels_of(names: str) -> dict[str, str]:
+    """Noise models by the name that their files get."""
+    out: dict[str, str] = {}
+    for name in (n.strip() for n in names.split(",") if n.strip()):
+        base, plus, more = name.partition("+")
+        path = Path(base)
+        stem = path.parent.name + "_" + path.stem if path.suffix and path.exists() else path.name
+        out[f"{stem.strip('_')}{plus}{more}"] = name
+    return out
+
+
+def check_sources(labels: dict[str, str]) -> None:
+    """Raises BadInput, before anything is made, for the name of no noise model."""
+    from cannoise_jax.training.noise_sources import FITTED, NAMED, REFINED
+
+    known = (*NAMED, *FITTED, *REFINED)
+    for name in (part for label in labels.values() for part in label.split("+")):
+        if name not in known and not Path(name).exists():
+            raise BadInput(
+                f"--noise {name}: neither {', '.join(known)}, nor a sensor.json or a trained model"
+            )
+
+
+def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
+    """Camera models of the training part that are asked for, kept in the workdir once fitted."""
+    import jax
+
+    from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+    from cannoise_jax.training.denoise_data import training_part
+    from cannoise_jax.training.noise_sources import FITTED, REFINED
+
+    bases = [name.partition("+")[0] for name in labels.values()]
+    wanted = {REFINED.get(base, base) for base in bases} & set(FITTED)
+    out = {}
+    for name in sorted(wanted):
+        folder = workdir / "sensors" / slug(capture.camera)
+        path = folder / f"{name}.json"
+        if not path.exists():
+            make_folder(folder)
+            print(f"{path}: fitting to the training part of {capture.camera}", flush=True)
+            if name == "calibrated":
+                from cannoise_jax.commands.calibrate import calibrate
+                from cannoise_jax.physics.transfer.model import sensor_model
+
+                model = sensor_model(*calibrate(training_part(capture)))
+            else:
+                from cannoise_jax.discovery.diagnose import diagnose
+
+                model = diagnose(
+                    training_part(capture), key=jax.random.key(0), compare=False,
+                    tell=lambda text: print(f"  {text}", flush=True),
+                ).model  # fmt: skip
+            write_sensor(path, model)
+        out[name] = read_sensor(path)
+    return out
+
+
+def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[str, Any]:
+    """The generator that refines a sensor model at this exposure, where the name asks for one: trained on the
+    training part, kept in the workdir."""
+    from tqdm import tqdm
+
+    from cannoise_jax.commands.train import default_config
+    from cannoise_jax.sampling import MODEL_FILE, load_model
+    from cannoise_jax.training.loop import NonFiniteLoss, train
+    from cannoise_jax.training.noise_sources import REFINED
+    from cannoise_jax.training.refine import refine_config, refine_data, write_unit
+    from cannoise_jax.training.result import write_model
+
+    base = name.partition("+")[0]
+    if base not in REFINED:
+        return {}
+    folder = arguments.workdir / "generators" / f"{slug(data.camera)}_{data.exposure_s:g}s_{base}"
+    if not (folder / MODEL_FILE).exists():
+        make_folder(folder)
+        sensor = write_unit(folder / "sensor.json", sensors[REFINED[base]], data.train.shape[1:])
+        config = refine_config(
+            default_config(), folder / "sensor.json", data.exposure_s, arguments.generator_steps, seed=0
+        )
+        bar = tqdm(total=config.steps * config.batch_size, desc=folder.name, unit="patch", mininterval=1)
+        try:
+            with bar:
+                prepared = refine_data(data, sensor)
+                outcome = train(config, folder, prepared, lambda done, steps: bar)
+        except NonFiniteLoss as error:
+            raise FloatingPointError(str(error)) from error
+        if not outcome.finished:
+            raise BadInput(f"{folder}: stopped: the same command goes on")
+        write_model(config, outcome.state, prepared, folder)
+        print(folder / MODEL_FILE, flush=True)
+    return {base: load_model(folder)}
+
+
+def slug(name: str) -> str:
+    """A camera's name as that of a file."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_")
