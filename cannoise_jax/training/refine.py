@@ -25,6 +25,7 @@ from cannoise_jax.sampling import Camera, Setting
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.denoise_data import HalfReal, dim_scenes, site_medians, with_photons
 
+_MULTIPLE = 32
 _SCENES = {"train": 32, "validation": 4}
 
 
@@ -102,8 +103,8 @@ def write_unit(path: Path, sensor: SensorModel, size: tuple[int, int]) -> Sensor
 
 
 def _tiles(packed: np.ndarray) -> np.ndarray:
-    """Patches on a grid; of an image smaller than a patch what there is."""
-    sides = [min(PATCH, n) for n in packed.shape[:2]]
+    """Patches on a grid; of an image smaller than a patch what there is that the networks take."""
+    sides = [min(PATCH, n // _MULTIPLE * _MULTIPLE) for n in packed.shape[:2]]
     rows, columns = (n // s for n, s in zip(packed.shape[:2], sides, strict=True))
     cut = packed[: rows * sides[0], : columns * sides[1]].reshape(rows, sides[0], columns, sides[1], 4)
     return cut.swapaxes(1, 2).reshape(-1, *sides, 4)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from cannoise_jax.commands.denoise import main
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.sampling import load_model
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +49,25 @@ def test_train_test_and_apply(recordings, tmp_path, capsys):
     apply = ["apply", "--denoiser", str(files[0]), "--recording", str(recordings / "b.h5"), "--out", str(out)]
     assert main(apply) == 0 and np.load(out).shape == (5, 64, 144)
     assert main(apply) == 2 and "--force" in capsys.readouterr().err
+
+
+def test_generators_start_from_a_sensor_model_and_are_kept(recordings, tmp_path, monkeypatch):
+    small_networks = run_path(str(Path(__file__).resolve().parents[2] / "configs" / "ci.py"))["get_config"]
+    monkeypatch.setattr("cannoise_jax.commands.train.default_config", small_networks)
+    run = ["--recordings", str(recordings), "--workdir", str(tmp_path), "--exposure", "10"]
+    small = ["--steps", "4", "--features", "4", "--batch", "2", "--scenes", "2", "--seeds", "1"]
+    names = ["--noise", "calibrated,ours_on_calibrated", "--generator-steps", "2"]
+    assert main(["train", *run, *small, *names]) == 0
+    folder = tmp_path / "generators" / "toy_10s_ours_on_calibrated"
+    model = load_model(folder)
+    assert model.exposure_s == 10 and model.sensors[0].camera == "toy" and model.encoder_module is None
+    written = (folder / "model.npz").stat().st_mtime_ns
+    (tmp_path / "denoisers" / "toy_10s" / "ours_on_calibrated_0.npz").unlink()
+    assert main(["train", *run, *small, *names]) == 0
+    assert (folder / "model.npz").stat().st_mtime_ns == written
+    assert main(["test", *run[:4], "--scenes", "2"]) == 0
+    record = json.loads((tmp_path / "denoising_toy.json").read_text())["exposures_s"]["10"]
+    assert set(record["psnr_db"]) == {"calibrated", "ours_on_calibrated"}
 
 
 def test_what_cannot_be_used_is_refused_in_one_line(recordings, tmp_path, capsys):
