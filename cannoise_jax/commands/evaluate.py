@@ -45,6 +45,7 @@ def _run(arguments, argv: list[str]) -> None:
     if math.isqrt(arguments.per_scene) ** 2 != arguments.per_scene:
         raise BadInput(f"--per-scene {arguments.per_scene}: give a square number, as 4 or 9")
     from cannoise_jax.discovery.proof.patch_area import two_sample_area
+    from cannoise_jax.evaluation.beyond import beyond_bench
     from cannoise_jax.evaluation.noise_models import BASELINES, baselines, make_bench, sensors
     from cannoise_jax.evaluation.results_page import results_page
     from cannoise_jax.evaluation.suites import SUITES as RUNS
@@ -77,8 +78,9 @@ def _run(arguments, argv: list[str]) -> None:
         draws["noise_flow"] = _flow(bench, arguments, tell)
     needed = {"truth", "pg", "pg_estimated", "pg_recalibrated"}
     draws = {n: d for n, d in draws.items() if not arguments.noise or n in needed | set(arguments.noise)}
+    beyond = beyond_bench(arguments.scenes, arguments.per_scene) if "iso" in chosen else None
     request = Request(
-        bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, tell
+        bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, beyond, tell
     )
     for name in chosen:
         started = time.monotonic()

@@ -40,7 +40,7 @@ def noise_figure(
     it need not compile again; `references` as there.
     """
     camera = np.asarray(patches.camera)
-    chosen = np.array([_typical(patches, c) for c in range(len(camera_names)) if (camera == c).any()])
+    chosen = np.array([typical(patches, c) for c in range(len(camera_names)) if (camera == c).any()])
     pair_key, draw_key = jax.random.split(key)
     noise = {
         _TITLES[name]: draw_noise(column, patches, jax.random.fold_in(draw_key, i), batch, chosen)
@@ -53,17 +53,18 @@ def noise_figure(
     real = clipped_noise(np.asarray(patches.noisy)[chosen] - clean, clean)
     columns = {"real": real, **noise}
     labels = [f"{camera_names[camera[i]]}\nISO {int(np.asarray(patches.iso)[i])}" for i in chosen]
-    _save(_draw(clean, columns, labels), path)
+    _save(draw_noise_panels(clean, columns, labels), path)
 
 
-def _draw(clean, columns: dict[str, np.ndarray], labels: list[str]) -> Figure:
+def draw_noise_panels(clean, columns: dict[str, np.ndarray], labels: list[str]) -> Figure:
+    """Greens of a clean patch and of noise, one camera a row, one model a column, the first the real one."""
     figure = Figure(figsize=(1.9 * (len(columns) + 1) + 0.5, 1.95 * len(labels) + 0.3), layout="constrained")
     axes = figure.subplots(len(labels), len(columns) + 1, squeeze=False)
     for r, label in enumerate(labels):
         bright = np.quantile(clean[r], 0.99) + 1e-6
         axes[r, 0].imshow(np.clip(clean[r, ..., 1] / bright, 0, 1) ** (1 / 2.2), cmap="gray", vmin=0, vmax=1)
         axes[r, 0].set_ylabel(label, rotation=0, ha="right", va="center")
-        limit = 3 * float(np.sqrt(np.square(columns["real"][r]).mean())) + 1e-9
+        limit = 3 * float(np.sqrt(np.square(next(iter(columns.values()))[r]).mean())) + 1e-9
         for c, noise in enumerate(columns.values(), start=1):
             axes[r, c].imshow(
                 noise[r, ..., 1], cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest"
@@ -89,7 +90,7 @@ def _save(figure: Figure, path: Path) -> None:
         raise
 
 
-def _typical(patches: Patches, camera: int) -> int:
+def typical(patches: Patches, camera: int) -> int:
     """The patch of a camera whose clean image is textured and of middling brightness."""
     index = np.flatnonzero(np.asarray(patches.camera) == camera)
     clean = np.asarray(patches.clean)[index][..., 1]

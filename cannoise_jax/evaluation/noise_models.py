@@ -146,10 +146,6 @@ def baselines(bench: Bench) -> dict[str, Draw]:
 
         return draw
 
-    def estimated(references):
-        shot, read = _estimated(test.noisy[references]).swapaxes(0, 1)
-        return image(shot) * clean + image(read)
-
     def recalibrated(_):
         return image(levels[:, 0]) * clean + image(levels[:, 1])
 
@@ -177,13 +173,26 @@ def baselines(bench: Bench) -> dict[str, Draw]:
         "gaussian": white(lambda _: image(test.shot[:, :1])),
         "gaussian_pooled": white(lambda _: np.float32(pooled)),
         "pg": white(lambda _: image(test.shot) * clean + image(test.read)),
-        "pg_estimated": white(estimated),
+        "pg_estimated": estimated_draw(bench),
         "pg_recalibrated": white(recalibrated),
         "eld": on_floor(_eld),
         "random_phase": on_floor(_random_phase),
         "real_darks": on_floor(_crop),
         "truth": sensors(bench, {c.name: c.sensor for c in bench.cameras}),
     }
+
+
+def estimated_draw(bench: Bench) -> Draw:
+    """Normal noise of the level that the references alone show."""
+    test = bench.test
+
+    def draw(key, references):
+        levels = _estimated(test.noisy[references]).swapaxes(0, 1)
+        shot, read = (np.asarray(v, np.float32).reshape(bench.size, 1, 1, -1) for v in levels)
+        noise = np.asarray(jax.random.normal(key, test.clean.shape))
+        return clipped_noise(np.sqrt(shot * np.maximum(test.clean, 0) + read) * noise, test.clean)
+
+    return draw
 
 
 @jax.jit

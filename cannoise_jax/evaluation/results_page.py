@@ -17,6 +17,7 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size
 th, td { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #8884; vertical-align: top; }
 th:first-child, td.text { text-align: left; } td.text { min-width: 9rem; max-width: 16rem; }
 small { color: var(--dim); display: block; white-space: nowrap; }
+img { max-width: 100%; }
 svg { width: 100%; min-width: 36rem; max-width: 44rem; height: auto; }
 svg text { font: 12px system-ui, sans-serif; fill: currentColor; }
 code { overflow-wrap: anywhere; }
@@ -84,9 +85,16 @@ def number(value: float | None) -> str:
 
 
 def _figure(figure: Mapping[str, Any]) -> str:
-    kinds: dict[str, Callable[[Any], str]] = {"bars": _bars, "points": _points, "lines": _lines}
+    kinds: dict[str, Callable[[Any], str]] = {
+        "bars": _bars, "points": _points, "lines": _lines, "image": _image,
+    }  # fmt: skip
     drawn = kinds[figure["kind"]](figure["data"])
     return f"<h3>{escape(figure['title'])}</h3><div class=wide>{drawn}</div>"
+
+
+def _image(data: str) -> str:
+    """A PNG that the page itself holds."""
+    return f"<img alt='' src='data:image/png;base64,{escape(data)}'>"
 
 
 def _bars(data: Mapping[str, Mapping[str, Any]]) -> str:

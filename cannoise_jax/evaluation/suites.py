@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,15 +19,18 @@ from jaxtyping import Float
 from cannoise_jax.evaluation import kl
 from cannoise_jax.evaluation.denoising import paired_interval
 from cannoise_jax.evaluation.evaluators import Samples, scale, structure
+from cannoise_jax.evaluation.latents import latent_maps
 from cannoise_jax.evaluation.noise_models import (
     KNOWS,
     Bench,
     Draw,
     draw_key,
+    estimated_draw,
     fitted_levels,
     learned,
     references_of,
 )
+from cannoise_jax.evaluation.panels import panels
 from cannoise_jax.evaluation.texture import TEXTURE
 
 
@@ -50,7 +53,8 @@ class Request:
     """What the suites are run on. models: of each seed of training one. draws: noise models by name.
 
     area: (samples, group, scene, seed) -> area under the curve of a two-sample test, as
-    `discovery.patch_area.two_sample_area` gives it; None: not run.
+    `discovery.patch_area.two_sample_area` gives it; None: not run. beyond: patches of cameras outside the
+    prior of training.
     """
 
     bench: Bench
@@ -60,6 +64,7 @@ class Request:
     references: int = 8
     ablations: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     area: Callable[..., float | None] | None = None
+    beyond: Bench | None = None
     tell: Callable[[str], None] = lambda text: None
 
 
@@ -194,13 +199,16 @@ def noise_suite(request: Request) -> Outcome:
     )
     names = [n.name for n in bench.cameras]
     columns = ["is told", *(k for k in rows["truth"] if k != "is told")]
+    test = bench.test
+    shown = {"real": kl.clipped_noise(test.noisy - test.clean, test.clean)}
+    shown |= {name: made[name].noise[0] for name in made}
     bars = {name: row["excess KL"] for name, row in rows.items() if name != "truth"}
     return Outcome(
         [
             {"title": "Noise models", "note": note, "columns": columns, "rows": rows},
             {"title": "Excess KL by camera", "note": "", "columns": names, "rows": cameras},
         ],
-        [{"title": "Excess KL, nats", "kind": "bars", "data": bars}],
+        [{"title": "Excess KL, nats", "kind": "bars", "data": bars}, *panels(bench.test, names, shown)],
         [] if request.models else ["no trained model was given: --model names one or several (its seeds)"],
     )
 
@@ -237,38 +245,15 @@ def encoder_suite(request: Request) -> Outcome:
             "pg_estimated": cell(bench, plain, truth),
             "model - pg_estimated": cell(bench, values, plain),
         }
-    points = _latents(request)
-    return Outcome(
-        [
-            {"title": "Which references", "note": "", "columns": list(rows["(B|i)"]), "rows": rows},
-            {
-                "title": "How many references", "note": "Excess KL, nats.",
-                "columns": ["model", "pg_estimated", "model - pg_estimated"], "rows": counts,
-            },
-        ],
-        points, [],
-    )  # fmt: skip
-
-
-def _latents(request: Request) -> list[dict[str, Any]]:
-    """The two strongest principal components of the latents of single test patches, by camera."""
-    from cannoise_jax.sampling import _latent
-
-    model = request.models[0]
-    if model.encoder_module is None:
-        return []
-    noisy = request.bench.test.noisy
-    latents = np.concatenate([np.asarray(_latent(model, noisy[i : i + 1])) for i in range(len(noisy))])
-    centred = latents - latents.mean(0)
-    _, size, axes = np.linalg.svd(centred, full_matrices=False)
-    places = centred @ axes[:2].T
-    share = float(np.square(size[:2]).sum() / max(np.square(size).sum(), 1e-30))
-    groups = {
-        camera.name: places[np.asarray(request.bench.test.camera) == c].tolist()
-        for c, camera in enumerate(request.bench.cameras)
-    }
-    title = f"Latents of single patches: two principal components, {share:.0%} of their variance"
-    return [{"title": title, "kind": "points", "data": groups}]
+    found, figures = latent_maps(bench, {"model": request.models, **request.ablations}, over_seeds)
+    tables = [
+        {"title": "Which references", "note": "", "columns": list(rows["(B|i)"]), "rows": rows},
+        {
+            "title": "How many references", "note": "Excess KL, nats.",
+            "columns": ["model", "pg_estimated", "model - pg_estimated"], "rows": counts,
+        },
+    ]  # fmt: skip
+    return Outcome(tables + found, figures, [])
 
 
 def cameras_suite(request: Request) -> Outcome:
@@ -311,7 +296,8 @@ def cameras_suite(request: Request) -> Outcome:
 
 
 def iso_suite(request: Request) -> Outcome:
-    """Does the level follow the setting of the references? Generated over real standard deviation by ISO."""
+    """Does the level follow the setting of the references? Generated over real standard deviation by ISO,
+    and of gains and read noises that no training saw."""
     bench = request.bench
     made = {n: drawn(request, n, [request.draws[n]]).noise for n in ("pg", "pg_estimated", "pg_recalibrated")}
     if request.models:
@@ -333,11 +319,35 @@ def iso_suite(request: Request) -> Outcome:
                 "note": "Standard deviation, model over real.",
                 "columns": list(made),
                 "rows": rows,
-            }
+            },
+            *([_beyond(request, request.beyond)] if request.beyond else []),
         ],
         [{"title": "Standard deviation over the real one", "kind": "lines", "data": lines}],
         [] if request.models else ["iso: no trained model was given: --model"],
     )
+
+
+def _beyond(request: Request, bench: Bench) -> Table:
+    """Levels of cameras beyond the prior, with one reference and with all."""
+    there = replace(request, bench=bench)
+    rows: dict[str, dict[str, Any]] = {camera.name: {} for camera in bench.cameras}
+    for count in sorted({1, request.references}):
+        made = {"pg_estimated": drawn(there, "pg_estimated", [estimated_draw(bench)], count=count).noise}
+        if request.models:
+            made["model"] = drawn(
+                there, "model", [learned(bench, m) for m in request.models], count=count
+            ).noise
+        for name, noise in made.items():
+            for c, camera in enumerate(bench.cameras):
+                here = np.asarray(bench.test.camera) == c
+                ratios = [scale(samples_of(bench, n, here))["std_ratio"] for n in noise]
+                column = f"{name}, {count} reference{'s' * (count > 1)}"
+                rows[camera.name][column] = over_seeds(bench, ratios)._replace(patches=int(here.sum()))
+    note = "Standard deviation over the real one. Training has shot 1e-4 to 2.5e-2, read noise 0.25 to 10 e-."
+    return {
+        "title": "Cameras beyond the prior", "note": note, "columns": list(next(iter(rows.values()))),
+        "rows": rows,
+    }  # fmt: skip
 
 
 def ablation_suite(request: Request) -> Outcome:

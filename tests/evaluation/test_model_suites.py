@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import pytest
 
+from cannoise_jax.evaluation.beyond import BEYOND, beyond_bench
 from cannoise_jax.evaluation.noise_models import baselines, make_bench
-from cannoise_jax.evaluation.suites import Request, ablation_suite, cameras_suite, encoder_suite
+from cannoise_jax.evaluation.suites import Request, ablation_suite, cameras_suite, encoder_suite, iso_suite
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.sampling import make_model
 
@@ -50,10 +53,24 @@ def test_without_learning_the_model_is_the_estimate(request_):
 
 def test_wrong_references_cost_and_latents_are_of_every_patch(request_):
     outcome = encoder_suite(request_)
-    which, many = (table["rows"] for table in outcome.tables)
+    which, many, latents = (table["rows"] for table in outcome.tables)
     assert which["(A|i) same setting"]["over (A|i)"].value == 0
     assert which["(A|j) other setting"]["over (A|i)"].value > 0
     assert set(many) == {"1", "2", "5"}
-    figure = outcome.figures[0]
-    assert figure["kind"] == "points"
-    assert sum(len(points) for points in figure["data"].values()) == request_.bench.size
+    assert [f["title"].split(": ")[1] for f in outcome.figures] == ["model", "nothing"] == list(latents)
+    for figure in outcome.figures:
+        assert figure["kind"] == "points"
+        assert sum(len(points) for points in figure["data"].values()) == request_.bench.size
+    share = latents["model"]["same camera among the 5 nearest"]
+    assert 0 <= share.value <= 1 and share == latents["nothing"]["same camera among the 5 nearest"]
+
+
+def test_levels_beyond_the_prior_are_those_of_the_estimate_without_learning(request_):
+    bench = beyond_bench(1, 4)
+    outcome = iso_suite(dataclasses.replace(request_, beyond=bench))
+    rows = outcome.tables[1]["rows"]
+    assert len(rows) == len(BEYOND)
+    for row in rows.values():
+        for count in ("1 reference", "2 references"):
+            ratio = row[f"model, {count}"].value / row[f"pg_estimated, {count}"].value
+            assert ratio == pytest.approx(1, abs=0.06)
