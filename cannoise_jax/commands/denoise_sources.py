@@ -37,7 +37,7 @@ def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]
     """Camera models of the training part that are asked for, kept in the workdir once fitted."""
     import jax
 
-    from cannoise_jax.physics.core.sensor_json import read_sensor, write_sensor
+    from cannoise_jax.physics.core.sensor import SensorModel
     from cannoise_jax.training.denoise_data import training_part
     from cannoise_jax.training.noise_sources import FITTED, REFINED
 
@@ -62,8 +62,8 @@ def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]
                     training_part(capture), key=jax.random.key(0), compare=False,
                     tell=lambda text: print(f"  {text}", flush=True),
                 ).model  # fmt: skip
-            write_sensor(path, model)
-        out[name] = read_sensor(path)
+            model.save(path)
+        out[name] = SensorModel.load(path)
     return out
 
 

@@ -129,7 +129,8 @@ def refined(data: HalfReal, model: Model) -> Source:
 
     flat = np.zeros(data.train.shape[1:], np.float32)
     darks = np.stack([frame(jax.random.key(k), flat) for k in range(4)])
-    black = mosaic_map(site_medians(darks), (flat.shape[0], flat.shape[1]))
+    height, width = data.train.shape[1:]
+    black = mosaic_map(site_medians(darks), (height, width))
     return lambda key, clean: frame(key, clean) - black
 
 
@@ -191,7 +192,8 @@ def open_source(
     """
     base, plus, more = name.partition("+")
     if plus:
-        return mixed(*(open_source(n, data, sensors, models) for n in (base, more)))
+        synthetic, real = (open_source(n, data, sensors, models) for n in (base, more))
+        return mixed(synthetic, real)
     if models and name in models:
         return refined(data, models[name])
     if name in NAMED:

@@ -64,10 +64,12 @@ def refine_data(data: HalfReal, sensor: SensorModel) -> TrainingData:
             cut.append([_tiles(pack(x.astype(np.float32), data.cfa)) for x in (scene * scale, noisy)])
         images, noisies = (np.concatenate(parts) for parts in zip(*cut, strict=True))
         count = len(images)
-        levels = (np.full((count, 4), v, np.float32) for v in (shot, read))
-        numbers = (np.zeros(count, np.int32) for _ in range(2))
-        scenes = np.repeat(np.arange(len(clean), dtype=np.int32), count // len(clean))
-        return HeldOut(images, noisies, *levels, *numbers, scenes)
+        return HeldOut(
+            clean=images, noisy=noisies,
+            shot=np.full((count, 4), shot, np.float32), read=np.full((count, 4), read, np.float32),
+            camera=np.zeros(count, np.int32), iso=np.zeros(count, np.int32),
+            scene=np.repeat(np.arange(len(clean), dtype=np.int32), count // len(clean)),
+        )  # fmt: skip
 
     train, validation = part("train"), part("validation")
     names = (data.camera,)

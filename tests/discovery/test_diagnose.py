@@ -18,9 +18,10 @@ from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
 from cannoise_jax.discovery.search.limits import mde
 from cannoise_jax.mechanisms import VOCABULARY
+from cannoise_jax.networks import Generator
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
-from cannoise_jax.sampling import SMALLEST
+from cannoise_jax.sampling import SMALLEST, make_model
 from tests.discovery.capture import (
     capture_set,
     column_pattern,
@@ -271,6 +272,29 @@ def test_a_generator_is_given_sizes_that_it_takes(size, cfa, monkeypatch, tmp_pa
     clean = np.random.default_rng(0).uniform(0, 1, size).astype(np.float32)
     drawn = draw(jax.random.key(0), clean, Settings(iso=100.0, exposure_s=0.01))
     np.testing.assert_allclose(drawn, 200 + clean * 16183, atol=0.01)
+
+
+def test_a_generator_of_one_exposure_draws_its_darks_and_leaves_others_to_its_sensor(monkeypatch, tmp_path):
+    sensor = SensorModel.poisson_gaussian(2.0, 3.0, 200.0, 4095.0, "RGGB", camera="c")
+    sensor = sensor.with_mechanism("dsnu", sigma_dn=40.0).with_maps((32, 32))
+    model = make_model(Generator(), {"params": {}}, None, {}, level="given", exposure_s=10.0)
+
+    def told(model, key, clean, references, nlf):
+        return jnp.full_like(clean, nlf[0])  # traced: shows that the sensor's own gain is told
+
+    monkeypatch.setattr(simulate, "load_model", lambda path: dataclasses.replace(model, sensors=(sensor,)))
+    monkeypatch.setattr(simulate, "sample_noise", told)
+    flat = dataclasses.replace(capture_set(3, kinds="f", size=(64, 64)).recordings[0], camera="c")
+    found = simulate.open_simulator(tmp_path, CaptureSet("c", (flat,)))
+    assert found.dark
+    dark = np.zeros((64, 48), np.float32)
+    drawn = found.draw(jax.random.key(0), dark, Settings(exposure_s=10.0))
+    np.testing.assert_allclose(drawn, 202, atol=0.01)
+    frames = np.asarray(found.draw(jax.random.key(0), dark, Settings(exposure_s=0.01, frames=8)), float)
+    pattern = frames.mean(0)
+    # The map of 32 x 32 goes round.
+    assert frames.shape == (8, 64, 48)
+    assert np.corrcoef(pattern[:32].ravel(), pattern[32:].ravel())[0, 1] > 0.95
 
 
 def test_bad_requests_say_what_is_wrong():

@@ -21,9 +21,10 @@ from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import baseline_at
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
-from cannoise_jax.sampling import SMALLEST, load_model, sample_noise
+from cannoise_jax.sampling import SMALLEST, Model, load_model, of_camera, sample_noise
 
 Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
 """(key, clean mosaic, normalised, settings) -> DN, `[H, W]` or `[T, H, W]`."""
@@ -52,15 +53,43 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
         model = SensorModel.load(path)
         return Simulator(str(path), model.sample, True, model)
     if path.exists():
-        return Simulator(str(path), _generator(path, capture), False)
+        trained = load_model(path)
+        if getattr(trained, "exposure_s", None) is not None:
+            return Simulator(str(path), _at_exposure(path, trained, capture), True)
+        return Simulator(str(path), _generator(path, trained, capture), False)
     raise BadInput(
         f"{simulator}: no such simulator: poisson-gaussian, nlf, a sensor.json, or a training folder"
     )
 
 
-def _generator(path: Path, capture: CaptureSet) -> Draw:
+def _at_exposure(path: Path, model: Model, capture: CaptureSet) -> Draw:
+    """A generator that starts from a camera model at one exposure: darks included. Frames of other exposures,
+    of which it learned nothing, are that camera model's own."""
+    try:
+        model = of_camera(model, capture.camera)
+    except ValueError as error:
+        raise BadInput(f"{path}: {error}") from error
+    sensor, exposure_s = model.sensors[0], float(model.exposure_s or 0)
+    black = float(np.mean(np.asarray(sensor.black_level)))
+    span = float(np.asarray(sensor.white_level)) - black
+    sample, reference = jax.jit(sample_noise), jnp.zeros((SMALLEST, SMALLEST, 4))
+
+    def draw(key, clean, settings: Settings):
+        if not np.isclose(settings.exposure_s, exposure_s, rtol=1e-3):
+            return sensor.placed(np.shape(clean)).sample(key, clean, settings)
+        height, width = clean.shape
+        more = [(0, max(-n % 4, 2 * SMALLEST - n)) for n in clean.shape]
+        packed = pack(jnp.asarray(np.pad(np.asarray(clean), more, mode="reflect")), sensor.cfa)
+        gain, _ = baseline_at(sensor, settings.iso)
+        noise = sample(model, key, packed, reference, (jnp.mean(gain) / span, 0.0))
+        noisy = jnp.clip(packed + noise, -black / span, 1)
+        return black + span * np.asarray(unpack(noisy, sensor.cfa))[:height, :width]
+
+    return draw
+
+
+def _generator(path: Path, model: Model, capture: CaptureSet) -> Draw:
     """A trained generator, conditioned on frames that look for effects, never on those that prove."""
-    model = load_model(path)
     if model.level == "given":
         raise BadInput(f"{path}: this model must be told its level: train it with config.level=both")
     lit = capture.of_kind(*LIT)

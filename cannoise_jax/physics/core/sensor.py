@@ -20,7 +20,7 @@ from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
 from cannoise_jax.physics.core.sensor_json import read_model, write_sensor
-from cannoise_jax.physics.core.sensor_noise import noise_at_exposure, noise_at_level, with_drawn
+from cannoise_jax.physics.core.sensor_noise import noise_at_exposure, noise_at_level, placed, with_drawn
 from cannoise_jax.physics.core.settings import (
     DEFAULT,
     ExtrapolationWarning,
@@ -180,6 +180,11 @@ class SensorModel:
         """The same camera unit with its frozen patterns of [H, W] drawn once and kept, instead of at every
         `sample`. Maps that scale with the settings are kept before scaling."""
         return with_drawn(self, _draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
+
+    def placed(self, size: tuple[int, int]) -> SensorModel:
+        """The model for frames of [H, W]: measured maps cut to them, from their first pixel on, or repeated
+        where they are smaller."""
+        return placed(self, None, size, repeat=True)
 
     def sample(
         self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT

@@ -23,7 +23,7 @@ def noise_at_level(model: Any, discretise: bool = True) -> InitialNoise:
     def draw(key, clean, shot, read):
         mosaic = unpack(clean, model.cfa)
         place, key = jax.random.split(key)
-        own = _placed(model, place, mosaic.shape[-2:], repeat=False)
+        own = placed(model, place, mosaic.shape[-2:], repeat=False)
         levels = tuple(to_mosaic_order(v, model.cfa) for v in (shot, read))
         context = context_of_nlf(own, mosaic, *levels)
         noise = _noise(own, key, context, mosaic, discretise)
@@ -47,8 +47,9 @@ def noise_at_exposure(model: Any, exposure_s: float, discretise: bool = True) ->
         def one(key, clean, shot):
             place, key = jax.random.split(key)
             mosaic = unpack(clean, model.cfa)[None]
-            own = _placed(model, place, mosaic.shape[-2:], repeat=True)
-            context = context_of(own, mosaic, Settings(iso=nearest_iso(model, shot), exposure_s=exposure_s))
+            own = placed(model, place, mosaic.shape[-2:], repeat=True)
+            iso: Any = nearest_iso(model, shot)
+            context = context_of(own, mosaic, Settings(iso=iso, exposure_s=exposure_s))
             noise = _noise(own, key, context, mosaic, discretise)[0]
             return pack(noise, model.cfa), pack(_sigma(own, context, discretise), model.cfa)
 
@@ -89,12 +90,12 @@ def _sigma(model, context: Context, discretise: bool) -> Float[Array, "h w"]:
     return (jnp.sqrt(jnp.maximum(variance, rounding)) / context.span_dn)[0]
 
 
-def _placed(model, key: Key[Array, ""], size: tuple[int, int], repeat: bool):
-    """The model with its measured maps cut to [H, W], all at the same even place, which keeps the colours.
-    repeat: maps that are smaller go round; else they stay as they are."""
+def placed(model: Any, key: Key[Array, ""] | None, size: tuple[int, int], repeat: bool) -> Any:
+    """The model with its measured maps cut to [H, W], all at the same even place, which keeps the colours;
+    without a key at the first. repeat: maps that are smaller go round; else they stay as they are."""
     shapes = [m.shape[-2:] for f in model.mechanisms for m in f.maps.values()]
-    starts = []
-    for axis, axis_key in enumerate(jax.random.split(key)):
+    starts: list[Any] = [0, 0] if key is None else []
+    for axis, axis_key in enumerate([] if key is None else jax.random.split(key)):
         spare = [shape[axis] - size[axis] for shape in shapes if shape[axis] > size[axis]]
         starts.append(2 * jax.random.randint(axis_key, (), 0, min(spare, default=0) // 2 + 1))
 
