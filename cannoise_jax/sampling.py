@@ -127,7 +127,7 @@ def sample_noise(
 ) -> Float[Array, "*b h w 4"]:
     """Noise as the camera of `noisy_ref` would put on `clean`: float32, normalised units, not clipped.
 
-    clean, noisy_ref: packed R, Gr, Gb, B, normalised; h and w even and at least 16; references of any
+    clean, noisy_ref: packed R, Gr, Gb, B, normalised; h and w at least 16; references of any
     size, at least one. Several are of one camera and setting: their latents are averaged. nlf: (shot, read)
     of the setting wanted, one value or four in packed order, or `[*b, 4]`; without it the noise is that of
     the references' own setting, whose level is estimated from their pixels by the estimator that training
@@ -150,8 +150,6 @@ def sample_noise(
     height, width = clean.shape[-3:-1]
     if min(height, width) < SMALLEST:
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
-    if height % 2 or width % 2:
-        raise ValueError(f"clean must have even height and width, got {height}x{width}")
     shot, read = estimate_nlf(noisy_ref) if nlf is None else _checked_nlf(nlf)
     _check_units(clean)
     images = clean.reshape(-1, height, width, 4)

@@ -81,8 +81,8 @@ def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
     assert abs(float(jnp.mean(noise))) < 5 * (expected / n) ** 0.5
 
 
-@pytest.mark.parametrize("size", [(16, 16), (18, 30), pytest.param((100, 34), marks=pytest.mark.slow)])
-def test_any_even_size_leading_axes_and_type(model, size):
+@pytest.mark.parametrize("size", [(16, 16), (17, 31), pytest.param((100, 34), marks=pytest.mark.slow)])
+def test_any_size_leading_axes_and_type(model, size):
     clean = scene(*size)
     reference = noisy(jax.random.key(2))[:32, :32] if size == (16, 16) else noisy(jax.random.key(2), 17, 23)
     noise = sample(model, jax.random.key(1), clean, reference, NLF)
@@ -329,7 +329,6 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
     [
         ((16, 16, 3), (16, 16, 4), "clean must be packed"),
         ((14, 16, 4), (16, 16, 4), "clean must be at least 16x16"),
-        ((17, 16, 4), (16, 16, 4), "even"),
         ((16, 16, 4), (16, 16, 3), "noisy_ref must be packed"),
         ((16, 16, 4), (0, 16, 16, 4), "noisy_ref must hold at least one image"),
         ((16, 16, 4), (0, 16, 4), "noisy_ref must hold at least one image"),
