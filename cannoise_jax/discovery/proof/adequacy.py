@@ -58,7 +58,7 @@ of 96 x 128 pixels had -0.23 and -0.78, odd against even columns and dark curren
 bursts a frame -0.05."""
 _OF_ITS_OWN = 0.3
 """Share of what a name changes, in nats, that no unknown finding changes far more."""
-_SHADOW = "what it changes, a finding without a name changes far more"
+_SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
 _PIXELS = 1.2e6
 """Pixels of all frames that are looked at, beyond which fewer are."""
 
@@ -146,13 +146,13 @@ def shadowed(each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_i
     part = own_part(each)
     whole = sum(float(b.change[b.own].sum()) for b in each)
     if part.after > LEFT_TOGETHER * part.before:
-        return Doubt(part.after / max(part.before, 1e-9), (_SHADOW,))
+        return Doubt(part.after / max(part.before, 1e-9), (_SHADOW,), instead=True)
     alone = [b for b in each if b.at not in unknown]
     alone += owned([b for b in each if b.at in unknown], unknown)
     own = sum(float(b.change[b.own].sum()) for b in alone)
     if own > _OF_ITS_OWN * whole or (of_its_own and not whole):
         return None
-    return Doubt(1 - own / whole if whole else 1.0, (_SHADOW,))
+    return Doubt(1 - own / whole if whole else 1.0, (_SHADOW,), instead=True)
 
 
 def _off(step: Step, n: int) -> dict[int, np.ndarray]:

@@ -53,7 +53,8 @@ def patterned(step: Step) -> Doubt | None:
         return None
     share = 1 - max(alone, 0.0) / every
     length = _length(shared, weight, one.shape)
-    return Doubt(share, (f"{share:.0%} of the map is a structure of some {length} px, not of single pixels",))
+    what = f"{100 * share:.0f} % of the map is of structures some {length} px wide, not of single pixels"
+    return Doubt(share, (what,), instead=True)
 
 
 def _halves(fields: Many) -> tuple[Many, Many]:

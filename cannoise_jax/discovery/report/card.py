@@ -79,6 +79,8 @@ def card(
 
 def said_against(doubt: Doubt) -> str:
     """Why the nearest name is not given."""
+    if doubt.instead:
+        return ", ".join(doubt.against)
     left = "more than there was without it" if doubt.left > 1 else f"{100 * doubt.left:.0f} %"
     what = f": {', '.join(doubt.against)}" if doubt.against else ""
     return f"a simulator with it leaves {left} of the mismatch on which it bears{what}"

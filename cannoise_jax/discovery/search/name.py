@@ -23,11 +23,12 @@ UNNAMED_NATS = 3.0
 
 class Doubt(NamedTuple):
     """Why a name is not enough: the share of the mismatch of its own part that it leaves, and what that is,
-    in words; nearest: the name."""
+    in words; nearest: the name; instead: whether the words say another reason than what is left."""
 
     left: float
     against: tuple[str, ...]
     nearest: str = ""
+    instead: bool = False
 
 
 class Named(NamedTuple):
