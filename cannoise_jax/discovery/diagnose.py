@@ -17,7 +17,7 @@ from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.frames.battery import Prepared, Splits, splits_of
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.simulate import Draw
-from cannoise_jax.discovery.proof.adequacy import doubts, withdrawn
+from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
 from cannoise_jax.discovery.proof.judged import CALIBRATED, Judged, opened, own_effects, searched, without_own
@@ -116,7 +116,7 @@ def diagnose(
             )
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
-        well = tuple(s for s, doubt in zip(fitted.steps, against, strict=True) if doubt is None)
+        well = described(fitted.steps, against)
         gated = remaining(gated, panel, sides, well, rest)
     if compare:
         tell("check: what still differs")

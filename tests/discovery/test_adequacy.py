@@ -168,7 +168,7 @@ def test_a_name_in_the_shadow_of_something_unknown_is_none():
     name, other = borne([50, 40, 3], [4, 5, 2]), borne([900, 700, 3], [10, 10, 2])
     unknown = most_of([[other]])
     found = shadowed([name], unknown, of_its_own=True)
-    assert found is not None and found.left > 0.9 and "without a name" in found.against[0]
+    assert found is not None and found.instead and "without a name" in found.against[0]
     # Of its own: elsewhere, or as much as the unknown.
     assert shadowed([name], most_of([[borne([60, 40, 3], [9, 9, 2])]]), of_its_own=True) is None
     assert shadowed([name, borne([90], [2], "flat")], unknown, of_its_own=True) is None

@@ -145,14 +145,15 @@ def shadowed(each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_i
     not of its own: not shown by the frames held back, or less than that of an unknown finding of its kind."""
     part = own_part(each)
     whole = sum(float(b.change[b.own].sum()) for b in each)
+    against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
     if part.after > LEFT_TOGETHER * part.before:
-        return Doubt(part.after / max(part.before, 1e-9), (_SHADOW,), instead=True)
+        return against
     alone = [b for b in each if b.at not in unknown]
     alone += owned([b for b in each if b.at in unknown], unknown)
     own = sum(float(b.change[b.own].sum()) for b in alone)
     if own > _OF_ITS_OWN * whole or (of_its_own and not whole):
         return None
-    return Doubt(1 - own / whole if whole else 1.0, (_SHADOW,), instead=True)
+    return against
 
 
 def _off(step: Step, n: int) -> dict[int, np.ndarray]:
@@ -175,6 +176,11 @@ def beside(source: Source, off: Sequence[dict[int, np.ndarray]], capture: Captur
         return source.frames(number_of_set, number, np.asarray(clean + more, np.float32), settings)
 
     return source._replace(frames=frames)
+
+
+def described(steps: Sequence[Step], against: Sequence[Doubt | None]) -> tuple[Step, ...]:
+    """The steps that describe what they bear on, under whatever name."""
+    return tuple(s for s, d in zip(steps, against, strict=True) if d is None or d.left <= LEFT_OF_WEAK)
 
 
 def withdrawn(fitted: Fitted, gated: Gated, against: Sequence[Doubt | None]) -> tuple[Fitted, Gated]:
