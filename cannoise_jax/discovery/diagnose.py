@@ -174,7 +174,7 @@ def checked(
 
     try:
         found = against(model)
-        if not (found.left or 0.0) > 1:
+        if not found.worse:
             return gated, found, model
         if gated is None and sides.model is not None:
             return None, found.unchanged, sides.model

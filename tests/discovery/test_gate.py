@@ -12,7 +12,7 @@ from cannoise_jax.discovery.compare.sources import open_source
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
-from cannoise_jax.discovery.proof.check import check, compared_on, frames_for
+from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
 from cannoise_jax.discovery.proof.gate import Gain, Tried
 from cannoise_jax.discovery.proof.twosample import Area, differs
 from cannoise_jax.discovery.proof.verdict import verdict_of
@@ -136,3 +136,13 @@ def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
     assert found.verdict == "differs, no cause found"
     left = [sum(d.nats for d in c.differences) for c in (found.remains.before, found.remains.after)]
     assert left[1] < 0.5 * left[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse"), [((), (9.0,), True), ((9.0,), (4.0, 4.0), False), ((), (), False)]
+)
+def test_what_differs_where_nothing_did_is_worse(before, after, worse):
+    one, two = (
+        SimpleNamespace(differences=[SimpleNamespace(nats=n) for n in each]) for each in (before, after)
+    )
+    assert Checked(one, two, None, True).worse == worse  # type: ignore[arg-type]

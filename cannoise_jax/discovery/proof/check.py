@@ -47,6 +47,11 @@ class Checked(NamedTuple):
         return sum(d.nats for d in self.after.differences)
 
     @property
+    def worse(self) -> bool:
+        """Whether more differs than before, also where nothing did."""
+        return self.nats > sum(d.nats for d in self.before.differences)
+
+    @property
     def left(self) -> float | None:
         """Share of the mismatch, in nats, that is left; None where there was none."""
         first = sum(d.nats for d in self.before.differences)
