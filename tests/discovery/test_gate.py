@@ -139,7 +139,7 @@ def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "worse"), [((), (9.0,), True), ((9.0,), (4.0, 4.0), False), ((), (), False)]
+    ("before", "after", "worse"), [([], [9], True), ([9], [4, 4], False), ([], [], False)]
 )
 def test_what_differs_where_nothing_did_is_worse(before, after, worse):
     one, two = (
