@@ -114,7 +114,8 @@ def doubts(
             else:
                 less = of(tuple(s for s in steps if s is not steps[n]))
             one, without = full, drawn_from(less, others)
-        return one, borne_by(one, without, claimed), claimed
+        alike = steps[n].named.signature.axes.varies_over == "frame"
+        return one, borne_by(one, without, claimed, alike), claimed
 
     borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])

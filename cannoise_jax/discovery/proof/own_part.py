@@ -11,6 +11,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.compare.families import (
     FAMILIES,
+    IN_ONE_FRAME,
     MOMENTS,
     STATIC,
     STRUCTURE,
@@ -72,9 +73,12 @@ class Part(NamedTuple):
     static: float
 
 
-def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset()) -> list[Borne]:
+def borne_by(
+    full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset(), whole_frames: bool = False
+) -> list[Borne]:
     """The statistics that a mechanism moves, of a simulator with it and one without, and all that stays and
-    differs in recordings of the kinds that it speaks for."""
+    differs in recordings of the kinds that it speaks for. whole_frames: whether it moves all pixels of a
+    frame alike, so that the shape of their noise tells nothing but the few numbers that were drawn."""
     without = {(j.family, j.where): j for j in less.judgements}
     out = []
     for j in full.judgements:
@@ -87,7 +91,7 @@ def borne_by(full: Compared, less: Compared, speaks_for: frozenset[str] = frozen
         weight = np.clip(0.5 * j.z**2 / np.maximum(two, 1e-9), 0.0, 1.0) * (two > 1) + (two <= 1)
         one, two = weight * one, weight * two
         own, claimed = _moved(one, two), np.zeros(one.shape, bool)
-        if full.recorded[j.where].coarse:
+        if full.recorded[j.where].coarse or whole_frames:
             own &= ~_of_shape(j.family, one.size)
         if full.seen[j.where].kind in speaks_for and FAMILIES[j.family].part == STATIC:
             claimed = one > _BEARS
@@ -152,12 +156,12 @@ def drawn_structures(each: Sequence[Borne]) -> list[tuple[Borne, Bool[np.ndarray
 
 
 def _of_shape(family: str, number: int) -> Bool[np.ndarray, "k"]:
-    """Statistics of the shape of the noise, which below a code follow where the level lies between two codes,
+    """Statistics of the shape of the noise. Below a code they follow where the level lies between two codes,
     to a hundredth of one."""
     name = FAMILIES[family].name
     if name == MOMENTS:
         return np.arange(number) >= number // 3
-    return np.full(number, name in (TAILS, UNSTEADY))
+    return np.full(number, name in (TAILS, UNSTEADY, IN_ONE_FRAME))
 
 
 def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
