@@ -205,7 +205,7 @@ ENTRIES: tuple[Entry, ...] = (
         HEAVY_TAILS,
         needs="darks of two frames or more whose noise exceeds two thirds of a code",
         signatures=looks.always(
-            looks.shape.tails(name="kurtosis", heavy=True, covers=looks.NOISY),
+            looks.shape.tails(name="kurtosis", heavy=True, covers=looks.NOISY, smooth=("comb",)),
         ),
         estimator=Estimator(noise.heavy_tails, least=0.02, law="tails",
                             neutral=tukey_lambda.GAUSSIAN, against=noise.no_heavier),

@@ -269,13 +269,26 @@ def skew_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def lambda_of(kurtosis: float) -> float:
-    """Shape of the Tukey lambda distribution with this excess kurtosis."""
+_TAIL, _BODY = 0.9995, 0.9
+"""Quantiles by whose ratio two laws have the same tails: as far out as a frame of 20,000 pixels shows by
+ten of them."""
 
-    def miss(shape: float) -> float:
+
+def lambda_of(kurtosis: float) -> float:
+    """Shape of the Tukey lambda distribution with the tails of Student's t of this excess kurtosis, as far
+    out as many pixels show: both have heavy tails, but of the same fourth moment Tukey's are longer. Light
+    tails by the moment, which no Student's t has."""
+
+    def by_moment(shape: float) -> float:
         return float(stats.tukeylambda.stats(shape, moments="k")) - kurtosis
 
-    return float(optimize.brentq(miss, -0.24, 1.0)) if miss(1.0) < 0 < miss(-0.24) else 0.0
+    def by_tails(shape: float) -> float:
+        return float(np.divide(*stats.tukeylambda.ppf((_TAIL, _BODY), shape))) - goal
+
+    if kurtosis <= 0:
+        return float(optimize.brentq(by_moment, 0.0, 1.0)) if by_moment(1.0) < 0 < by_moment(0.0) else 0.0
+    goal = float(np.divide(*stats.t.ppf((_TAIL, _BODY), 4 + 6 / kurtosis)))
+    return float(optimize.brentq(by_tails, -0.45, 0.2))
 
 
 _READ_SHARE = 0.9
@@ -292,8 +305,13 @@ def _place_tails(found: Found) -> Addition:
     return Addition(values, point=point)
 
 
-def tails(*, name: str, heavy: bool, covers: tuple[str, ...]) -> Signature:
-    """A fourth moment beyond Poisson and rounding, or short of them."""
+_PEAKED = 1.0
+"""Excess kurtosis from which on a law has a peak so narrow that smooth counts of codes are none."""
+
+
+def tails(*, name: str, heavy: bool, covers: tuple[str, ...], smooth: tuple[str, ...] = ()) -> Signature:
+    """A fourth moment beyond Poisson and rounding, or short of them. smooth: signatures that take the counts
+    of codes to be as smooth as those of normal noise, and its outliers to be as rare."""
     return Signature(
         name=name,
         axes=Axes("readout", "pixel", "redrawn", "additive", "heavy tails" if heavy else "light tails"),
@@ -301,6 +319,7 @@ def tails(*, name: str, heavy: bool, covers: tuple[str, ...]) -> Signature:
         score=partial(kurtosis_score, tails=1 if heavy else -1),
         absorb=unchanged,
         covers=covers,
+        hides=lambda score: smooth if score.amplitude > _PEAKED else (),
         predict=NO_LAW,
         pattern=NO_PATTERN,
         simulate=(lambda found: Addition({"tukey_lambda": lambda_of(found.score.amplitude)}))

@@ -232,6 +232,12 @@ def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
     )
 
 
+def most_variance(values: np.ndarray, freedom: int) -> float:
+    """Variance of a pixel beyond which it is none of the others', of so many degrees of freedom."""
+    middle = np.median(values) * freedom / stats.chi2.median(freedom)
+    return float(stats.chi2.isf(1e-6, freedom) / freedom * max(middle, 1e-9))
+
+
 def own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Darks are standardised by their own variance, in which rounding below a step and dark current are
     included: the temporal one, of a single frame that over the pixels."""
@@ -240,7 +246,7 @@ def own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean
     values = stacked.variance if len(stacked.contrasts) else (stacked.mean - mean) ** 2
     for c in range(4):
         v = values[channel == c]
-        limit = stats.chi2.isf(1e-6, n) / n * max(np.median(v) * n / stats.chi2.median(n), 1e-9)
+        limit = most_variance(v, n)
         # Of noise far below a step most pixels never move: one that changes by a code is no outlier.
         kept = v[v < max(limit, stacked.step**2)]
         out[channel == c] = max(float(kept.mean()) if kept.size else 0.0, 1e-6)
