@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.defects import KERNELS, MONO_KERNELS
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.plain import carried, plain
@@ -96,6 +97,8 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
     """Pixels of a lattice that follow their neighbours. Amplitude: weight of the interpolated value."""
     best: tuple[float, float, str, str, float, float, np.ndarray] | None = None
     tried = 0
+    unlit = tuple(f for f in fields if f.kind in DARK)
+    dark = {name: _left(unlit, {**KERNELS, **MONO_KERNELS}[name]) for name in _NAMES} if unlit else {}
     for name in _NAMES:
         kernel = {**KERNELS, **MONO_KERNELS}[name]
         found = _left(fields, kernel)
@@ -115,7 +118,7 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
                 z = (lost - _LEAST) / error
                 z_shared = (_SHARED - together) / float(np.sqrt(3 / number.sum()))
                 uneven = inside / own_in < outside / own_out - 2 * error
-                if uneven and lost > 0:
+                if uneven and lost > 0 and _in_darks(dark.get(name), on, lost):
                     both = min(z, z_shared)
                     if best is None or both > best[0]:
                         weight = 1 - float(
@@ -141,6 +144,16 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
         where={"axis": "pixel", "lattice": label, "from": kernel_name},
         payload=on,
     )
+
+
+def _in_darks(found, on: np.ndarray, lost: float) -> bool:
+    """Whether the darks, if there are any, show at least half of what is lost on a lattice: of lit frames
+    a noise that neighbours share is another share of the noise where the light is another."""
+    if found is None:
+        return True
+    left, _, number = found
+    error = float(np.sqrt(3 / number[on].sum() + 3 / number[~on].sum()))
+    return 1 - _mean(left, number, on) / _mean(left, number, ~on) > lost / 2 - 2 * error
 
 
 def _scale(alone: float, kernel: tuple[tuple[int, int], ...]) -> float:
