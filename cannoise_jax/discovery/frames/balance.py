@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.calibrate import most_variance, own_variance
+from cannoise_jax.discovery.frames.calibrate import most_variance, ordinary_variance, own_variance
 from cannoise_jax.discovery.frames.contrasts import FLICKER
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
@@ -49,7 +49,7 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
     long darks and flats need not meet the short ones."""
     channel = channel_index(prepared.fields[0].mean.shape)
     for n, iso in enumerate(np.asarray(bare.iso)):
-        seconds, dark = _shortest_dark(prepared, float(iso), channel, _tail_shape(model))
+        seconds, dark, freedom = _shortest_dark(prepared, float(iso), channel, _tail_shape(model))
         settings = Settings(float(iso), seconds)
         wanted = [_variance(bare, level, settings, channel) for level in (0.0, _BRIGHT)]
         wanted[0] = wanted[0] if dark is None else dark
@@ -57,7 +57,10 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
         shot0 = gain.copy()
         for _ in range(_ROUNDS):
             trial = _with_noise(model, n, gain, read)
-            have = [_variance(trial, level, settings, channel) for level in (0.0, _BRIGHT)]
+            have = [
+                _variance(trial, level, settings, channel, 0 if level or dark is None else freedom)
+                for level in (0.0, _BRIGHT)
+            ]
             slope = (wanted[1] - wanted[0]) / np.maximum(have[1] - have[0], 1e-9)
             read_dn = np.sqrt(np.maximum((gain * read) ** 2 + wanted[0] - have[0], _LEAST_READ * wanted[0]))
             gain = np.clip(gain * slope, _MOST_CHANGE[0] * shot0, _MOST_CHANGE[1] * shot0)
@@ -85,12 +88,12 @@ def shown_of_tails(shape: float, freedom: int) -> float:
 
 def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, tails: float | None):
     """Exposure, s, and temporal variance before rounding per channel, DN^2, of the shortest dark of one gain
-    setting; 0.01 and None without one, None where one frame or rounding hides it. tails: shape of those of
-    the read noise."""
+    setting; 0.01 and None without one, None where one frame or rounding hides it; and its degrees of
+    freedom. tails: shape of those of the read noise."""
     isos = [np.float32(prepared.isos[b.iso]) for b in prepared.baselines]
     mine = [f for f in prepared.fields if not f.lit and f.exposure_s is not None and isos[f.group] == iso]
     if not mine:
-        return 0.01, None
+        return 0.01, None, 0
     f = min(mine, key=lambda f: f.exposure_s or 0.0)
     stacked = next(s for s in prepared.stacks if s.number == f.number)
     # Of the frames as they were recorded: the fields' own holds what whole frames share.
@@ -99,7 +102,7 @@ def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, tails: f
         total = total / shown_of_tails(round(tails, 3), f.frames - 1)
     variance = np.array([np.median(total[channel == c]) for c in range(4)]) - f.step**2 / 12
     shown = f.frames > 1 and variance.min() > (0.5 * f.step) ** 2
-    return f.exposure_s, variance if shown else None
+    return f.exposure_s, variance if shown else None, len(stacked.contrasts)
 
 
 def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) -> SensorModel:
@@ -108,14 +111,17 @@ def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) 
     return dataclasses.replace(model, gain_dn_per_e=gains, read_noise_e=reads)
 
 
-def _variance(model: SensorModel, level: float, settings: Settings, channel: np.ndarray) -> np.ndarray:
+def _variance(
+    model: SensorModel, level: float, settings: Settings, channel: np.ndarray, freedom: int = 0
+) -> np.ndarray:
     """Median over the pixels of each channel of the temporal variance before rounding, DN^2, but for what the
-    fitted baseline is without: what whole frames share, and rows of light where that is strong."""
-    own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel)
+    fitted baseline is without: what whole frames share, and rows of light where that is strong. freedom: of
+    the recordings that it is compared with, whose mean leaves out pixels far noisier than the others."""
+    own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel, freedom)
     if not any(_of_lit_rows(f.record) for f in model.mechanisms):
         return own
     steady = _closed_variance_of(
-        model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel
+        model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel, freedom
     )
     return np.where(own - steady > FLICKER * steady, steady, own)
 
@@ -126,8 +132,13 @@ def _closed_variance_of(
     level: float,
     settings: Settings,
     channel: np.ndarray,
+    freedom: int,
 ) -> np.ndarray:
     kept = tuple(f for f in model.mechanisms if kept_if(f.record))
     model = dataclasses.replace(model, mechanisms=kept)
     values = np.asarray(closed_moments(model, np.full(channel.shape, level, np.float32), settings)[1])
+    if freedom:
+        scatter = np.random.default_rng(0).chisquare(freedom, values.shape) / freedom
+        seen = values * scatter
+        return np.array([ordinary_variance(seen[channel == c], freedom) for c in range(4)])
     return np.array([np.median(values[channel == c]) for c in range(4)])

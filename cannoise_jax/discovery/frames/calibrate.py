@@ -245,9 +245,13 @@ def own_variance(stacked: Stack, channel: np.ndarray, modelled: np.ndarray, mean
     n = max(len(stacked.contrasts), 1)
     values = stacked.variance if len(stacked.contrasts) else (stacked.mean - mean) ** 2
     for c in range(4):
-        v = values[channel == c]
-        limit = most_variance(v, n)
         # Of noise far below a step most pixels never move: one that changes by a code is no outlier.
-        kept = v[v < max(limit, stacked.step**2)]
-        out[channel == c] = max(float(kept.mean()) if kept.size else 0.0, 1e-6)
+        out[channel == c] = ordinary_variance(values[channel == c], n, stacked.step**2)
     return out
+
+
+def ordinary_variance(values: np.ndarray, freedom: int, least: float = 0.0) -> float:
+    """Mean variance of the pixels, without those that are far noisier than the others; least: variance that
+    is no outlier."""
+    kept = values[values < max(most_variance(values, freedom), least)]
+    return max(float(kept.mean()) if kept.size else 0.0, 1e-6)
