@@ -254,6 +254,7 @@ def hits(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> S
         covers=covers,
         lifted_by=lifted_by,
         rare=True,
+        form_free=True,  # tracks of all lengths, charges of all particles
     )
 
 

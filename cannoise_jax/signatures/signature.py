@@ -182,6 +182,8 @@ class Signature:
     says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is about
       pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
+      form_free: whether its form differs from camera to camera in ways that the model does not follow, so
+      that much of what it bears on may be left.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
       no mean. speaks_for: kinds of recordings in which all that stays and differs is then of its part.
@@ -227,6 +229,7 @@ class Signature:
     off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
     speaks_for: frozenset[str] = frozenset()
     approximate: bool = False
+    form_free: bool = False
 
     def __post_init__(self):
         if self.reads_as and self.quoted is same_unit:

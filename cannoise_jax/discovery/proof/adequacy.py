@@ -30,11 +30,11 @@ from cannoise_jax.physics.core.settings import DEFAULT, Settings
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import bank
 
-LEFT = 0.05
+LEFT = 0.03
 """Share of the mismatch of its own part, in nats, that a name may leave. Row noise, 1/f rows, maps, hot
-pixels, dark current and glow leave 0 to 0.018, cosmic rays of another charge and telegraph pixels of two
-levels up to 0.05; an offset that jumps along the raster leaves 0.075 as 1/f noise, noise that grows along the
-frame or at its edges 0.11 to 0.12 as pixels of more noise, a wave of changing pitch 0.11 as 1/f rows."""
+pixels, tails of two laws, dark current and glow leave 0 to 0.018, telegraph pixels of two levels up to 0.05
+of few; an offset that jumps along the raster leaves 0.04 to 0.075 as 1/f noise, noise that grows along the
+frame or at its edges 0.065 to 0.12 as pixels of more noise, a wave of changing pitch 0.11 as 1/f rows."""
 LEFT_STATIC = 0.1
 """The same of a part that stays: a blur of another form than crosstalk leaves 0.07."""
 _SLACK = 15.0
@@ -58,6 +58,9 @@ of 96 x 128 pixels had -0.23 and -0.78, odd against even columns and dark curren
 bursts a frame -0.05."""
 _OF_ITS_OWN = 0.3
 """Share of what a name changes, in nats, that no unknown finding changes far more."""
+_TRACE = 0.05
+"""Of the nats that stronger findings without a name change: less may be a trace of them. Blocks that jump,
+clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, columns and dark current."""
 _SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
 _PIXELS = 1.2e6
 """Pixels of all frames that are looked at, beyond which fewer are."""
@@ -122,15 +125,22 @@ def doubts(
     for n, (one, each, claimed) in borne.items():
         # How a structure is spread was fitted on no frame.
         own = owned(each, most)
-        out[n] = doubt(one, own, claimed) or patterned(steps[n]) or uneven(full, own)
+        out[n] = (
+            doubt(one, own, claimed, steps[n].named.signature.form_free)
+            or patterned(steps[n])
+            or uneven(full, own)
+        )
     unknown = [n for n in every if n not in named or out[n] is not None]
     left = [n for n in borne if out[n] is None]
     if unknown and left:
         # What has no name leaves traces that look like others: what it moves more is no evidence for them.
-        theirs = [found[1] for n in unknown if (found := borne.get(n) or bears(n)) is not None]
+        theirs = {n: found[1] for n in unknown if (found := borne.get(n) or bears(n)) is not None}
+        every_one = most_of(list(theirs.values()))
         for n in left:
-            of_its_own = confirmed[n] and not any(_outweighs(steps[k], steps[n]) for k in unknown)
-            out[n] = shadowed(owned(borne[n][1], most), most_of(theirs), of_its_own)
+            larger = [k for k in unknown if _outweighs(steps[k], steps[n])]
+            moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
+            of_its_own = confirmed[n] and not larger
+            out[n] = shadowed(owned(borne[n][1], most), every_one, of_its_own, _TRACE * moved)
     return tuple(out)
 
 
@@ -140,14 +150,17 @@ def _outweighs(one: Step, other: Step) -> bool:
     return alike and one.named.score.gain > other.named.score.gain
 
 
-def shadowed(each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_its_own: bool) -> Doubt | None:
+def shadowed(
+    each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_its_own: bool, least: float = 0.0
+) -> Doubt | None:
     """What speaks against a name beside something unknown: that it accounts for less than half of its part,
-    that it bears on little but what the unknown bears on far more, or on nothing at all where its evidence is
-    not of its own: not shown by the frames held back, or less than that of an unknown finding of its kind."""
+    or for less than `least` nats, that it bears on little but what the unknown bears on far more, or on
+    nothing at all where its evidence is not of its own: not shown by the frames held back, or less than that
+    of an unknown finding of its kind."""
     part = own_part(each)
     whole = sum(float(b.change[b.own].sum()) for b in each)
     against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
-    if part.after > LEFT_TOGETHER * part.before:
+    if part.after > LEFT_TOGETHER * part.before or part.before < least:
         return against
     alone = [b for b in each if b.at not in unknown]
     alone += owned([b for b in each if b.at in unknown], unknown)
@@ -214,9 +227,11 @@ def _nothing(one: SensorModel, plain: SensorModel, size: tuple[int, int]) -> boo
     return True
 
 
-def doubt(full: Compared, each: list[Borne], speaks_for: frozenset[str] = frozenset()) -> Doubt | None:
+def doubt(
+    full: Compared, each: list[Borne], speaks_for: frozenset[str] = frozenset(), free: bool = False
+) -> Doubt | None:
     """What the simulator with a mechanism leaves of that mechanism's part of the mismatch, see `borne_by`;
-    None where nothing significant is left or it is little."""
+    None where nothing significant is left or it is little. free: whether its form is known but roughly."""
     part = own_part(each)
     if not (part.left or part.more):
         return None
@@ -225,7 +240,7 @@ def doubt(full: Compared, each: list[Borne], speaks_for: frozenset[str] = frozen
     elif not part.left:
         most = LEFT_TOGETHER * part.before
     else:
-        share = LEFT + (LEFT_STATIC - LEFT) * part.static
+        share = LEFT_OF_WEAK if free else LEFT + (LEFT_STATIC - LEFT) * part.static
         most = min(share * part.before + _SLACK, LEFT_OF_WEAK * part.before)
     if part.after <= most:
         return None
