@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from html import escape
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-_WIDTH, _HEIGHT = 520, 330
+_WIDTH, _HEIGHT = 420, 290
 _LEFT, _RIGHT, _TOP, _BOTTOM = 66, 14, 14, 46
+_LINE, _LETTER = 15, 6.5
+"""Height of a line and width of a letter of the legend."""
 
 
 class Series(NamedTuple):
@@ -37,8 +40,8 @@ def plot(series: Sequence[Series], x_label: str, y_label: str, *, log_x=False, l
         f'aria-label="{escape(y_label)} over {escape(x_label)}">'
     ]
     parts += _axis(scale_x, x_label, horizontal=True) + _axis(scale_y, y_label, horizontal=False)
-    for s in kept:
-        at = [(scale_x.place(x), scale_y.place(y)) for x, y in zip(s.x, s.y, strict=True)]
+    paths = [[(scale_x.place(x), scale_y.place(y)) for x, y in zip(s.x, s.y, strict=True)] for s in kept]
+    for s, at in zip(kept, paths, strict=True):
         style = f"c{s.colour}{' dashed' if s.dashed else ''}"
         if s.line:
             parts.append(
@@ -47,11 +50,36 @@ def plot(series: Sequence[Series], x_label: str, y_label: str, *, log_x=False, l
         else:
             parts += [f'<circle class="dot {style}" cx="{x:.1f}" cy="{y:.1f}" r="3"/>' for x, y in at]
     labelled = list({s.label: s for s in kept if s.label}.values())
+    left, top = _free_corner(kept, paths, [s.label for s in labelled])
     for n, s in enumerate(labelled):
-        y = _TOP + 12 + 15 * n
-        parts.append(f'<rect class="key c{s.colour}" x="{_LEFT + 8}" y="{y - 7}" width="12" height="4"/>')
-        parts.append(f'<text class="legend" x="{_LEFT + 25}" y="{y - 1}">{escape(s.label)}</text>')
+        y = top + 12 + _LINE * n
+        parts.append(f'<rect class="key c{s.colour}" x="{left + 8}" y="{y - 7}" width="12" height="4"/>')
+        parts.append(f'<text class="legend" x="{left + 25}" y="{y - 1}">{escape(s.label)}</text>')
     return "\n".join([*parts, "</svg>"])
+
+
+def _free_corner(
+    kept: Sequence[Series], paths: Sequence[list[tuple[float, float]]], labels: Sequence[str]
+) -> tuple[float, float]:
+    """Left and top of the legend, in the corner where least of the data lies; the upper left where all are
+    as good."""
+    width, height = 32 + _LETTER * max(map(len, labels), default=0), 8 + _LINE * len(labels)
+    points = [p for s, path in zip(kept, paths, strict=True) for p in (_filled(path) if s.line else path)]
+    corners = [(x, y) for y in (_TOP, _HEIGHT - _BOTTOM - height) for x in (_LEFT, _WIDTH - _RIGHT - width)]
+
+    def covered(corner: tuple[float, float]) -> int:
+        return sum(0 <= x - corner[0] <= width and 0 <= y - corner[1] <= height for x, y in points)
+
+    return min(corners, key=covered)
+
+
+def _filled(path: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Points along a line, some pixels apart."""
+    out = path[:1]
+    for (x0, y0), (x1, y1) in pairwise(path):
+        count = 1 + int(math.hypot(x1 - x0, y1 - y0) / _LINE * 2)
+        out += [(x0 + (x1 - x0) * n / count, y0 + (y1 - y0) * n / count) for n in range(1, count + 1)]
+    return out
 
 
 class _Scale(NamedTuple):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 
 import pytest
 
 from cannoise_jax.commands.compare import main
+from cannoise_jax.discovery.compare.report import value
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
 
@@ -47,6 +49,14 @@ def test_two_simulators_side_by_side(folders, capsys):
     assert report["better"]["nearer"] == "neither"  # one law, drawn by two hands
     html = (out / "comparison.html").read_text()
     assert "too little" in html and "<svg" in html and "http" not in html
+    # On narrow screens only numbers keep to one line: units may be as long as a sentence.
+    assert re.search(r'data-of="recorded"><b>\S+</b> \w', html)
+
+
+def test_numbers_are_plain():
+    assert [value(v) for v in (0, 1e-5, 0.01234, -993.4, 1104.2, -20512.0)] == [
+        *("0", "0", "0.0123", "-993", "1,100", "-20,500"),
+    ]
 
 
 def test_bad_input_is_one_line(folders, capsys):

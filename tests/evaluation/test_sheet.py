@@ -118,3 +118,16 @@ def test_a_plot_leaves_out_what_its_axes_cannot_show():
     assert plot([Series("a", [], [])], "x", "y") == ""
     one = plot([Series("", [3.0], [5.0])], "x", "y")
     assert one.count("<circle") == 1 and "nan" not in one
+
+
+@pytest.mark.parametrize("falling, side", [(False, "left"), (True, "right")])
+def test_the_legend_lies_where_the_data_do_not(falling, side):
+    y = np.linspace(1, 10, 30)[:: -1 if falling else 1]
+    svg = plot([Series("along rows", np.linspace(0, 1, 30), y, line=True)], "x", "y")
+    (key,) = re.findall(r'class="key c0" x="([\d.]+)" y="([\d.]+)"', svg)
+    line = re.search(r'points="([^"]+)"', svg)[1].split()
+    points = np.array([p.split(",") for p in line], float)
+    x, top = map(float, key)
+    assert (x < points[:, 0].mean()) == (side == "left") and top < points[:, 1].mean()
+    near = points[(points[:, 0] >= x) & (points[:, 0] <= x + 90)]
+    assert (near[:, 1] > top + 15).all()

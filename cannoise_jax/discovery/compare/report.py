@@ -12,6 +12,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.score import Better, scores
 from cannoise_jax.discovery.compare.table import Difference, differences
+from cannoise_jax.discovery.compare.words import short
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
@@ -58,7 +59,7 @@ def percent(share: float) -> str:
 
 def value(number: float) -> str:
     """A number with three figures."""
-    return f"{number:.3g}" if abs(number) >= 1e-4 or number == 0 else "0"
+    return short(number) if abs(number) >= 1e-4 or number == 0 else "0"
 
 
 def sign_in_words(sign: int) -> str:

@@ -9,6 +9,15 @@ from cannoise_jax.signatures.bank import MOMENTS, Scale
 TEMPORAL, STATIC = "frame to frame", "fixed"
 """What is redrawn in every frame, and what stays."""
 MOMENT_UNITS = ("of the variance", "skewness", "excess kurtosis")
+_PLAIN = 1e6
+"""Numbers from which on are written with an exponent."""
+
+
+def short(value: float) -> str:
+    """Three digits; an exponent only where the number would be long."""
+    if 1000 <= abs(value) < _PLAIN:
+        return f"{float(f'{value:.3g}'):,.0f}"
+    return f"{value:.3g}"
 
 
 def structure(band: int, row: Scale, column: Scale, size: tuple[int, int]) -> str | None:

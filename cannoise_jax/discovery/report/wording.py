@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from cannoise_jax.discovery.compare.words import short
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.card import said_against
 from cannoise_jax.discovery.search.fit import Step
@@ -14,8 +15,6 @@ from cannoise_jax.physics.core.places import place
 from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term
 
-_PLAIN = 1e6
-"""Numbers from which on are written with an exponent."""
 CERTAIN = 10.0
 """Nats a pixel from which on more of them say nothing more: e^-10 a pixel is never met."""
 _TIME = {"frozen": "the same in every frame", "redrawn": "new in every frame"}
@@ -28,13 +27,6 @@ _SCALES = {
     "scene": "with the scene",
     "none": "",
 }
-
-
-def short(value: float) -> str:
-    """Three digits; an exponent only where the number would be long."""
-    if 1000 <= abs(value) < _PLAIN:
-        return f"{float(f'{value:.3g}'):,.0f}"
-    return f"{value:.3g}"
 
 
 def amount(values: float | Sequence[float], unit: str | None, meaning: str = "") -> str:
