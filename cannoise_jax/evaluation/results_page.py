@@ -7,8 +7,16 @@ from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
 
-_COLOURS = ("#1f6feb", "#d1242f", "#1a7f37", "#9a6700", "#8250df", "#57606a", "#bf3989")
-_STYLE = """
+_SHADES = (
+    *(("#1f6feb", "#6ea3f2"), ("#d1242f", "#ff8a80"), ("#1a7f37", "#6cc47e"), ("#9a6700", "#e0b040")),
+    *(("#8250df", "#b79bf5"), ("#57606a", "#b5bec9"), ("#bf3989", "#f08cc4")),
+)
+"""On light pages and on dark ones."""
+_COLOURS = tuple(f"var(--c{n})" for n in range(len(_SHADES)))
+_STYLE = (
+    ":root { "
+    + " ".join(f"--c{n}: light-dark({light}, {dark});" for n, (light, dark) in enumerate(_SHADES))
+    + """ }
 :root { color-scheme: light dark; --dim: light-dark(#57606a, #a3adba); }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 0 auto; padding: 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; } h3 { font-size: 1rem; }
@@ -21,8 +29,10 @@ img { max-width: 100%; }
 svg { width: 100%; min-width: 36rem; max-width: 44rem; height: auto; }
 svg text { font: 12px system-ui, sans-serif; fill: currentColor; }
 code { overflow-wrap: anywhere; }
-@media (max-width: 40rem) { body { font-size: 14px; padding: .6rem; } th, td { padding: .2rem .4rem; } }
+@media (max-width: 40rem) { body { font-size: 14px; padding: .6rem; } th, td { padding: .2rem .4rem; }
+  svg { min-width: 0; } svg text { font-size: 18px; } }
 """
+)
 
 
 def results_page(records: Mapping[str, Mapping[str, Any]]) -> str:
@@ -159,7 +169,7 @@ def _lines(data: Mapping[str, list]) -> str:
         path = "L".join(f"{x:.1f} {y:.1f}" for x, y in (place(*p) for p in points))
         parts.append(f"<path d='M{path}' fill=none stroke='{_COLOURS[i % 7]}' stroke-width=2 />")
     for x in sorted({p[0] for points in logged.values() for p in points}):
-        parts.append(f"<text x={place(x, y0)[0]:.1f} y=318 text-anchor=middle>{2**x:.0f}</text>")
+        parts.append(f"<text x={place(x, y0)[0]:.1f} y=322 text-anchor=middle>{2**x:.0f}</text>")
     for y in (y0, (y0 + y1) / 2, y1):
         parts.append(f"<text x=52 y={place(x0, y)[1] + 4:.1f} text-anchor=end>{y:.2f}</text>")
-    return f"<svg viewBox='0 0 700 326' role=img>{''.join(parts)}{_legend(data)}</svg>"
+    return f"<svg viewBox='0 0 700 330' role=img>{''.join(parts)}{_legend(data)}</svg>"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from html.parser import HTMLParser
 
 import numpy as np
@@ -145,6 +146,8 @@ def test_the_command_writes_json_and_a_page(tmp_path, capsys):
 
     Check().feed(page)
     assert not opened and "ISO 100" in page and "width=device-width" in page
+    used = set(re.findall(r"var\((--\w+)\)", page))  # colours of their own on dark pages
+    assert used <= set(re.findall(r"(--\w+): light-dark\(", page))
     assert main(["--suite", "iso", *flags, *more[:-1], "nonsense"]) == 2
     assert "nonsense" in capsys.readouterr().err
     assert main(["--suite", "iso", *flags, *more]) == 2
