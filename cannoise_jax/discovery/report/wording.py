@@ -63,17 +63,18 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
             for c in entry["candidates"]
             if c["mechanism"] != UNKNOWN and c["probability"] > 0.01
         ]
-        together = " and ".join([", ".join(others[:-1]), *others[-1:]] if len(others) > 1 else others)
-        start = f"These recordings cannot tell {together} apart; as {name}: {size}"
-        if len(others) < 2:  # what is against it is no other name
+        if len(others) > 1:
+            together = f"{', '.join(others[:-1])} and {others[-1]}"
+            start = f"These recordings cannot tell {together} apart; as {name}: {size}"
+        else:  # what is against it is no other name
             start = f"Nothing known fits better than {name}: {size}"
+    elif step.named.signature.says:
+        start, (low, high) = step.named.signature.says(entry)
+        unit, meaning = None, ""
     else:
         told = term.says_exposure or step.named.signature.axes.scales != "exposure"
         grows = "" if told else " (growing with the exposure)"
         start = f"{term.definition.removesuffix('.')}{grows}: {size}"
-        if step.named.signature.says:
-            start, (low, high) = step.named.signature.says(entry)
-            unit, meaning = None, ""
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
     within = f" (90 %: {amount((low, high), unit, meaning)})" if low < high else ""
