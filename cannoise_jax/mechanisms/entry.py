@@ -10,6 +10,7 @@ from typing import NamedTuple
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.recordings.recording import Kind
+from cannoise_jax.signatures.generic import MapsOf
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import Term
@@ -72,8 +73,10 @@ class Entry:
     """One mechanism: its name and what its amplitude means, its physics, what to record to see it, how it is
     measured, examples, and the signatures that look for it in recordings.
 
-    signatures(recorded) -> those that the recordings can be searched for. Raises ValueError where the term
-    and the record have different names.
+    signatures(recorded) -> those that the recordings can be searched for. pattern(recorded, values) -> its
+    maps, where its frozen pattern is found by its sampler: recorded is what it adds where its strength is
+    `values`, `[H, W]` in the unit that it acts on (e- or DN; a share where it multiplies). Raises ValueError
+    where the term and the record have different names.
     """
 
     term: Term
@@ -82,6 +85,7 @@ class Entry:
     estimator: Estimator | None = None
     examples: Examples = field(default_factory=Examples)
     signatures: Callable[[Recorded], tuple[Signature, ...]] = nothing_looks
+    pattern: MapsOf | None = None
 
     def __post_init__(self):
         if self.term.id != self.record.id:

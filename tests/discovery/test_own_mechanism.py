@@ -20,6 +20,7 @@ from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
 from cannoise_jax.physics.core.places import SITES
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.signatures import generic
+from cannoise_jax.signatures.sampled import learned
 from cannoise_jax.vocabulary import RMS, Term
 from tests.discovery.capture import SIZE, capture_set
 from tests.discovery.looks import RECORDED, SIGNATURES, white
@@ -57,6 +58,34 @@ THIRD = entry("third_rows", "Every third row has an offset of its own.", every_t
 BLOCKS = entry("corner_blocks", "Blocks along the anti-diagonal jump.", corner_blocks, over="pixel")
 
 
+def sloping_blocks(key, x, values, maps, context):
+    """A ramp of its own in every block of 16 pixels, always the same."""
+    return x + values["sigma_dn"] * maps["slopes"]
+
+
+def _ramp(size):
+    return (np.arange(size[1]) % 16 - 7.5) / np.sqrt(21.25)
+
+
+def _slopes(key, values, context):
+    rows, columns = (-(-n // 16) for n in context.size)
+    blocks = jnp.repeat(jnp.repeat(jax.random.normal(key, (rows, columns)), 16, 0), 16, 1)
+    return {"slopes": (blocks[: context.size[0], : context.size[1]] * _ramp(context.size))[None]}
+
+
+SLOPES = dataclasses.replace(
+    entry(
+        "block_slopes",
+        "Every block of 16 pixels has a ramp.",
+        sloping_blocks,
+        "frozen",
+        "pixel",
+        draw_maps=_slopes,
+    ),
+    pattern=lambda recorded, values: {"slopes": recorded / values["sigma_dn"]},
+)
+
+
 @pytest.mark.parametrize("id", ["unknown", "row_noise"])
 def test_names_that_mean_something_already_are_refused(id):
     with pytest.raises(ValueError, match="choose another"):
@@ -67,7 +96,7 @@ def test_one_that_is_off_by_default_is_looked_for():
     off = entry("third_rows", "Every third row has an offset of its own.", every_third)
     parameter = off.record.parameters[0]._replace(default=0.0)
     off = dataclasses.replace(off, record=dataclasses.replace(off.record, parameters=(parameter,)))
-    assert generic.learned(off.record, white(np.random.default_rng(5)), RECORDED) is not None
+    assert learned(off.record, white(np.random.default_rng(5)), RECORDED) is not None
 
 
 def sampled(own, sigma):
@@ -106,6 +135,27 @@ def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):
         jax.random.key(0), np.zeros(SIZE, np.float32), Settings(frames=4)
     )
     assert np.std(np.asarray(drawn, float) - np.asarray(less, float)) > 0
+
+
+def test_a_frozen_pattern_from_outside_is_kept_as_it_was_recorded():
+    slopes = np.random.default_rng(9).standard_normal((SIZE[0] // 16, SIZE[1] // 16))
+    truth = 3.0 * np.repeat(np.repeat(slopes, 16, 0), 16, 1) * _ramp(SIZE)
+    capture = capture_set(73, lambda rng: lambda dn, signal, kind, exposure: dn + truth, kinds="df")
+
+    def seen(model):
+        """The mean of frames less that of the same frames without it, DN."""
+        drawn = [
+            np.asarray(m.sample(jax.random.key(1), np.zeros(SIZE, np.float32), Settings(frames=32)), float)
+            for m in (model, model.without(SLOPES.id))
+        ]
+        return (drawn[0] - drawn[1]).mean(0).ravel()
+
+    found = diagnose(capture, mechanisms=(SLOPES,), compare=False)
+    assert found.findings == [SLOPES.id] and found.proofs[0].confirmed
+    shown, other = seen(found.model), seen(found.model.with_unit(jax.random.key(3)))
+    assert np.corrcoef(shown, truth.ravel())[0, 1] > 0.9
+    assert np.std(shown) == pytest.approx(np.std(truth), rel=0.1)
+    assert abs(np.corrcoef(other, truth.ravel())[0, 1]) < 0.3
 
 
 def test_one_of_the_capture_is_found_and_is_not_in_the_camera_model():
@@ -167,3 +217,23 @@ def test_p_is_uniform_without_an_effect(own):
     for level in (0.5, 0.1):
         assert np.mean(p < level) == pytest.approx(level, abs=3.5 * np.sqrt(level / 200))
     assert p.min() > 1e-5
+
+
+@pytest.mark.parametrize("acts_on, combine", [("signal", "add"), ("charge", "add"), ("charge", "multiply")])
+def test_a_pattern_is_handed_over_in_the_unit_that_it_acts_on(acts_on, combine):
+    """Planted in DN; of charge it is in electrons, of a factor in shares of the signal."""
+    stage = "pixel" if acts_on == "charge" else "readout"
+    record = mechanism_from_grammar(Point(stage, acts_on, "pixel", "frozen", combine), id="own", default=0.1)
+    rng, size = np.random.default_rng(8), (48, 64)
+    fields, truth = white(rng, kinds=("flat",), size=size, signal=200.0), rng.standard_normal(size)
+    planted = tuple(f._replace(static=f.static + np.float32(30 * truth)) for f in fields)
+    (field,) = planted
+    (own,) = generic.by_sampling(
+        record, name="own", known={}, simulated=True, maps_of=lambda recorded, values: {"field": recorded}
+    )(RECORDED)
+    pattern = own.pattern(planted, own.score(planted), rng)
+    in_dn = 30 * truth / np.sqrt(field.frames) / field.weight
+    unit = {"signal": 1.0, "charge": 1 / np.mean(field.gain)}[acts_on]
+    unit = 1 / field.signal if combine == "multiply" else unit
+    assert np.corrcoef(pattern.ravel(), (in_dn * unit).ravel())[0, 1] > 0.99
+    assert np.std(pattern) == pytest.approx(np.std(in_dn * unit), rel=0.03)

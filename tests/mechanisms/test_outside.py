@@ -156,7 +156,7 @@ def test_a_record_that_cannot_work_is_refused_in_one_line(droop, change, said):
 def test_what_a_sampler_returns_is_checked(droop):
     import dataclasses
 
-    from cannoise_jax.signatures import generic
+    from cannoise_jax.signatures import sampled
     from tests.discovery.looks import RECORDED, white
 
     def rows_alone(key, x, values, maps, context):
@@ -172,7 +172,7 @@ def test_what_a_sampler_returns_is_checked(droop):
         )
     record = dataclasses.replace(droop.record, sample=broken)
     with pytest.raises(BadInput, match="droop: its sampler draws values that are not finite"):
-        generic.learned(record, white(np.random.default_rng(0)), RECORDED)
+        sampled.learned(record, white(np.random.default_rng(0)), RECORDED)
 
 
 def test_a_class_that_there_is_not_is_refused():

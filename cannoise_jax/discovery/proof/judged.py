@@ -103,6 +103,10 @@ def _searchable(entry: Entry) -> Entry:
     if entry.looked_for:
         return entry
     looks = generic.by_sampling(
-        entry.record, name=f"sampled_{entry.id}", known={}, simulated=entry.term.kind == "sensor"
+        entry.record,
+        name=f"sampled_{entry.id}",
+        known={},
+        simulated=entry.term.kind == "sensor",
+        maps_of=entry.pattern,
     )
     return dataclasses.replace(entry, signatures=looks)
