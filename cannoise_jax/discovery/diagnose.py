@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.remainder import with_remainder
-from cannoise_jax.discovery.frames.battery import Prepared, Splits, splits_of
+from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.simulate import Draw
+from cannoise_jax.discovery.frames.splits import Splits, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining

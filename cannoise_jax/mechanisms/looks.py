@@ -34,6 +34,7 @@ from cannoise_jax.signatures import (
     smear,
     spectra,
     taps,
+    telegraph,
     warm,
     waves,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "shape",
     "spectra",
     "taps",
+    "telegraph",
     "code_spacing",
     "curvature",
     "defects",

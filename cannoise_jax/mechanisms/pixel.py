@@ -233,7 +233,7 @@ ENTRIES: tuple[Entry, ...] = (
         RTS,
         needs="three dark frames or more; a hundred show the two levels",
         signatures=looks.always(
-            looks.pixels.jumping(name="telegraph", covers=looks.NOISY),
+            looks.telegraph.jumping(name="telegraph", covers=looks.NOISY),
         ),
         estimator=Estimator(noise.rts, law="telegraph", loud=noise.telegraph_sites,
                             maps=measured.telegraph),

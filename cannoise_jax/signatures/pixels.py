@@ -12,7 +12,6 @@ from cannoise_jax.signatures.least import (
     Seen,
     grows,
 )
-from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p
 from cannoise_jax.signatures.score import Score, skewed_log_p
 from cannoise_jax.signatures.shape import (
     darks,
@@ -26,14 +25,12 @@ from cannoise_jax.signatures.signature import (
     CONTRASTS,
     NO_LAW,
     Addition,
-    Asked,
     Axes,
     Found,
     Many,
     Signature,
     unchanged,
 )
-from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Relative spreads of the pixels' noise that are tried; a parabola goes between."""
@@ -49,7 +46,7 @@ def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int
     return squares.astype(np.float64), np.all([f.usable for f in chosen], axis=0), freedom
 
 
-def _sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
+def sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
     """The sums of squares of the usable pixels and their degrees of freedom."""
     found = _square_map(fields)
     return None if found is None else (found[0][found[1]], found[2])
@@ -90,13 +87,13 @@ def _dispersion_log_p(squares: np.ndarray, n: int, known: float, doubt: float) -
 
 def spread_score(fields: tuple[Fields, ...]) -> Score | None:
     """A read noise of its own for every pixel (log-normal): marginal likelihood of the sums of squares."""
-    found = _sums_of_squares(fields)
+    found = sums_of_squares(fields)
     if found is None:
         return None
     squares, n = found
     log_p, z = _dispersion_log_p(squares, n, *_known_dispersion(fields))
     nodes, weights = np.polynomial.hermite_e.hermegauss(15)
-    counts, centre = _histogram(squares)
+    counts, centre = histogram(squares)
     best, at = 0.0, 0.0
     gains = []
     for spread in _SPREADS:
@@ -131,59 +128,12 @@ def _dispersion_variance(n: int) -> float:
     return 8.0 * n**2 + 16.0 * n
 
 
-def _histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Counts and centres on a fine logarithmic grid: likelihoods are then sums over a few hundred bins."""
     logs = np.log(np.maximum(squares, 1e-3))
     counts, edges = np.histogram(logs, 600)
     used = counts > 0
     return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
-
-
-_START = 0.005
-"""Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
-128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
-
-
-def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
-    """A small share of pixels with extra fluctuation of exponentially spread size."""
-    found = _sums_of_squares(fields)
-    if found is None:
-        return None
-    squares, n = found
-    counts, centre = _histogram(squares)
-    best, at, share = 0.0, 1.0, 0.0
-    ratios = []
-    for mean in MEAN_JUMPS:
-        mixed = jump_log_ratio(centre, n, mean)
-        if mean in FAR_JUMPS:
-            ratios.append(mixed)
-        f = _START
-        for _ in range(40):
-            responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
-            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
-        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
-        if gain > best:
-            best, at, share = gain, float(mean), f
-    number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
-    log_p = sparse_log_p(counts, ratios)
-    sigma = float(np.mean([np.median(f.sigma) for f in darks(fields)]))
-    amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
-    error = amplitude / np.sqrt(max(share * squares.size, 1.0))
-    shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
-    return Score(
-        log_p=max(log_p, -700.0),
-        gain=best,
-        penalty=float(np.log(squares.size)),
-        amplitude=float(amplitude),
-        error=float(error),
-        shift=float(shift),
-        power=2,
-        parameters={
-            "fraction": (share, "1", float(np.sqrt(share / squares.size))),
-            "jump": (at * sigma, "DN", at * sigma / np.sqrt(max(share * squares.size, 1.0))),
-        },
-        where={"axis": "pixel", "pixels": number},
-    )
 
 
 def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
@@ -194,7 +144,7 @@ def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
 
 
-_READS = CONTRASTS | {"mean", "signal", "shot"}
+READS = CONTRASTS | {"mean", "signal", "shot"}
 
 
 def dark_squares(fields: Many) -> tuple[np.ndarray, int]:
@@ -258,7 +208,7 @@ def own_noise(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signatur
     return Signature(
         name=name,
         axes=Axes("readout", "pixel", "frozen", "additive", "log-normal variance"),
-        reads=_READS,
+        reads=READS,
         score=spread_score,
         absorb=unchanged,
         covers=covers,
@@ -268,42 +218,4 @@ def own_noise(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signatur
         place=place,
         detectable=BY_SHIFT,
         least=read_map,
-    )
-
-
-def jumping(*, name: str, covers: tuple[str, ...]) -> Signature:
-    """A few pixels that jump between levels."""
-
-    def simulate(found: Found) -> Addition:
-        jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
-        sites = {} if found.pattern is None else {"sites": as_map(found.pattern / (jump / 2))}
-        return Addition({"jump_dn": jump, "fraction": share, "rate": 0.5}, sites)
-
-    def detectable(asked: Asked, score: Score, mechanism: str) -> float:
-        frames: dict[int, int] = {}
-        for f in (f for fields in asked.looks for f in darks(fields)):
-            frames[f.number] = frames.get(f.number, 0) + f.frames
-        seen = darks(asked.looks[0])
-        sigma = float(np.mean([np.median(f.sigma) for f in seen])) if seen else 0.0
-        return telegraph_found(tuple(frames.values()), sigma, asked.looks[0][0].mean.size, asked.own_log_p)
-
-    def least(sets: tuple[Seen, ...]) -> Law:
-        frames = [(float(np.sqrt(np.mean(s.weight**2))), round(s.fresh)) for s in sets]
-        return lambda shift: telegraph_amplitude(frames, sets[0].weight.size, shift)
-
-    return Signature(
-        name=name,
-        axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
-        reads=_READS,
-        score=telegraph_score,
-        absorb=mask_noisy,
-        covers=covers,
-        rare=True,
-        predict=NO_LAW,
-        pattern=lambda fields, score, rng: noisy_map(fields, score.parameters["fraction"][0]),
-        simulate=simulate,
-        place=placed(BLINKING),
-        detectable=detectable,
-        decides=True,
-        least=least,
     )

@@ -13,8 +13,8 @@ import numpy as np
 
 import cannoise_jax
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings, splits_of
 from cannoise_jax.discovery.frames.contrasts import Stack
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings, splits_of
 from cannoise_jax.discovery.proof.heldout import score_frames
 from cannoise_jax.discovery.proof.prove import held_out_gain
 from cannoise_jax.discovery.report.document import document

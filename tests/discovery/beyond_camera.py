@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cannoise_jax.discovery.frames.battery import splits_of
+from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.score import Score

@@ -13,7 +13,8 @@ from scipy import ndimage
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
-from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
 from cannoise_jax.discovery.proof.white_maps import patterned

@@ -10,7 +10,7 @@ import pytest
 
 from cannoise_jax import diagnose
 from cannoise_jax.discovery.compare.run import compare_bank
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.report.outcome import baseline
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise

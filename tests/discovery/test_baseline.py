@@ -7,8 +7,9 @@ import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.full import mark_full
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.rounding import before_rounding, stored_moments

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.report.card import card, lines
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import Step

@@ -8,7 +8,8 @@ import pytest
 
 from cannoise_jax.discovery.compare import better, compare
 from cannoise_jax.discovery.compare.remainder import with_remainder
-from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import write_sensor

@@ -1,6 +1,6 @@
 """What can be tested, and what is said of the rest."""
 
-from cannoise_jax.discovery.frames.battery import splits_of
+from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.search.declare import needs
 from cannoise_jax.mechanisms import ENTRIES
 from tests.discovery.capture import capture_set

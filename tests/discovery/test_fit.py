@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.signatures import groups
 from cannoise_jax.signatures.fields import Fields, helmert, refit

@@ -10,7 +10,7 @@ import pytest
 
 from cannoise_jax.discovery.compare.sources import open_source
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.battery import split_recordings
+from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
 from cannoise_jax.discovery.proof.gate import Gain, Tried

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.glow import glow_absorb, glow_again, glow_score
 from cannoise_jax.signatures.levels import dark_levels

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import extended_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.signatures.means import step_score
 from tests.discovery.capture import capture_set
 

@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.frames.simulate import simulate_like
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import baseline_model, extended_model, with_addition

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.discovery.frames.battery import splits_of
 from cannoise_jax.discovery.frames.contrasts import robust_mean
 from cannoise_jax.discovery.frames.smooth import beyond, polynomials
+from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.name import name
 from cannoise_jax.mechanisms import ENTRIES

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.report.document import finding
 from cannoise_jax.discovery.report.not_found import detectable
 from cannoise_jax.discovery.search.declare import registered

@@ -16,7 +16,7 @@ import pytest
 
 from cannoise_jax.commands import diagnose as command
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.battery import split_recordings
+from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.document import digests, document
 from cannoise_jax.discovery.report.page import advice, page

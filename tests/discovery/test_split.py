@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.frames.blocks import leave_out
+from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.proof.prove import strength_beyond
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.signatures.fields import contrast_matrix, frame_fields

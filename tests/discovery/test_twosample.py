@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import prepare_split, split_recordings
 from cannoise_jax.discovery.frames.draws import spread_codes
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.proof.patch_network import Patches, all_features, cut, train
 from cannoise_jax.discovery.proof.twosample import (
     Scored,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.signatures.lattice import lattice_score
 from tests.discovery.capture import capture_set
 

@@ -23,9 +23,9 @@ from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth, wiener
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
-from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import code_step, steady
+from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.packing import SITES

@@ -15,7 +15,7 @@ from scipy import special, stats
 
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, TEMPORAL, of
 from cannoise_jax.discovery.compare.run import Compared
-from cannoise_jax.discovery.frames.battery import split_frames
+from cannoise_jax.discovery.frames.splits import split_frames
 
 
 class Better(NamedTuple):

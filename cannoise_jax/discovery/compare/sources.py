@@ -14,10 +14,11 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
-from cannoise_jax.discovery.frames.battery import all_frames, prepare, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.contrasts import code_step
 from cannoise_jax.discovery.frames.draws import drawing
 from cannoise_jax.discovery.frames.simulate import Draw, codes_of, open_simulator
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.mechanisms.outside import imported
 from cannoise_jax.physics.core.sensor import SensorModel, Settings

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from cannoise_jax.discovery.frames.calibrate import fit_baseline, gain_groups, standardise, stated_black
 from cannoise_jax.discovery.frames.contrasts import (
-    MOST_FRAMES,
     Stack,
     code_step,
     detected_step,
@@ -47,107 +43,6 @@ class Prepared(NamedTuple):
     step: float
     span: float
     isos: dict[float | None, float]
-
-
-def split_frames(count: int) -> tuple[list[int], list[int]]:
-    """Frames that look for effects, and frames that estimate and prove: three and one of every four. Fewer
-    than three cannot be split."""
-    show = [count - 1] if count == 3 else list(range(3, count, 4))
-    return [t for t in range(count) if t not in show], show
-
-
-def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
-    """Frames of every recording that look for effects, and those that prove. Recordings that cannot be split
-    look and prove in turn, those of each kind by themselves. Of long ones `MOST_FRAMES` in all are used,
-    spread evenly."""
-    out, short = [], dict.fromkeys({r.kind for r in capture.recordings}, 0)
-    for r in capture.recordings:
-        used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
-        look, show = ([int(used[n]) for n in part] for part in split_frames(used.size))
-        if not show:
-            look, show = (look, show) if short[r.kind] % 2 == 0 else (show, look)
-            short[r.kind] += 1
-        out.append((look, show))
-    return out
-
-
-def all_frames(splits: list[tuple[list[int], list[int]]]) -> list[list[int]]:
-    """Frames of every recording that look or prove, in order."""
-    return [sorted(look + show) for look, show in splits]
-
-
-def prepare_split(
-    capture: CaptureSet,
-    splits: list[tuple[list[int], list[int]]],
-    judge_stated: bool = False,
-    drawn: CaptureSet | None = None,
-    *,
-    held_back: bool = False,
-    entries: tuple[Entry, ...] = ENTRIES,
-) -> Prepared:
-    """The frames that look for effects or, `held_back`, those that prove, seen against the others' mean."""
-    looking = [a for a, _ in splits]
-    if not held_back:
-        return prepare(capture, looking, judge_stated, drawn, entries=entries)
-    return prepare(capture, [b for _, b in splits], judge_stated, drawn, looking, entries)
-
-
-@dataclass(frozen=True, eq=False)
-class Splits:
-    """The frames of a capture set as a run sees them, each split prepared once, when it is first asked for.
-
-    frames: of every recording, those that look and those that are held back.
-    """
-
-    frames: list[tuple[list[int], list[int]]]
-    of: Callable[[str], Prepared]
-
-    @cached_property
-    def looking(self) -> Prepared:
-        """The frames that look for effects."""
-        return self.of("looking")
-
-    @cached_property
-    def held_back(self) -> Prepared:
-        """Those that prove, seen against the others' mean."""
-        return self.of("held_back")
-
-    @cached_property
-    def together(self) -> Prepared:
-        """All frames."""
-        return self.of("together")
-
-    @property
-    def chosen(self) -> list[list[int]]:
-        """Frames held back, per recording."""
-        return [held for _, held in self.frames]
-
-    @property
-    def can_prove(self) -> bool:
-        """Whether any frames are held back."""
-        return any(self.chosen)
-
-    def less(self, change: Callable[[Prepared], Prepared]) -> Splits:
-        """The same splits, each changed."""
-        return Splits(self.frames, lambda which: change(getattr(self, which)))
-
-
-def splits_of(
-    capture: CaptureSet,
-    judge_stated: bool = False,
-    drawn: CaptureSet | None = None,
-    entries: tuple[Entry, ...] = ENTRIES,
-) -> Splits:
-    """The splits of a capture set, see `prepare` for what is judged and looked for."""
-    frames = split_recordings(capture)
-
-    def of(which: str) -> Prepared:
-        if which == "together":
-            return prepare(capture, all_frames(frames), judge_stated, drawn, entries=entries)
-        held = which == "held_back"
-        return prepare_split(capture, frames, judge_stated, drawn, held_back=held, entries=entries)
-
-    return Splits(frames, of)
 
 
 def prepare(

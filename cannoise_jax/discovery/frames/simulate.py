@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.discovery.frames.battery import split_recordings
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
+from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import baseline_at
 from cannoise_jax.recordings.packing import pack, unpack

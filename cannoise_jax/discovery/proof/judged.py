@@ -10,8 +10,9 @@ from pathlib import Path
 import jax
 from jaxtyping import Array, Key
 
-from cannoise_jax.discovery.frames.battery import Prepared, splits_of, stated_parameters
+from cannoise_jax.discovery.frames.battery import Prepared, stated_parameters
 from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
+from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
 from cannoise_jax.discovery.search.fit import Step, stepwise
 from cannoise_jax.mechanisms import ENTRIES

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.discovery.frames.battery import Splits
 from cannoise_jax.discovery.frames.blocks import bands, frame_blocks, leave_out
+from cannoise_jax.discovery.frames.splits import Splits
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.physics.transfer.estimate import Z90

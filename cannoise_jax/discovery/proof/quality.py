@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.draws import as_fields, draw_like, frames_at_once, spread_codes
+from cannoise_jax.discovery.proof.curves import Curves, curves
 from cannoise_jax.discovery.proof.heldout import Scored
 from cannoise_jax.discovery.proof.patch_network import SIDE
 from cannoise_jax.discovery.proof.prove import Proof, Proofs, frame_interval
@@ -25,37 +26,18 @@ from cannoise_jax.discovery.proof.twosample import Area, Pair, TwoSample, areas_
 from cannoise_jax.discovery.proof.twosample import Scored as TwoSampleScores
 from cannoise_jax.evaluation.kl import kl_divergence, kl_floor
 from cannoise_jax.physics.likelihood.composite import Profile, composite_score, profile, ruler
-from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields, frame_fields, stratum
-from cannoise_jax.signatures.line_sums import line_power
 
 _PIT_BINS = 20
 """Of the histogram of ranks: the first and the last hold 5 % each, where tails show."""
 _PIT_MOST = 40_000
 """Recorded pixels whose ranks are counted, of twice as many drawn ones: each bin is known to 2.7 %."""
-_LEVEL_BINS = 8
-"""Bins of like signal."""
 _LEARNED, _LEAST_LEARNED, _TIMES_SCORED = 400_000, 60_000, 30
 """Drawn pixels of each recording from which the composite score learns: so many times those that it scores,
 within these bounds. A score of n pixels is uncertain by some 0.7 / sqrt(n) nats a pixel; what is learned
 from N pixels for some 370 bins costs about 185 / N nats, a fifth of that or less."""
 _LEAST_USABLE = 0.05
 """Share of the pixels that must not lie at a rail for a recording to be compared."""
-
-
-class Curves(NamedTuple):
-    """What draws or recordings look like under the baseline.
-
-    row_spectrum, column_spectrum: mean power of the means of rows and columns by cycles per frame; white
-    noise: 1. covariance: correlation of a pixel with the one (dy, dx) away, `covariance.LAGS` in order.
-    signal, variance: DN and DN^2, points of the photon-transfer curve.
-    """
-
-    row_spectrum: Float[np.ndarray, "f"]
-    column_spectrum: Float[np.ndarray, "g"]
-    covariance: Float[np.ndarray, "l"]
-    signal: Float[np.ndarray, "p"]
-    variance: Float[np.ndarray, "p"]
 
 
 class Side(NamedTuple):
@@ -298,40 +280,3 @@ def _average(profiles: list[Profile]) -> Profile:
         np.mean([p.correlations for p in profiles], axis=0),
         np.mean([p.mean_squares for p in profiles], axis=0),
     )
-
-
-def curves(fields: tuple[Fields, ...]) -> Curves:
-    """Spectra, covariances and photon-transfer points of residual fields."""
-    spectra = {}
-    for axis in ("row", "column"):
-        size = fields[0].mean.shape[0 if axis == "row" else 1]
-        total, number = np.zeros(size // 2 + 1), 0
-        for f in fields:
-            if len(f.contrasts) and f.mean.shape == fields[0].mean.shape:
-                total += line_power(f, f.contrasts, axis)
-                number += len(f.contrasts)
-        spectra[axis] = total[1:] / max(number, 1)
-    score, information = lag_sums(fields, "white")
-    points = [point for f in fields for point in _levels(f)]
-    signal, variance = np.array(points).T if points else (np.zeros(0), np.zeros(0))
-    covariance = score / np.maximum(information, 1e-30)
-    assert covariance.size == len(LAGS)
-    return Curves(spectra["row"], spectra["column"], covariance, signal, variance)
-
-
-def _levels(field: Fields) -> list[tuple[float, float]]:
-    """Mean signal and mean temporal variance of pixels of like signal, DN."""
-    if not len(field.contrasts) or not field.usable.any():
-        return []
-    chosen = field.usable
-    signal = field.signal[chosen]
-    variance = (field.contrasts**2).mean(0)[chosen] * field.sigma[chosen] ** 2
-    if field.kind != "scene":
-        return [(float(signal.mean()), float(variance.mean()))]
-    edges = np.quantile(signal, np.linspace(0, 1, _LEVEL_BINS + 1)[1:-1])
-    which = np.searchsorted(edges, signal)
-    return [
-        (float(signal[which == b].mean()), float(variance[which == b].mean()))
-        for b in range(_LEVEL_BINS)
-        if (which == b).any()
-    ]

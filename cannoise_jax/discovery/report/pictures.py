@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cannoise_jax.discovery.proof.quality import Curves, Quality
+from cannoise_jax.discovery.proof.curves import Curves
+from cannoise_jax.discovery.proof.quality import Quality
 from cannoise_jax.signatures.covariance import LAGS
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.line_sums import line_sums

@@ -1,0 +1,100 @@
+"""Pixels that jump between two levels."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from cannoise_jax.signatures.added import as_map, placed
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.least import Law, Seen
+from cannoise_jax.signatures.pixels import READS, histogram, mask_noisy, noisy_map, sums_of_squares
+from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p
+from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.shape import darks
+from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Addition, Asked, Axes, Found, Signature
+from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
+
+_START = 0.005
+"""Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
+128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
+
+
+def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
+    """A small share of pixels with extra fluctuation of exponentially spread size."""
+    found = sums_of_squares(fields)
+    if found is None:
+        return None
+    squares, n = found
+    counts, centre = histogram(squares)
+    best, at, share = 0.0, 1.0, 0.0
+    ratios = []
+    for mean in MEAN_JUMPS:
+        mixed = jump_log_ratio(centre, n, mean)
+        if mean in FAR_JUMPS:
+            ratios.append(mixed)
+        f = _START
+        for _ in range(40):
+            responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
+            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
+        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
+        if gain > best:
+            best, at, share = gain, float(mean), f
+    number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
+    log_p = sparse_log_p(counts, ratios)
+    sigma = float(np.mean([np.median(f.sigma) for f in darks(fields)]))
+    amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
+    error = amplitude / np.sqrt(max(share * squares.size, 1.0))
+    shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
+    return Score(
+        log_p=max(log_p, -700.0),
+        gain=best,
+        penalty=float(np.log(squares.size)),
+        amplitude=float(amplitude),
+        error=float(error),
+        shift=float(shift),
+        power=2,
+        parameters={
+            "fraction": (share, "1", float(np.sqrt(share / squares.size))),
+            "jump": (at * sigma, "DN", at * sigma / np.sqrt(max(share * squares.size, 1.0))),
+        },
+        where={"axis": "pixel", "pixels": number},
+    )
+
+
+def jumping(*, name: str, covers: tuple[str, ...]) -> Signature:
+    """A few pixels that jump between levels."""
+
+    def simulate(found: Found) -> Addition:
+        jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
+        sites = {} if found.pattern is None else {"sites": as_map(found.pattern / (jump / 2))}
+        return Addition({"jump_dn": jump, "fraction": share, "rate": 0.5}, sites)
+
+    def detectable(asked: Asked, score: Score, mechanism: str) -> float:
+        frames: dict[int, int] = {}
+        for f in (f for fields in asked.looks for f in darks(fields)):
+            frames[f.number] = frames.get(f.number, 0) + f.frames
+        seen = darks(asked.looks[0])
+        sigma = float(np.mean([np.median(f.sigma) for f in seen])) if seen else 0.0
+        return telegraph_found(tuple(frames.values()), sigma, asked.looks[0][0].mean.size, asked.own_log_p)
+
+    def least(sets: tuple[Seen, ...]) -> Law:
+        frames = [(float(np.sqrt(np.mean(s.weight**2))), round(s.fresh)) for s in sets]
+        return lambda shift: telegraph_amplitude(frames, sets[0].weight.size, shift)
+
+    return Signature(
+        name=name,
+        axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
+        reads=READS,
+        score=telegraph_score,
+        absorb=mask_noisy,
+        covers=covers,
+        rare=True,
+        predict=NO_LAW,
+        pattern=lambda fields, score, rng: noisy_map(fields, score.parameters["fraction"][0]),
+        simulate=simulate,
+        place=placed(BLINKING),
+        detectable=detectable,
+        decides=True,
+        least=least,
+    )
