@@ -78,7 +78,7 @@ def name(
     best: dict[str, str] = {}
     for which, score in significant.items():
         signature = by_name[which]
-        lifted = sum(significant[other].evidence for other in signature.lifted_by if other in significant)
+        lifted = sum(other.evidence for n, other in significant.items() if n in signature.lifted_by)
         for mechanism, value in _readings(score, signature, located, allowed):
             value += lifted - (UNNAMED_NATS if mechanism == UNKNOWN else 0.0)
             if mechanism not in best or value > evidence[mechanism]:
