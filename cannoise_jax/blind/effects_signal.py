@@ -9,9 +9,9 @@ from cannoise_jax.blind.chain import Context, Effect, tile
 from cannoise_jax.recordings.recording import DARK
 
 
-def _multiply(mechanism: str, amplitude: float, field, stage: str = "photons") -> Effect:
+def _multiply(mechanism: str, amplitude: float, field) -> Effect:
     """values * (1 + amplitude * field(context)); `field` has unit rms: the amplitude is an rms fraction."""
-    return Effect(mechanism, amplitude, stage, lambda x, c: x * (1 + amplitude * field(c)))
+    return Effect(mechanism, amplitude, "photons", lambda x, c: x * (1 + amplitude * field(c)))
 
 
 def _unit(values: np.ndarray) -> np.ndarray:

@@ -88,11 +88,10 @@ def compare_means(
     recorded: Float[np.ndarray, "u k"],
     simulated: Float[np.ndarray, "m v k"],
     variance: Float[np.ndarray, "k"],
-    extra: Float[np.ndarray, "k"] | float = 0.0,
 ) -> Judged:
     """Means by a moderated t law (G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3(1), 2004, article 3): the
     scatter of a statistic over the simulator's units, drawn towards what the family shows of `variance`, the
-    closed form of a unit under white noise. extra: variance of the recorded mean beyond that."""
+    closed form of a unit under white noise."""
     a, b = recorded.mean(0), simulated.mean((0, 1))
     m, u, _ = simulated.shape
     each, between, dof = _spread(simulated, variance)
@@ -101,7 +100,7 @@ def compare_means(
         each = (_PRIOR * family * variance + dof * each) / (_PRIOR + dof)
     else:
         each = variance
-    error = np.sqrt(each * between * (1 / len(recorded) + 1 / (m * u)) + extra)
+    error = np.sqrt(each * between * (1 / len(recorded) + 1 / (m * u)))
     t = (a - b) / np.maximum(error, 1e-12)
     law = _PRIOR + dof
     return Judged(a, b, _normal(stats.t.sf(t, law), stats.t.cdf(t, law), np.sign(t) * np.minimum(abs(t), 38)))

@@ -95,13 +95,13 @@ def amplitude_name(point: Point) -> str:
     return f"{kind}_e" if point.acts_on == "mean" else f"{kind}_dn"
 
 
-def point_parameters(point: Point, default: float, low: float = 0.0, high: float | None = None):
+def point_parameters(point: Point, default: float) -> tuple[Parameter, ...]:
     """The parameters that a point of the grammar needs, strength first."""
     unit = {"_e": "e-", "dn": "DN"}.get(amplitude_name(point)[-2:], "1")
-    top = (1e4 if point.combine == "add" else 1.0) if high is None else high
+    top = 1e4 if point.combine == "add" else 1.0
     what = "peak" if point.spectrum == "sinusoid" else "rms"
     strength = "of the field" if point.combine == "add" else "as a fraction of the signal"
-    found = [Parameter(amplitude_name(point), unit, default, low, top, f"{what} {strength}")]
+    found = [Parameter(amplitude_name(point), unit, default, 0.0, top, f"{what} {strength}")]
     if point.spectrum == "power_law":
         found.append(Parameter("exponent", "1", 1.0, 0.0, 2.0, "power falls as 1/f^exponent"))
     if point.spectrum == "sinusoid":
