@@ -12,6 +12,7 @@ from scipy import fft
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, map_contrasts
+from cannoise_jax.signatures.lag_sums import DARK_TOO, LAGS, REACH, lag_sums, pair_weight
 from cannoise_jax.signatures.least import Law, Least, Seen, pooled
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
@@ -28,14 +29,11 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
-_REACH = 5
-"""Rows and columns from which on neighbours are not looked at."""
-LAGS = tuple((dy, dx) for dy in range(_REACH) for dx in range(1 - _REACH, _REACH) if dy > 0 or dx > 0)
 Lag = tuple[int, int]
+
+
 _LEAST_POWER = 0.05
 """Power, of that of white noise, that a spectrum with measured correlations is taken to have at least."""
-_DARK_TOO = ("white", "read")
-"""Shares of the noise that darks have as well: all of it, or the read noise."""
 
 
 class Template(NamedTuple):
@@ -80,53 +78,6 @@ class Correlated(NamedTuple):
 
     lags: tuple[Lag, ...]
     law: str
-
-
-_ROUNDING = 1e-6
-"""Of sums over pixels by Fourier transforms, as a share of the sum of squares: sixty times what weights on
-one pixel in eighty leave where no pair is that far apart."""
-
-
-def pair_weight(field: Fields, law: str) -> np.ndarray:
-    """Square root of the weight of a pair: 1, the share of read noise or of shot noise, or the latter times
-    the electrons."""
-    if law == "white":
-        return field.usable.astype(np.float32)
-    if law == "read":
-        return (np.sqrt(np.clip(1 - field.shot, 0, 1)) * field.usable).astype(np.float32)
-    share = np.sqrt(np.clip(field.shot, 0, 1)) * field.usable
-    if law == "shot":
-        return share.astype(np.float32)
-    electrons = field.signal / np.maximum(np.mean(field.gain), 1e-9)
-    return (share * np.sqrt(electrons / 1e4)).astype(np.float32)
-
-
-def lag_sums(fields: tuple[Fields, ...], law: str) -> tuple[np.ndarray, np.ndarray]:
-    """Per lag: U = sum of weighted products of neighbours, and its null variance I."""
-    score, information = np.zeros(len(LAGS)), np.zeros(len(LAGS))
-    rounding = 0.0
-    for f in fields:
-        if not len(f.contrasts) or not (f.lit or law in _DARK_TOO):
-            continue
-        g = pair_weight(f, law)
-        # Row and column offsets are mechanisms of their own: they are taken out, and what that does to the
-        # covariance of white noise is known exactly.
-        c = f.contrasts
-        c = c - c.mean(1, keepdims=True) - c.mean(2, keepdims=True) + c.mean((1, 2), keepdims=True)
-        x = c * g
-        h, w = f.mean.shape
-        shape = (fft.next_fast_len(h + 5), fft.next_fast_len(w + 5))
-        power = sum(np.abs(fft.rfft2(v, shape)) ** 2 for v in x)
-        auto = fft.irfft2(power, shape)
-        squares = fft.irfft2(np.abs(fft.rfft2(g**2, shape)) ** 2, shape) * len(x)
-        pairs = fft.irfft2(np.abs(fft.rfft2(g, shape)) ** 2, shape) * len(x)
-        for k, (dy, dx) in enumerate(LAGS):
-            bias = 1 / (h * w) - (1 / w if dy == 0 else 0.0) - (1 / h if dx == 0 else 0.0)
-            score[k] += auto[dy, dx] - bias * pairs[dy, dx]
-            information[k] += squares[dy, dx]
-        rounding += _ROUNDING * squares[0, 0]
-    known = information > rounding  # else no pair is that far apart, and the transforms leave their rounding
-    return np.where(known, score, 0.0), np.where(known, information, 0.0)
 
 
 def template_score(fields: tuple[Fields, ...], *, law: str, template: Template) -> Score[Correlated] | None:
@@ -212,7 +163,7 @@ def _likelihood_gain(correlations: np.ndarray, pairs: float) -> float:
     """
     spectrum = 1 + _spectrum(LAGS, correlations)
     if spectrum.min() < _LEAST_POWER:
-        taper = [(1 - abs(dy) / _REACH) * (1 - abs(dx) / _REACH) for dy, dx in LAGS]
+        taper = [(1 - abs(dy) / REACH) * (1 - abs(dx) / REACH) for dy, dx in LAGS]
         spectrum = np.maximum(1 + _spectrum(LAGS, correlations * np.array(taper)), _LEAST_POWER)
     return 0.5 * pairs * float(np.mean(spectrum - 1 - np.log(spectrum)))
 
@@ -233,7 +184,7 @@ def absorb(fields: tuple[Fields, ...], score: Score[Correlated]) -> tuple[Fields
     used = np.abs(u) > 2.0 * np.sqrt(np.maximum(i, 1e-30))
     used |= np.array([lag in score.payload.lags for lag in LAGS])
     rho = np.where(used, rho, 0.0)
-    return tuple(_whiten(f, rho, law) if f.lit or law in _DARK_TOO else f for f in fields)
+    return tuple(_whiten(f, rho, law) if f.lit or law in DARK_TOO else f for f in fields)
 
 
 def _whiten(field: Fields, rho: np.ndarray, law: str) -> Fields:

@@ -7,18 +7,14 @@ from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, without_pixels
+from cannoise_jax.signatures.known_shape import darks, known_kurtosis, kurtosis_doubt
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     grows,
 )
 from cannoise_jax.signatures.score import Score, skewed_log_p
-from cannoise_jax.signatures.shape import (
-    darks,
-    known_kurtosis,
-    kurtosis_doubt,
-    parabola_peak,
-)
+from cannoise_jax.signatures.shape import parabola_peak
 from cannoise_jax.signatures.signature import (
     BLINKING,
     BY_SHIFT,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.signatures import shape
+from cannoise_jax.signatures import known_shape, shape
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import white
 
@@ -40,7 +40,7 @@ def test_poisson_kurtosis_of_a_dark_is_known_as_well_as_its_level():
         low, high = (shape.kurtosis_score((dark,), tails=t).log_p for t in (1, -1))
         z.append(min(low, high))
     assert min(z) > np.log(1e-4)
-    assert shape.kurtosis_doubt(dark) > 0.05
+    assert known_shape.kurtosis_doubt(dark) > 0.05
 
 
 def test_light_tails_are_no_heavy_ones():

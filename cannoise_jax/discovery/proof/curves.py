@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.lag_sums import LAGS, lag_sums
 from cannoise_jax.signatures.line_sums import line_power
 
 _LEVEL_BINS = 8
@@ -19,7 +19,7 @@ class Curves(NamedTuple):
     """What draws or recordings look like under the baseline.
 
     row_spectrum, column_spectrum: mean power of the means of rows and columns by cycles per frame; white
-    noise: 1. covariance: correlation of a pixel with the one (dy, dx) away, `covariance.LAGS` in order.
+    noise: 1. covariance: correlation of a pixel with the one (dy, dx) away, `lag_sums.LAGS` in order.
     signal, variance: DN and DN^2, points of the photon-transfer curve.
     """
 

@@ -17,8 +17,8 @@ import numpy as np
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.physics.likelihood.whittle import whittle
-from cannoise_jax.signatures.covariance import LAGS, lag_sums
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.lag_sums import LAGS, lag_sums
 from cannoise_jax.signatures.line_sums import line_power
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature

@@ -15,8 +15,8 @@ import numpy as np
 
 from cannoise_jax.discovery.proof.curves import Curves
 from cannoise_jax.discovery.proof.quality import Quality
-from cannoise_jax.signatures.covariance import LAGS
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.lag_sums import LAGS
 from cannoise_jax.signatures.line_sums import line_sums
 
 _INCHES = (3.9, 2.8)

@@ -19,8 +19,8 @@ import numpy as np
 from cannoise_jax.discovery.frames.battery import Prepared, prepare
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.known_shape import known_kurtosis
 from cannoise_jax.signatures.least import Seen
-from cannoise_jax.signatures.shape import known_kurtosis
 from cannoise_jax.signatures.signature import NO_STRENGTH, Signature
 
 
