@@ -24,6 +24,7 @@ from cannoise_jax.signatures.least import (
     sinusoid,
 )
 from cannoise_jax.signatures.line_sums import line_sums
+from cannoise_jax.signatures.phasors import orthonormal, projected_out, rician_fit, without
 from cannoise_jax.signatures.score import Score, sidak, variance_component
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -36,7 +37,7 @@ from cannoise_jax.signatures.signature import (
     Found,
     Signature,
 )
-from cannoise_jax.signatures.waves import orthonormal, projected_out, redrawn, rician_fit, without
+from cannoise_jax.signatures.waves import redrawn
 
 _NEARLY = 0.1
 """Share of what rows share beyond chance that may be left for a sinusoid to explain nearly all of it."""

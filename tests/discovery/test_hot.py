@@ -9,13 +9,8 @@ from scipy import integrate, stats
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import name
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.hot import (
-    Heat,
-    heat_again,
-    hot_score,
-    known_heat,
-    mask_hot,
-)
+from cannoise_jax.signatures.heat import Heat, known_heat
+from cannoise_jax.signatures.hot import heat_again, hot_score, mask_hot
 from cannoise_jax.signatures.rare import hot_log_p, level_counts, log_mixture, spread_of
 from cannoise_jax.signatures.score import Score
 from tests.discovery.looks import SIGNATURES

@@ -8,9 +8,9 @@ from scipy import stats
 
 from cannoise_jax.signatures.group_sums import Pixels, by_own_noise
 from cannoise_jax.signatures.known_shape import rounding_kurtosis
+from cannoise_jax.signatures.phasors import orthonormal
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.score import normal_log_p, skewed_log_p
-from cannoise_jax.signatures.waves import orthonormal
 
 
 @pytest.mark.parametrize("width", [0.45, 0.6, 0.8, 2.0])

@@ -1,0 +1,86 @@
+"""The heat of pixels: its law, and what darks tell of each."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.patterns import pixel_sums
+from cannoise_jax.signatures.rare import log_ratio_of
+
+MOST_SHARE = 0.5
+"""Most pixels that may be hot: more are the rule, and no outliers."""
+
+
+class Heat(NamedTuple):
+    """Law of the heat of a pixel: exponential of this mean, DN or ('exposure') DN per second, in a share of
+    the pixels, none in the others. spread: standard deviation of the levels of those others, in units of the
+    noise, where every pixel has a level of its own; else 1."""
+
+    share: float
+    mean: float
+    scaling: str
+    spread: float = 1.0
+
+    @property
+    def beside_map(self) -> bool:
+        """Whether the other pixels have levels far beyond the noise too, a pattern that is found after."""
+        return self.spread > 1
+
+
+class Known(NamedTuple):
+    """What is known of the heat of every pixel: the chance that it is hot, and mean and variance of its heat
+    if it is, `[H, W]`."""
+
+    chance: np.ndarray
+    centre: np.ndarray
+    shape: np.ndarray
+    unit: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Expected heat."""
+        return self.chance * self.unit * (self.centre + self.shape)
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Variance of the heat."""
+        return np.maximum(self.power(2) - self.mean**2, 0.0)
+
+    def power(self, k: int) -> np.ndarray:
+        """Expected square (2) or, of a normal law, fourth power (4) of the heat."""
+        inner = np.maximum(1 - self.shape * (self.shape + self.centre), 0.0)
+        middle = (self.centre + self.shape) ** 2
+        moment = middle + inner if k == 2 else middle**2 + 6 * middle * inner + 3 * inner**2
+        return self.chance * self.unit**k * moment
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Heat of every pixel, drawn from what is known."""
+        hot = rng.random(self.chance.shape) < self.chance
+        heat = stats.truncnorm.rvs(-self.centre[hot], np.inf, self.centre[hot], 1.0, random_state=rng)
+        out = np.zeros(self.chance.shape)
+        out[hot] = heat * self.unit[hot]
+        return out
+
+
+def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
+    """What the darks tell of the heat of every pixel: of a normal value with an exponential mean, the mean is
+    a normal one cut off at zero. Beside a map a pixel is either hot or one of the map."""
+    sums = pixel_sums(fields, heat.scaling, DARK)
+    if sums is None:
+        return None
+    root = np.sqrt(sums.information) / heat.spread
+    seen = root > 0
+    safe = np.where(seen, root, 1.0)
+    u, mean = sums.score / safe / heat.spread**2, heat.mean * safe
+    ratio = np.where(seen, log_ratio_of(u, mean), 0.0)
+    log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, MOST_SHARE)) + ratio
+    centre = np.where(seen, u - 1 / mean, -1 / mean)
+    # Mean of a standard normal above -centre: the inverse of Mills' ratio.
+    shape = np.exp(stats.norm.logpdf(centre) - stats.norm.logcdf(centre))
+    chance = np.where(seen, special.expit(log_odds), 0.0)
+    return Known(np.round(chance) if heat.beside_map else chance, centre, shape, 1 / safe)
