@@ -233,7 +233,8 @@ ENTRIES: tuple[Entry, ...] = (
         RTS,
         needs="three dark frames or more; a hundred show the two levels",
         signatures=looks.always(
-            looks.telegraph.jumping(name="telegraph", covers=looks.NOISY),
+            looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
+                                    fixed="hot_additive", growing="hot_thermal"),
         ),
         estimator=Estimator(noise.rts, law="telegraph", loud=noise.telegraph_sites,
                             maps=measured.telegraph),

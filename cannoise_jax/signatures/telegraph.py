@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy import stats
 
@@ -62,8 +64,21 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def jumping(*, name: str, covers: tuple[str, ...]) -> Signature:
-    """A few pixels that jump between levels."""
+_OWN = 0.3
+"""Evidence of jumps over that of fixed offsets, from which on both are of the same pixels: those that
+jump are off in the mean too. It is half for jumps of 3 to 9 standard deviations, none for fixed offsets."""
+
+
+def jumping(*, name: str, mechanism: str, covers: tuple[str, ...], fixed: str, growing: str) -> Signature:
+    """A few pixels that jump between levels. fixed, growing: signatures of pixels that stand out in the mean,
+    whatever the exposure and with it; the evidence of the first is of the jumps too, where they are enough to
+    make it."""
+
+    def readings(score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
+        off = scores[fixed].evidence if fixed in scores else 0.0
+        warm = scores[growing].evidence if growing in scores else 0.0
+        same = off > warm and score.evidence > _OWN * off
+        return ((mechanism, score.evidence + (max(off, 0.0) if same else 0.0)),)
 
     def simulate(found: Found) -> Addition:
         jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
@@ -95,6 +110,7 @@ def jumping(*, name: str, covers: tuple[str, ...]) -> Signature:
         simulate=simulate,
         place=placed(BLINKING),
         detectable=detectable,
+        readings=readings,
         decides=True,
         least=least,
     )

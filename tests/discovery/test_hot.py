@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import name
 from cannoise_jax.signatures.fields import Fields
@@ -13,6 +15,7 @@ from cannoise_jax.signatures.heat import Heat, known_heat
 from cannoise_jax.signatures.hot import heat_again, hot_score, mask_hot
 from cannoise_jax.signatures.rare import hot_log_p, level_counts, log_mixture, spread_of
 from cannoise_jax.signatures.score import Score
+from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES
 
 SIZE = (96, 128)
@@ -182,3 +185,24 @@ def judged_first(strongest, second, hot):
     found = name(located, tuple(SIGNATURES[n] for n in scores), frozenset(), -5.0)
     assert found is not None
     return found.signature.name
+
+
+@pytest.mark.parametrize("jumping", [True, False])
+def test_pixels_that_jump_are_off_in_the_mean_too(jumping):
+    """Of the same pixels, jumps and offsets are one finding, of jumps; offsets without jumps stay offsets."""
+
+    def alter(rng):
+        chosen = rng.random((96, 128)) < 0.006
+        size = 4.5 * rng.uniform(3, 9, chosen.shape) * chosen
+        return lambda dn, signal, kind, t: dn + size * (rng.random(dn.shape) < 0.5 if jumping else 1)
+
+    capture = capture_set(5, alter, kinds="d", frames=10)
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    scores = {s.name: score for s in prepared.signatures if (score := s.score(prepared.fields)) is not None}
+    read = {
+        s.name: s.read_as(scores[s.name], scores)[0]
+        for s in prepared.signatures
+        if s.name in ("telegraph", "hot_additive")
+    }
+    assert (read["telegraph"][1] > read["hot_additive"][1]) == jumping
+    assert read["telegraph"][0] == "rts"

@@ -130,6 +130,7 @@ def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any
     out = [
         {
             "name": _name(f["mechanism"]),
+            "what": _place(f),
             "anchor": f"finding-{n + 1}",
             "size": size(f["mechanism"], f["amplitude"]["value"], f["amplitude"]["unit"]),
             "sign": f["sign"],
@@ -157,6 +158,15 @@ def _counted(findings: list[dict[str, Any]]) -> str:
 
 def _name(id: str) -> str:
     return "a structure without a name" if id == UNKNOWN else id.replace("_", " ")
+
+
+def _place(finding: dict[str, Any]) -> str:
+    """Of a structure without a name, where it lives and what comes nearest; of others their name says it."""
+    if finding["mechanism"] != UNKNOWN:
+        return ""
+    place = finding["sentence"].partition(", ")[2].partition(" (law:")[0]
+    nearest = (finding.get("card") or {}).get("nearest")
+    return f"{place}; nearest: {_name(nearest)}" if nearest else place
 
 
 def advice(report: dict[str, Any]) -> list[tuple[str, str]]:
