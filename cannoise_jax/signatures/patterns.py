@@ -17,7 +17,7 @@ from cannoise_jax.signatures.least import (
     random_offsets,
 )
 from cannoise_jax.signatures.line_sums import component_score
-from cannoise_jax.signatures.reference import drop_scenes, white_error
+from cannoise_jax.signatures.off_reference import drop_scenes, white_error
 from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (

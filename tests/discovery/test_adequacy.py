@@ -22,7 +22,8 @@ from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.signatures.reference import near_filter, reference_score
+from cannoise_jax.signatures.off_reference import near_filter
+from cannoise_jax.signatures.reference import reference_score
 from tests.discovery.capture import capture_set, row_offsets
 
 KEY = jax.random.key(5)
