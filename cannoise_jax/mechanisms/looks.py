@@ -41,42 +41,6 @@ from cannoise_jax.signatures import (
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.signature import COVERS_NOTHING, Signature
 
-__all__ = [
-    "COVERS_NOTHING",
-    "codes",
-    "covariance",
-    "curve",
-    "dark_noise",
-    "flicker",
-    "glow",
-    "groups",
-    "hot",
-    "levels",
-    "light",
-    "lines",
-    "means",
-    "patterns",
-    "pixels",
-    "reference",
-    "shape",
-    "spectra",
-    "taps",
-    "telegraph",
-    "code_spacing",
-    "curvature",
-    "defects",
-    "peaks",
-    "random_gain",
-    "events",
-    "gain_curve",
-    "lattice",
-    "memory",
-    "motion",
-    "smear",
-    "warm",
-    "waves",
-]
-
 SCALES = ("reference_scale", "description_scale")
 """Signatures of the levels of light, which what a frame or its colours share scatters."""
 DARK_LEVELS = ("black_channels", "black_level", "greens", "stated_read")
