@@ -31,6 +31,7 @@ from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_expo
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
+from cannoise_jax.physics.transfer.table import aligned, format_outcome
 from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers, per_channel
 
 Verdict = Literal[
@@ -205,8 +206,6 @@ def _exposures(statistics: Sequence[FrameStatistics]) -> dict[str, float]:
 
 def format_findings(findings: Sequence[Finding]) -> str:
     """Plain text: one line per parameter, then what could not be measured."""
-    from cannoise_jax.physics.transfer.table import aligned, format_outcome
-
     lines = [["mechanism", "parameter", "unit", "value [90 % interval]", ""]]
     missing: dict[str, list[str]] = {}
     for f in findings:
