@@ -60,6 +60,7 @@ def _run(arguments, argv: list[str]) -> None:
 
     paths = arguments.model or ([arguments.workdir] if (arguments.workdir / MODEL_FILE).is_file() else [])
     models = [load_model(path) for path in paths]
+    also = {name: [load_model(p) for p in runs] for name, runs in arguments.also}
     ablations = {name: [load_model(p) for p in runs] for name, runs in arguments.ablation}
     fitted = {name: _sensor_files(path, virtual_cameras(arguments.ratio)) for name, path in arguments.sensors}
     known = [*BASELINES, *fitted, *(["noise_flow"] if "noise" in chosen and arguments.flow_steps else [])]
@@ -80,8 +81,9 @@ def _run(arguments, argv: list[str]) -> None:
     draws = {n: d for n, d in draws.items() if not arguments.noise or n in needed | set(arguments.noise)}
     beyond = beyond_bench(arguments.scenes, arguments.per_scene) if "iso" in chosen else None
     request = Request(
-        bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, beyond, tell
-    )
+        bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, also,
+        beyond, tell,
+    )  # fmt: skip
     for name in chosen:
         started = time.monotonic()
         tell(f"suite {name}")
@@ -210,6 +212,8 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--ablation", type=_named, action="append", default=[], metavar="NAME=RUN,...", help="may be repeated"
     )
+    add("--also", type=_named, action="append", default=[], metavar="NAME=RUN,...",
+        help="more trained models among the noise models, as on a sensor; may be repeated")  # fmt: skip
     add("--sensors", type=_sensor_folder, action="append", default=[], metavar="NAME=FOLDER",
         help="camera models as calibrated=DIR or discovered=DIR, one CAMERA.json each")  # fmt: skip
     add("--noise", type=lambda t: t.split(","), default=[], metavar="NAME,...", help="only these baselines")

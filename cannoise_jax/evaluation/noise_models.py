@@ -31,7 +31,7 @@ from cannoise_jax.physics.synthetic.virtual import (
     virtual_patches,
 )
 from cannoise_jax.recordings.packing import pack, unpack
-from cannoise_jax.sampling import Model, sample_noise
+from cannoise_jax.sampling import Model, of_camera, sample_noise
 
 Draw = Callable[[Any, Int[np.ndarray, "n k"]], Float[np.ndarray, "n h w 4"]]
 
@@ -269,20 +269,29 @@ def sensors(bench: Bench, models: Mapping[str, SensorModel]) -> Draw:
 
 def learned(bench: Bench, model: Model, batch: int = 16, given: Any = None) -> Draw:
     """A trained model by its public call: shown the references, told nothing else, unless it was trained with
-    levels that are handed over: then the published ones. given: levels `(shot, read)`, `[n, 4]` each."""
+    levels that are handed over: then the published ones. given: levels `(shot, read)`, `[n, 4]` each. Of a
+    model with a sensor for each camera every patch gets that of its own."""
     told = given if given is not None else (bench.test.shot, bench.test.read)
     hand_over = given is not None or getattr(model, "level", "both") == "given"
+    parts = [(model, np.arange(bench.size))]
+    if len(getattr(model, "sensors", ())) > 1:
+        camera = np.asarray(bench.test.camera)
+        parts = [
+            (of_camera(model, own.name), np.flatnonzero(camera == c)) for c, own in enumerate(bench.cameras)
+        ]
 
     def draw(key, references):
         clean, noisy = bench.test.clean, bench.test.noisy
-        made = []
-        for start in range(0, bench.size, batch):
-            index = np.minimum(np.arange(start, start + batch), bench.size - 1)
-            keys = jax.random.split(jax.random.fold_in(key, start), batch)
-            nlf = (told[0][index], told[1][index]) if hand_over else None
-            noise = _sample(model, keys, clean[index], noisy[references[index]], nlf)
-            made.append(clipped_noise(np.asarray(noise), clean[index])[: bench.size - start])
-        return np.concatenate(made)
+        made = np.empty_like(clean)
+        for own, members in parts:
+            for start in range(0, len(members), batch):
+                index = members[np.minimum(np.arange(start, start + batch), len(members) - 1)]
+                keys = jax.random.split(jax.random.fold_in(key, int(members[start])), batch)
+                nlf = (told[0][index], told[1][index]) if hand_over else None
+                noise = np.asarray(_sample(own, keys, clean[index], noisy[references[index]], nlf))
+                count = min(batch, len(members) - start)  # the last batch is filled up with its last patch
+                made[index[:count]] = clipped_noise(noise[:count], clean[index[:count]])
+        return made
 
     return draw
 

@@ -53,8 +53,8 @@ class Request:
     """What the suites are run on. models: of each seed of training one. draws: noise models by name.
 
     area: (samples, group, scene, seed) -> area under the curve of a two-sample test, as
-    `discovery.patch_area.two_sample_area` gives it; None: not run. beyond: patches of cameras outside the
-    prior of training.
+    `discovery.patch_area.two_sample_area` gives it; None: not run. also: more trained models by name, for
+    the table of noise models. beyond: patches of cameras outside the prior of training.
     """
 
     bench: Bench
@@ -64,6 +64,7 @@ class Request:
     references: int = 8
     ablations: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     area: Callable[..., float | None] | None = None
+    also: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     beyond: Bench | None = None
     tell: Callable[[str], None] = lambda text: None
 
@@ -177,6 +178,8 @@ def noise_suite(request: Request) -> Outcome:
     made = {name: drawn(request, name, [d]) for name, d in request.draws.items() if name != "truth"}
     if request.models:
         made["model"] = drawn(request, "model", [learned(bench, m) for m in request.models])
+    for name, models in request.also.items():
+        made[name] = drawn(request, f"model {name}", [learned(bench, m) for m in models])
     rows: dict[str, dict[str, Any]] = {}
     cameras: dict[str, dict[str, Any]] = {}
     for name, d in {**made, "truth": truth}.items():

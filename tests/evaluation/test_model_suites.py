@@ -6,12 +6,22 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from cannoise_jax.evaluation.beyond import BEYOND, beyond_bench
-from cannoise_jax.evaluation.noise_models import baselines, make_bench
-from cannoise_jax.evaluation.suites import Request, ablation_suite, cameras_suite, encoder_suite, iso_suite
+from cannoise_jax.evaluation.noise_models import baselines, learned, make_bench, references_of
+from cannoise_jax.evaluation.suites import (
+    Request,
+    ablation_suite,
+    cameras_suite,
+    encoder_suite,
+    iso_suite,
+    kl_by_unit,
+    noise_suite,
+)
 from cannoise_jax.networks import Encoder, Generator
+from cannoise_jax.physics.core.settings import baseline_at
 from cannoise_jax.sampling import make_model
 
 
@@ -74,3 +84,31 @@ def test_levels_beyond_the_prior_are_those_of_the_estimate_without_learning(requ
         for count in ("1 reference", "2 references"):
             ratio = row[f"model, {count}"].value / row[f"pg_estimated, {count}"].value
             assert ratio == pytest.approx(1, abs=0.06)
+
+
+def test_more_trained_models_stand_among_the_noise_models_each_camera_on_its_own_sensor(request_):
+    """A generator that learned nothing, on the true sensors, is nearly the truth where the gain is told."""
+    bench = request_.bench
+    own = dataclasses.replace(
+        request_.models[0], sensors=tuple(c.sensor for c in bench.cameras), initial_noise="sensor",
+        exposure_s=0.01,
+    )  # fmt: skip
+    draws = {name: request_.draws[name] for name in ("truth", "pg")}
+    outcome = noise_suite(dataclasses.replace(request_, draws=draws, seeds=1, also={"on the sensor": (own,)}))
+    assert set(outcome.tables[0]["rows"]) == {"truth", "pg", "model", "on the sensor"}
+    assert [f["kind"] for f in outcome.figures] == ["bars", "image", "image"]
+    shot = []
+    for c, iso in zip(bench.test.camera, bench.test.iso, strict=True):
+        camera = bench.cameras[int(c)]
+        gain, _ = baseline_at(camera.sensor, float(iso))
+        shot.append(np.full(4, np.mean(gain) / (camera.white_level - camera.black_level), np.float32))
+    references = references_of(bench, 1, 0)
+    told = (np.stack(shot), np.zeros((bench.size, 4), np.float32))
+    made = learned(bench, own, given=told)(jax.random.key(0), references)
+    kl = {
+        name: kl_by_unit(bench, [noise]).mean()
+        for name, noise in (
+            ("own", made), *((n, draws[n](jax.random.key(1), references)) for n in ("truth", "pg"))
+        )
+    }  # fmt: skip
+    assert kl["own"] - kl["truth"] < 0.2 * (kl["pg"] - kl["truth"])
