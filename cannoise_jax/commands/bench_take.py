@@ -102,7 +102,8 @@ def _suite(content: dict[str, Any]) -> _Parts:
 
 def _denoising(content: dict[str, Any]) -> _Parts:
     """A row for every exposure and noise model, the worst first; its values are named
-    EXPOSURE_s_NOISE_psnr, _gain (over Poisson-Gaussian noise) and _ssim."""
+    EXPOSURE_s_NOISE_psnr, _gain (over Poisson-Gaussian noise), _ssim, _gap (the share of the way to real
+    darks) and _over_OTHER (the one before in the expected order)."""
     rows, notes = [], []
     values: dict[str, str] = {}
     for exposure, result in content["exposures_s"].items():
@@ -115,6 +116,11 @@ def _denoising(content: dict[str, Any]) -> _Parts:
             }
             rows.append((f"{exposure} s", noise.replace("_", " "), *shown.values()))
             values |= {_identifier(f"{exposure} s {noise} {name}"): text for name, text in shown.items()}
+            if "gap_closed" in row:
+                values[_identifier(f"{exposure} s {noise} gap")] = f"{row['gap_closed']:.0%}"
+        for step in result.get("psnr_db_order", ()):
+            found = _between(step["difference"], 2, "+")
+            values[_identifier(f"{exposure} s {step['upper']} over {step['lower']}")] = found
         notes.append(
             f"{exposure} s: {result['seeds']} seeds, {result['steps']} steps, {result['scenes']} test scenes "
             f"on {result['test_frames']} dark frames held back; noisy {result['noisy']['psnr_db']:.2f} dB."

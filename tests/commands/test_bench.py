@@ -105,7 +105,9 @@ def test_a_test_of_denoisers_is_taken_with_its_gains_and_intervals(tmp_path):
 
     result = {
         "seeds": 2, "steps": 30, "scenes": 4, "test_frames": 3, "noisy": {"psnr_db": 20.0},
-        "psnr_db": {"real_darks": {**of(31.0), "over_pg": gain}, "pg": {"mean": interval}},
+        "psnr_db": {"real_darks": {**of(31.0), "over_pg": gain, "gap_closed": 0.914},
+                    "pg": {"mean": interval}},
+        "psnr_db_order": [{"lower": "pg", "upper": "real_darks", "difference": gain, "outcome": "above"}],
         "ssim": {"real_darks": of(0.9), "pg": of(0.8)},
     }  # fmt: skip
     content = {
@@ -120,6 +122,8 @@ def test_a_test_of_denoisers_is_taken_with_its_gains_and_intervals(tmp_path):
     assert [row[:2] for row in taken.rows] == [("10 s", "pg"), ("10 s", "real darks")]
     assert taken.rows[0][3] == "–" and taken.rows[1][3] == "+0.50 (-0.12 to +1.00)"
     assert taken.values["10_s_pg_psnr"] == "30.13 (30.00 to 30.25)"
+    assert taken.values["10_s_real_darks_over_pg"] == "+0.50 (-0.12 to +1.00)"
+    assert taken.values["10_s_real_darks_gap"] == "91%"
     assert "cannoise_jax/training" in taken.code["paths"] and len(taken.notes) == 2
 
 
