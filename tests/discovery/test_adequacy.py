@@ -17,7 +17,7 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
-from cannoise_jax.discovery.proof.white_maps import patterned
+from cannoise_jax.discovery.proof.white_maps import gathered, patterned
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -203,3 +203,24 @@ def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
     assert (against is not None) == (texture == "fringes")
     if against is not None:
         assert against.left > 0.9 and "px" in against.against[0]
+
+
+@pytest.mark.parametrize("where", ["anywhere", "edge columns"])
+def test_pixels_that_lie_in_few_columns_are_no_single_pixels(where):
+    rng = np.random.default_rng(6)
+    chosen = rng.random((96, 128)) < 0.02 if where == "anywhere" else np.arange(128) < 3
+
+    def jumps(rng):
+        return lambda dn, signal, kind, t: dn + 30 * chosen * (rng.random(dn.shape) < 0.5)
+
+    capture = capture_set(4, jumps, kinds="d", frames=10)
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == "telegraph")
+    score = signature.score(prepared.fields)
+    assert score is not None and score.log_p < -50
+    against = gathered(
+        Step(Named(score, signature, "rts", (("rts", 1.0),), False), prepared.fields, score.log_p)
+    )
+    assert (against is not None) == (where == "edge columns")
+    if against is not None:
+        assert "columns" in against.against[0]

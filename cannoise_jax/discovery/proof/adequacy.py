@@ -22,13 +22,14 @@ from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, drawn_structures, most_of, own_part, owned
-from cannoise_jax.discovery.proof.white_maps import patterned
+from cannoise_jax.discovery.proof.white_maps import gathered, patterned
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel, closed_moments
 from cannoise_jax.physics.core.settings import DEFAULT, Settings
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.signature import BLINKING
 
 LEFT = 0.03
 """Share of the mismatch of its own part, in nats, that a name may leave. Row noise, 1/f rows, maps, hot
@@ -117,8 +118,9 @@ def doubts(
             else:
                 less = of(tuple(s for s in steps if s is not steps[n]))
             one, without = full, drawn_from(less, others)
-        alike = steps[n].named.signature.axes.varies_over == "frame"
-        return one, borne_by(one, without, claimed, alike), claimed
+        axes = steps[n].named.signature.axes
+        whole, blinking = axes.varies_over == "frame", axes.time == BLINKING.time
+        return one, borne_by(one, without, claimed, whole, blinking), claimed
 
     borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])
@@ -128,6 +130,7 @@ def doubts(
         out[n] = (
             doubt(one, own, claimed, steps[n].named.signature.form_free)
             or patterned(steps[n])
+            or gathered(steps[n])
             or uneven(full, own)
         )
     unknown = [n for n in every if n not in named or out[n] is not None]

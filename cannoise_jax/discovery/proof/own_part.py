@@ -74,11 +74,16 @@ class Part(NamedTuple):
 
 
 def borne_by(
-    full: Compared, less: Compared, speaks_for: frozenset[str] = frozenset(), whole_frames: bool = False
+    full: Compared,
+    less: Compared,
+    speaks_for: frozenset[str] = frozenset(),
+    whole_frames: bool = False,
+    blinking: bool = False,
 ) -> list[Borne]:
     """The statistics that a mechanism moves, of a simulator with it and one without, and all that stays and
     differs in recordings of the kinds that it speaks for. whole_frames: whether it moves all pixels of a
-    frame alike, so that the shape of their noise tells nothing but the few numbers that were drawn."""
+    frame alike, so that the shape of their noise tells nothing but the few numbers that were drawn. blinking:
+    whether it says how pixels move, and not about which level."""
     without = {(j.family, j.where): j for j in less.judgements}
     out = []
     for j in full.judgements:
@@ -96,6 +101,8 @@ def borne_by(
         if full.seen[j.where].kind in speaks_for and FAMILIES[j.family].part == STATIC:
             claimed = one > _BEARS
         share = np.where(own & ~claimed, share_of(one, two), 1.0)
+        if blinking:
+            own &= FAMILIES[j.family].time == TEMPORAL
         if full.recorded[j.where].families[j.family].law == "energy":
             own |= _broken(own, full.seen[j.where].size)
         out.append(Borne(j, one, two, own | claimed, claimed, share))

@@ -10,17 +10,23 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
-from cannoise_jax.signatures.signature import Many
+from cannoise_jax.signatures.signature import BLINKING, Many
 
 _STRUCTURED = 0.5
 """Share of the map's variance at scales of many pixels, beyond what single pixels have there, from which on
 it is no map of single pixels."""
 _SURE = 5.0
 """Standard deviations from which on that is no chance."""
+_FEW = 0.2
+"""Share of the frame beyond which pixels are no few."""
+_BLOCK = 16
+_CROWDED = 1e-4
+"""Chance that a line or block of those of a frame holds as many."""
 _SMOOTH = 8
 """Parts of the frame that are as smooth as light along a side."""
 
@@ -55,6 +61,38 @@ def patterned(step: Step) -> Doubt | None:
     length = _length(shared, weight, one.shape)
     what = f"{100 * share:.0f} % of the map is of structures some {length} px wide, not of single pixels"
     return Doubt(share, (what,), instead=True)
+
+
+def gathered(step: Step) -> Doubt | None:
+    """What speaks against a step that names a few pixels anywhere: that most of them lie in few lines or
+    blocks, where chance puts as few."""
+    signature = step.named.signature
+    few = signature.single_pixels or signature.axes.time == BLINKING.time
+    if step.named.mechanism == UNKNOWN or not few:
+        return None
+    pattern = signature.pattern(step.before, step.named.score, np.random.default_rng(0))
+    if pattern is None or np.ndim(pattern) != 2:
+        return None
+    sites = np.abs(pattern) > 0
+    if not 0 < sites.sum() < _FEW * sites.size:
+        return None
+    counts = {
+        "columns": sites.sum(0),
+        "rows": sites.sum(1),
+        f"blocks of {_BLOCK} px": _blocks(sites).ravel(),
+    }
+    for what, found in counts.items():
+        dense = stats.poisson.sf(found - 1, found.mean()) < _CROWDED / found.size
+        share = float(found[dense].sum() / sites.sum() - dense.mean())
+        if share > _STRUCTURED:
+            said = f"{100 * share:.0f} % of these pixels lie in {int(dense.sum())} {what}, not anywhere"
+            return Doubt(share, (said,), instead=True)
+    return None
+
+
+def _blocks(sites: np.ndarray) -> np.ndarray:
+    h, w = (n - n % _BLOCK for n in sites.shape)
+    return sites[:h, :w].reshape(h // _BLOCK, _BLOCK, w // _BLOCK, _BLOCK).sum((1, 3))
 
 
 def _halves(fields: Many) -> tuple[Many, Many]:
