@@ -1,4 +1,4 @@
-"""bin/blind seal|run|score|develop|real|size: hidden effects, the analysis that must find them, the score.
+"""bin/blind seal|run|score|develop|real|size|plain: hidden effects, the search for them, the score.
 
 seal    writes capture sets, and what was injected into them to a file elsewhere.
 run     diagnoses every set and commits to its claims; reads no truth.
@@ -6,6 +6,7 @@ score   checks both commitments, opens the truth, writes the tables and figures.
 develop scores fixed sets that are for development, and records their figures for the tests.
 real    conceals in real recordings: injects effects, withholds what the sensor has, permutes frames.
 size    draws capture sets without an effect and counts how often something is found in them.
+plain   diagnoses cameras of another generator: unlisted effects, listed ones in other forms, and none.
 """
 
 from __future__ import annotations
@@ -158,6 +159,28 @@ def _true_size(arguments: argparse.Namespace) -> None:
     print(json.dumps(plain(result), indent=1))
 
 
+def _plain(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.recordings.atomic import texts_in_place
+    from cannoise_jax.trials.plain import KINDS, plain_trial
+
+    result = plain_trial(arguments.out, arguments.seeds, arguments.kinds or KINDS, progress("diagnosed"))
+    text = json.dumps(result, indent=1, ensure_ascii=False)
+    if arguments.table:
+        with texts_in_place({arguments.table: text}):
+            pass
+    print(text)
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    try:
+        values = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or min(values) < 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: give whole numbers, as 1,2")
+    return values
+
+
 def progress(done: str) -> Callable[[int, int], None]:
     """Prints how many sets are done and the time left; sets that were there already do not count."""
     started = last = time.monotonic()
@@ -220,7 +243,7 @@ def _whole(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/blind", description=__doc__.split("\n\n")[0])
-    steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real|size")
+    steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real|size|plain")
     step = steps.add_parser("seal", prog="bin/blind seal", help="capture sets, and their truth elsewhere")
     step.add_argument("--out", type=place, required=True, help="folder for the sets")
     step.add_argument("--truth", type=place, required=True, help="file for the truth, outside of that folder")
@@ -273,6 +296,16 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="pixels")
     step.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help="part I of N of them")
     step.set_defaults(step=_true_size)
+    step = steps.add_parser(
+        "plain", prog="bin/blind plain", help="effects of another generator, unlisted ones too"
+    )
+    step.add_argument("--out", type=place, required=True, metavar="FILE.jsonl", help="a line for every set")
+    step.add_argument(
+        "--seeds", type=_seeds, required=True, metavar="N,N", help="each draws all families once"
+    )
+    step.add_argument("--kinds", nargs="+", choices=("unlisted", "listed", "null"), help="only these")
+    step.add_argument("--table", type=place, metavar="FILE.json", help="the score for bin/bench docs")
+    step.set_defaults(step=_plain)
     return parser
 
 

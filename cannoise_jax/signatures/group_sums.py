@@ -31,13 +31,13 @@ class LineSums(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """Which group every pixel is of `[H, W]`, and which groups are of one kin [groups]: those that hold the
+    """Which group every pixel is of `[H, W]`, and which groups are of one kin [g]: those that hold the
     same sites of the mosaic, whose noise is alike."""
 
     of: Int[np.ndarray, "h w"]
     kin: np.ndarray
 
-    def sums(self, values: np.ndarray) -> Float[np.ndarray, "groups"]:
+    def sums(self, values: np.ndarray) -> Float[np.ndarray, "g"]:
         """Sum of the values of the pixels of every group."""
         return np.bincount(self.of.ravel(), values.ravel(), self.kin.size)
 

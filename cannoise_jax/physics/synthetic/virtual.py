@@ -240,3 +240,10 @@ def _patches(camera: VirtualCamera, index: int, iso: int, scene: int, clean, noi
         np.full(count, iso, np.int32),
         np.full(count, scene, np.int32),
     )
+
+
+def camera_of_level(shot: float, read_e: float, black: float = 256.0, white: float = 4095.0) -> VirtualCamera:
+    """A camera of one ISO, heavy tails in its read noise. shot: normalised; read_e: e-; black, white: DN."""
+    read = (shot * read_e) ** 2
+    sensor = SensorModel.from_nlf(shot, read, black, white).with_mechanism("heavy_tails", tukey_lambda=-0.1)
+    return VirtualCamera(f"shot {shot:g}, read {read_e:g} e-", "RGGB", {100: Nlf(shot, read)}, sensor)
