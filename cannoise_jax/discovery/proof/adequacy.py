@@ -63,6 +63,7 @@ _TRACE = 0.05
 """Of the nats that stronger findings without a name change: less may be a trace of them. Blocks that jump,
 clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, columns and dark current."""
 _SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
+_FEW_TIMES = "it is strong in few places or frames, not in all alike"
 _PIXELS = 1.2e6
 """Pixels of all frames that are looked at, beyond which fewer are."""
 
@@ -131,7 +132,7 @@ def doubts(
             doubt(one, own, claimed, steps[n].named.signature.form_free)
             or patterned(steps[n])
             or gathered(steps[n])
-            or uneven(full, own)
+            or (None if steps[n].named.signature.frozen else uneven(full, own))
         )
     unknown = [n for n in every if n not in named or out[n] is not None]
     left = [n for n in borne if out[n] is None]
@@ -274,7 +275,8 @@ def uneven(whole: Compared, each: list[Borne]) -> Doubt | None:
         return None
     left = float(np.sum(np.concatenate(z) ** 2) / 2)
     before = sum(float(b.before[cells].sum()) for b, cells in mine)
-    return Doubt(left / (left + before), tuple(lines_of(whole, [f for f in found if f[1].size])[:3]))
+    lines = lines_of(whole, [f for f in found if f[1].size])[:3]
+    return Doubt(left / (left + before), (_FEW_TIMES, *lines), instead=True)
 
 
 def _few(capture: CaptureSet, splits: Sequence[tuple[list[int], list[int]]]) -> Chosen:
