@@ -36,7 +36,7 @@ def test_what_is_stated_is_not_used_and_nothing_is_said_of_nothing():
     assert "the files state" not in format_transfer(result(None))
     assert gain_note([made("dark", 0, 1, 2.0)], [], []) is None
     told, untold = result(7.0).baseline, result(None).baseline
-    assert dataclasses.astuple(told) == dataclasses.astuple(untold)
+    np.testing.assert_equal(dataclasses.asdict(told), dataclasses.asdict(untold))
 
 
 def test_several_gains_at_one_setting_are_said():
