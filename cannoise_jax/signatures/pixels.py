@@ -185,8 +185,16 @@ def read_map(sets: tuple[Seen, ...]) -> Law:
     return grows(16 * (float(np.sum(np.square(information))) + float(single) / 2) / 2, 2)
 
 
-def own_noise(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
-    """A read noise of its own for every pixel."""
+_PEAKED = 0.25
+"""Relative spread of the noise from which on all pixels together have a law with a narrow peak: its excess
+kurtosis is then 3 (exp(4 w^2) - 1), 0.8, as `shape` has it for tails."""
+
+
+def own_noise(
+    *, name: str, parameter: str, covers: tuple[str, ...], smooth: tuple[str, ...] = ()
+) -> Signature:
+    """A read noise of its own for every pixel. smooth: signatures that take the counts of codes to be as
+    smooth as those of normal noise."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
         return noise_factors(fields, score.amplitude, rng)
@@ -208,6 +216,7 @@ def own_noise(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signatur
         score=spread_score,
         absorb=unchanged,
         covers=covers,
+        hides=lambda score: smooth if score.amplitude > _PEAKED else (),
         predict=NO_LAW,
         pattern=pattern,
         simulate=simulate,

@@ -224,3 +224,22 @@ def test_pixels_that_lie_in_few_columns_are_no_single_pixels(where):
     assert (against is not None) == (where == "edge columns")
     if against is not None:
         assert "columns" in against.against[0]
+
+
+@pytest.mark.parametrize("map_of", ["single pixels", "a gradient"])
+def test_noise_that_grows_over_the_frame_is_no_noise_of_single_pixels(map_of):
+    rng = np.random.default_rng(8)
+    single = np.exp(0.3 * rng.standard_normal((96, 128)))
+    factor = single if map_of == "single pixels" else np.broadcast_to(np.linspace(0.6, 1.4, 128), (96, 128))
+
+    def alter(rng):
+        return lambda dn, signal, kind, t: BLACK + (dn - BLACK) * factor
+
+    capture = capture_set(4, alter, kinds="d", frames=10)
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == "pixel_spread")
+    score = signature.score(prepared.fields)
+    assert score is not None and score.log_p < -20
+    named = Named(score, signature, "pixel_read_noise_map", (("pixel_read_noise_map", 1.0),), False)
+    against = patterned(Step(named, prepared.fields, score.log_p))
+    assert (against is not None) == (map_of == "a gradient")

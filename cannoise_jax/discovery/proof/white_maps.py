@@ -22,6 +22,8 @@ _STRUCTURED = 0.5
 it is no map of single pixels."""
 _SURE = 5.0
 """Standard deviations from which on that is no chance."""
+NOISE = "log-normal variance"
+"""The law of maps of noise."""
 _FEW = 0.2
 """Share of the frame beyond which pixels are no few."""
 _BLOCK = 16
@@ -35,26 +37,27 @@ def patterned(step: Step) -> Doubt | None:
     """What speaks against a step that names a map of single pixels; None: nothing does, it names none, or
     only one recording shows it."""
     axes = step.named.signature.axes
-    if step.named.mechanism == UNKNOWN or (axes.time, axes.varies_over, axes.law) != (
-        "frozen",
-        "pixel",
-        "white",
-    ):
+    if step.named.mechanism == UNKNOWN or (axes.time, axes.varies_over) != ("frozen", "pixel"):
         return None
-    halves = [_map(step, half) for half in _halves(step.before)]
+    if axes.law not in ("white", NOISE):
+        return None
+    halves = [_map(step, half, n) for n, half in enumerate(_halves(step.before))]
     one, two = halves
     if one is None or two is None:
         return None
     each, other, both = (bank.energies(m.astype(np.float32)) for m in (one, two, one + two))
-    shared, scatter = (both - each - other) / 2, np.sqrt(each * other)
-    weight = bank.counts(one.shape) * _local(one.shape)
+    shared = (both - each - other) / 2
+    weight = bank.counts(one.shape) * _local(one.shape, axes.law == NOISE)
     fine = np.zeros_like(weight)
     fine[:, 0, 0] = weight[:, 0, 0]
     if not weight.any() or not fine.any():
         return None
     every, alone = (float(np.sum(w * shared) / w.sum()) for w in (weight, fine))
     more = weight / weight.sum() - fine / fine.sum()
-    error = float(np.sqrt(np.sum(more**2 * scatter**2 / np.maximum(weight, 1))))
+    # The map is what it is: by chance is only the noise of both estimates, which single pixels show.
+    first, second = (max(float(np.sum(fine * (e - shared)) / fine.sum()), 1e-12) for e in (each, other))
+    scatter = first * second + np.maximum(shared, 0) * (first + second)
+    error = float(np.sqrt(np.sum(more**2 * scatter / np.maximum(weight, 1))))
     if every <= 0 or every - max(alone, 0.0) < max(_STRUCTURED * every, _SURE * error):
         return None
     share = 1 - max(alone, 0.0) / every
@@ -101,18 +104,28 @@ def _halves(fields: Many) -> tuple[Many, Many]:
     return tuple(known[0::2]), tuple(known[1::2])
 
 
-def _map(step: Step, fields: Many) -> Float[np.ndarray, "h w"] | None:
-    found = step.named.signature.predict(fields, step.named.score) if fields else None
+def _map(step: Step, fields: Many, number: int) -> Float[np.ndarray, "h w"] | None:
+    """The map of some of the recordings; of noise, its logarithm, drawn as far as they leave it open."""
+    signature, score = step.named.signature, step.named.score
+    if signature.axes.law == NOISE:
+        dark = tuple(f for f in fields if not f.lit and len(f.contrasts))
+        factor = signature.pattern(dark, score, np.random.default_rng(number)) if dark else None
+        return None if factor is None else np.log(np.maximum(factor, 1e-3)) - np.mean(np.log(factor))
+    found = signature.predict(fields, score) if fields else None
     return None if found is None or found.pattern is None or np.ndim(found.pattern) != 2 else found.pattern
 
 
-def _local(size: tuple[int, int]) -> Bool[np.ndarray, "4 i j"]:
-    """Scales along neither side of which the structure is a whole line, or smooth along both."""
+def _local(size: tuple[int, int], noise: bool) -> Bool[np.ndarray, "4 i j"]:
+    """Scales along neither side of which the structure is a whole line, or smooth along both, as light is; of
+    noise, all but that of the whole frame."""
     rows, columns = (bank.scales(bank.cropped_side(n) // 2) for n in size)
     slow_rows = np.array([s.length * _SMOOTH > size[0] for s in rows])
     slow_columns = np.array([s.length * _SMOOTH > size[1] for s in columns])
     whole = np.array([s.whole for s in rows])[:, None] | np.array([s.whole for s in columns])
     out = ~(whole | (slow_rows[:, None] & slow_columns))
+    if noise:
+        out = np.ones_like(out)
+        out[-1, -1] = False
     return np.broadcast_to(out, (4, *out.shape))
 
 
