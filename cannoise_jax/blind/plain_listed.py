@@ -212,7 +212,4 @@ LISTED: dict[str, tuple[Make, tuple[str, ...]]] = {
     "jumping_offset": (jumping_offset, ("offset_drift",)),
 }
 """Effects and the name that each should get."""
-BESIDE = {"uneven_rows": ("bookkeeping",), "slow_rows": ("offset_drift",), "slow_raster": ("offset_drift",)}
-"""Names that are true as well: the mean of the rows is off the stated black level, slow noise moves the means
-of frames."""
 NULLS: dict[str, Make] = {"nothing": nothing, "vignette": vignette}

@@ -288,23 +288,10 @@ FIRST = (
     tear, raster_telegraph, noise_gradient, inl_wave, bank_rows, row_memory, fringes, bit_flips, streaking,
     chirp, clouds, noisy_edges, two_readouts,
 )  # fmt: skip
-"""Families that thresholds were chosen with."""
+"""Families that thresholds were chosen with from the start."""
 LATER = (
     echo, noisy_frames, blinking_blocks, noise_memory, quadrants, repeated_rows, shared_pairs,
     wandering_columns, three_levels, zipper, speckle, spots, smoothed_colours,
 )  # fmt: skip
-"""Families that took no part in the first half of that work."""
+"""Families that took no part in the first part of that work."""
 UNLISTED: dict[str, Make] = {make.__name__: make for make in (*FIRST, *LATER)}
-ARGUABLE = {
-    "zipper": ("odd_even_row_noise",),
-    "wandering_columns": ("column_noise", "column_fpn"),
-    "row_memory": ("row_noise",),
-    "clouds": ("offset_drift",),
-    "tear": ("offset_drift",),
-    "quadrants": ("offset_drift",),
-    "inl_wave": ("bookkeeping",),
-    "three_levels": ("rts",),
-    "smoothed_colours": ("in_camera_denoising",),
-}
-"""Names that are true of such an effect: means of frames or the black level do move, columns are offset,
-pixels do jump. Others are wrong."""

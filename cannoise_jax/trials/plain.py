@@ -14,10 +14,11 @@ import numpy as np
 
 from cannoise_jax.blind.judge import count
 from cannoise_jax.blind.plain_camera import SIZE, Make, capture_set
-from cannoise_jax.blind.plain_listed import BESIDE, LISTED, NULLS
-from cannoise_jax.blind.plain_unlisted import ARGUABLE, UNLISTED
+from cannoise_jax.blind.plain_listed import LISTED, NULLS
+from cannoise_jax.blind.plain_names import ARGUABLE, BESIDE
+from cannoise_jax.blind.plain_unlisted import LATER, UNLISTED
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.proof.verdict import MATCH
+from cannoise_jax.discovery.proof.verdict import MATCH, NO_CAUSE, PARTLY
 from cannoise_jax.discovery.search.fit import part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.recordings.recording import BadInput
@@ -26,7 +27,7 @@ from cannoise_jax.trials.analysis import fingerprint
 KINDS = ("unlisted", "listed", "null")
 _CODE = (
     *("vocabulary.py", "recordings", "physics", "mechanisms", "signatures", "evaluation", "discovery"),
-    *("blind/plain_camera.py", "blind/plain_listed.py", "blind/plain_unlisted.py"),
+    *("blind/plain_camera.py", "blind/plain_listed.py", "blind/plain_names.py", "blind/plain_unlisted.py"),
 )
 
 
@@ -42,11 +43,14 @@ def plain_set(kind: str, name: str, seed: int, size: tuple[int, int] = SIZE):
     return capture_set(make, np.random.default_rng([seed, *name.encode()]), size)
 
 
-def said(kind: str, name: str, seed: int, size: tuple[int, int] = SIZE) -> dict[str, Any]:
-    """What a diagnosis says of one set: its verdict, and every finding with whether it is confirmed."""
+def said(
+    kind: str, name: str, seed: int, size: tuple[int, int] = SIZE, compare: bool = True
+) -> dict[str, Any]:
+    """What a diagnosis says of one set: its verdict, and every finding with whether it is confirmed. compare:
+    also what draws of the simulator say, without which no name is withdrawn."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = diagnose(plain_set(kind, name, seed, size), key=jax.random.key(seed))
+        found = diagnose(plain_set(kind, name, seed, size), key=jax.random.key(seed), compare=compare)
     aside = part_of(found.fitted.steps)
     return {
         "kind": kind,
@@ -97,39 +101,85 @@ def wrong(one: dict[str, Any], confirmed: bool) -> list[str]:
     return [name for name, sure in one["findings"] if name not in true and sure == confirmed]
 
 
+def flagged(one: dict[str, Any]) -> bool:
+    """Whether a set is told from the simulator at all."""
+    return one["verdict"] != MATCH
+
+
+def unknown(one: dict[str, Any]) -> bool:
+    """Whether it is said that something in a set has no name."""
+    return any(name == UNKNOWN for name, _ in one["findings"]) or one["verdict"] in (NO_CAUSE, PARTLY)
+
+
 def named(one: dict[str, Any]) -> bool:
-    """Whether a listed effect has its name."""
+    """Whether a listed effect has its name; one that was withdrawn does not count."""
     return any(name in LISTED[one["family"]][1] for name, _ in one["findings"])
 
 
+def surely_wrong(one: dict[str, Any]) -> bool:
+    """Whether a confirmed finding has a wrong name."""
+    return bool(wrong(one, True))
+
+
+def perhaps_wrong(one: dict[str, Any]) -> bool:
+    """Whether a finding that is not confirmed has a wrong name."""
+    return bool(wrong(one, False))
+
+
+_WRONG = (
+    ("a confirmed finding with a wrong name", surely_wrong),
+    ("a finding, not confirmed, with a wrong name", perhaps_wrong),
+)
+_UNLISTED = (("told from the simulator", flagged), ("said to be unknown, all or in part", unknown), *_WRONG)
+_MEASURES = {
+    "unlisted": ("no name for it", _UNLISTED),
+    "later": ("of these, the later families", _UNLISTED),
+    "listed": ("a name, in another form", (("found and named", named), *_WRONG)),
+    "null": ("nothing, or flats with dark corners", (("told from the simulator", flagged),)),
+}
+
+
 def scored(sets: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """A table for `bin/bench docs`: shares of sets with Clopper-Pearson intervals, and the wrong names."""
-    by_kind = {kind: [s for s in sets if s["kind"] == kind] for kind in KINDS}
-    rows: list[list[str]] = []
+    """A table for `bin/bench docs`: shares of sets, of every seed and of all with Clopper-Pearson intervals,
+    and the wrong names."""
+    later = {make.__name__ for make in LATER}
+    groups = {kind: [s for s in sets if s["kind"] == kind] for kind in KINDS}
+    groups["later"] = [s for s in groups["unlisted"] if s["family"] in later]
+    seeds = sorted({s["seed"] for s in sets})
+    rows = [
+        [f"{title}: {what}", *_shares(groups[kind], seeds, holds)]
+        for kind, (title, measures) in _MEASURES.items()
+        for what, holds in measures
+        if groups[kind]
+    ]
 
-    def row(what: str, flags: Iterable[bool]) -> None:
-        flags = list(flags)
-        if flags:
-            found = count(flags)
-            low, high = (100 * v for v in found["ci95"])
-            rows.append([what, f"{found['hits']} of {len(flags)} ({low:.0f}–{high:.0f} %)"])
+    def shown(sure: bool) -> str:
+        found = [f"{s['family']} {s['seed']}: {', '.join(names)}" for s in sets if (names := wrong(s, sure))]
+        return "; ".join(found) or "none"
 
-    unlisted, listed, null = (by_kind[kind] for kind in KINDS)
-    row("no name for it: told from the simulator", (s["verdict"] != MATCH for s in unlisted))
-    row("no name for it: a confirmed finding with a wrong name", (bool(wrong(s, True)) for s in unlisted))
-    row("no name for it: another finding with a wrong name", (bool(wrong(s, False)) for s in unlisted))
-    row("a name, in another form: found and named", (named(s) for s in listed))
-    row(
-        "a name, in another form: a confirmed finding with a wrong name",
-        (bool(wrong(s, True)) for s in listed),
-    )
-    row("a name, in another form: another finding with a wrong name", (bool(wrong(s, False)) for s in listed))
-    row("nothing, or flats with dark corners: told from the simulator", (s["verdict"] != MATCH for s in null))
-    shown = [f"{s['family']} {s['seed']}: {', '.join(names)}" for s in sets if (names := wrong(s, True))]
-    missed = [f"{s['family']} {s['seed']}" for s in listed if not named(s)]
+    def those(kind: str, holds: Callable[[dict[str, Any]], bool]) -> str:
+        return ", ".join(f"{s['family']} {s['seed']}" for s in groups[kind] if holds(s)) or "none"
+
     return {
-        "columns": ["sets", "of all (95 %)"],
+        "columns": ["sets", *(f"seed {seed}" for seed in seeds), "all (95 %)"],
         "rows": rows,
-        "values": {"wrong_names": "; ".join(shown) or "none", "not_named": "; ".join(missed) or "none"},
+        "values": {
+            "wrong_names": shown(True),
+            "wrong_not_confirmed": shown(False),
+            "not_named": those("listed", lambda s: not named(s)),
+            "not_told": those("unlisted", lambda s: not flagged(s)),
+            "false_alarms": those("null", flagged),
+        },
         "code": [f"cannoise_jax/{part}" for part in _CODE],
     }
+
+
+def _shares(
+    sets: Sequence[dict[str, Any]], seeds: Sequence[int], holds: Callable[[dict[str, Any]], bool]
+) -> list[str]:
+    """How many of the sets of every seed, and of all."""
+    each = [[holds(s) for s in sets if s["seed"] == seed] for seed in seeds]
+    found = count(holds(s) for s in sets)
+    low, high = (100 * v for v in found["ci95"])
+    alone = [f"{sum(flags)} of {len(flags)}" for flags in each]
+    return [*alone, f"{found['hits']} of {found['sets']} ({low:.0f}–{high:.0f} %)"]

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from cannoise_jax.blind.plain_camera import Camera, Effect, Shot, expose
-from cannoise_jax.blind.plain_listed import BESIDE, LISTED
-from cannoise_jax.blind.plain_unlisted import ARGUABLE, FIRST, LATER, UNLISTED
+from cannoise_jax.blind.plain_listed import LISTED
+from cannoise_jax.blind.plain_names import ARGUABLE, BESIDE
+from cannoise_jax.blind.plain_unlisted import FIRST, LATER, UNLISTED
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.trials import plain
-from cannoise_jax.trials.plain import families, named, plain_set, plain_trial, scored, wrong
+from cannoise_jax.trials.plain import families, flagged, named, plain_set, plain_trial, scored, unknown, wrong
 
 SMALL = (32, 48)
 
@@ -64,10 +65,41 @@ def test_the_score_counts_wrong_names_and_not_true_ones():
     assert wrong(tear, True) == ["row_pink_noise"] and wrong(echo, False) == ["banding"]
     assert named(rows) and not named(missed) and wrong(rows, False) == ["dsnu"]
     found = scored([tear, echo, rows, missed, line("null", "nothing", verdict="match")])
-    assert found["values"] == {"wrong_names": "tear 1: row_pink_noise", "not_named": "hot 1"}
-    assert [r[1].partition(" (")[0] for r in found["rows"]] == [
-        "2 of 2", "1 of 2", "1 of 2", "1 of 2", "0 of 2", "1 of 2", "0 of 1",
+    assert found["values"] == {
+        "wrong_names": "tear 1: row_pink_noise", "wrong_not_confirmed": "echo 1: banding; rows 1: dsnu",
+        "not_named": "hot 1", "not_told": "none", "false_alarms": "none",
+    }  # fmt: skip
+    assert [r[1] for r in found["rows"]] == [
+        "2 of 2", "2 of 2", "1 of 2", "1 of 2",  # unlisted
+        "1 of 1", "1 of 1", "0 of 1", "1 of 1",  # of them the later half, which echo is of
+        "1 of 2", "0 of 2", "1 of 2", "0 of 1",
     ]  # fmt: skip
+    assert found["rows"][0][2] == "2 of 2 (16–100 %)"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "findings", "is_unknown"),
+    [
+        ("match", [], False),
+        ("explained", [("banding", True)], False),
+        ("explained", [("unknown", False)], True),
+        ("partly explained", [("banding", True)], True),
+        ("differs, no cause found", [], True),
+    ],
+)
+def test_what_has_no_name_is_a_finding_without_one_or_a_verdict_that_says_so(verdict, findings, is_unknown):
+    one = line("unlisted", "echo", *findings, verdict=verdict)
+    assert unknown(one) == is_unknown and flagged(one) == (verdict != "match")
+
+
+def test_seeds_stand_beside_each_other_and_a_wrong_name_is_arguable_only_where_it_is():
+    sets = [{**line("unlisted", f, (n, True)), "seed": s} for s, f, n in (
+        (1, "tear", "offset_drift"), (2, "echo", "offset_drift"), (2, "three_levels", "rts"),
+    )]  # fmt: skip
+    found = scored(sets)
+    assert found["columns"] == ["sets", "seed 1", "seed 2", "all (95 %)"]
+    assert found["rows"][2][1:3] == ["0 of 1", "2 of 2"]
+    assert found["values"]["wrong_names"] == "echo 2: offset_drift; three_levels 2: rts"
 
 
 def test_a_trial_goes_on_where_it_was_cut_off(tmp_path, monkeypatch):
@@ -88,6 +120,17 @@ def test_a_trial_goes_on_where_it_was_cut_off(tmp_path, monkeypatch):
         plain_trial(out, (5,), ("null",), lambda done, of: None)
 
 
+def test_one_of_each_kind_at_small_size():
+    rows, pairs, nothing = (
+        plain.said(kind, name, 4, (64, 96), compare=False)
+        for kind, name in (("listed", "rows"), ("unlisted", "shared_pairs"), ("null", "nothing"))
+    )
+    assert named(rows) and not wrong(rows, True)
+    assert flagged(pairs) and unknown(pairs) and not wrong(pairs, True)
+    assert not flagged(nothing) and not nothing["findings"]
+
+
+@pytest.mark.slow
 def test_a_listed_effect_is_named_and_an_unlisted_one_is_not():
     rows = plain.said("listed", "rows", 4, (64, 96))
     assert named(rows) and not wrong(rows, True)
