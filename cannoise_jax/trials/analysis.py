@@ -165,8 +165,8 @@ def true_gain(capture: CaptureSet, mechanism: str, amplitude: float) -> float | 
     return max(gains) + sum(blurs) if gains else None
 
 
-def fingerprint() -> str:
-    """SHA-256 over the source of everything that an analysis runs."""
+def fingerprint(*more: str) -> str:
+    """SHA-256 over the source of everything that an analysis runs, and of more files of the package."""
     root = Path(cannoise_jax.__file__).parent
     digest = hashlib.sha256()
     for part in (
@@ -177,6 +177,7 @@ def fingerprint() -> str:
         "signatures",
         "evaluation",
         "discovery",
+        *more,
     ):
         for path in sorted((root / part).rglob("*.py")) or [root / part]:
             digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")

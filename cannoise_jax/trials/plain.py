@@ -25,9 +25,10 @@ from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.trials.analysis import fingerprint
 
 KINDS = ("unlisted", "listed", "null")
+_GENERATOR = ("blind/plain_camera.py", "blind/plain_listed.py", "blind/plain_unlisted.py")
 _CODE = (
     *("vocabulary.py", "recordings", "physics", "mechanisms", "signatures", "evaluation", "discovery"),
-    *("blind/plain_camera.py", "blind/plain_listed.py", "blind/plain_names.py", "blind/plain_unlisted.py"),
+    *(*_GENERATOR, "blind/plain_names.py"),
 )
 
 
@@ -69,11 +70,11 @@ def plain_trial(
     out: Path, seeds: Sequence[int], kinds: Sequence[str], tell: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """All families at every seed, a line each in `out`; those that are there already are not run again.
-    Raises BadInput where it holds those of another analysis."""
-    head = json.dumps({"code_sha256": fingerprint()})
+    Raises BadInput where it holds those of another analysis or of other cameras."""
+    head = json.dumps({"code_sha256": fingerprint(*_GENERATOR)})
     lines = out.read_text(encoding="utf-8").split("\n") if out.exists() else [head]
     if lines[0] != head:
-        raise BadInput(f"{out}: of another analysis: choose a new file")
+        raise BadInput(f"{out}: of another analysis or other cameras: choose a new file")
     done = [json.loads(line) for line in lines[1:] if line.endswith("}")]
     asked = [(kind, name, seed) for seed in seeds for kind, name in families(kinds)]
     known = {(d["kind"], d["family"], d["seed"]): d for d in done}

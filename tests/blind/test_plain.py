@@ -14,6 +14,7 @@ from cannoise_jax.blind.plain_unlisted import FIRST, LATER, UNLISTED
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.trials import plain
+from cannoise_jax.trials.analysis import fingerprint
 from cannoise_jax.trials.plain import families, flagged, named, plain_set, plain_trial, scored, unknown, wrong
 
 SMALL = (32, 48)
@@ -115,9 +116,11 @@ def test_a_trial_goes_on_where_it_was_cut_off(tmp_path, monkeypatch):
     out.write_text(out.read_text()[:-10])  # a kill in the middle of the last line
     again = plain_trial(out, (5,), ("null",), lambda done, of: None)
     assert first == again and asked == ["nothing", "vignette", "vignette"]
-    out.write_text(json.dumps({"code_sha256": "other"}) + "\n")
-    with pytest.raises(BadInput, match="another analysis"):
-        plain_trial(out, (5,), ("null",), lambda done, of: None)
+    cameras = ("blind/plain_camera.py", "blind/plain_listed.py")  # not those without a name
+    for other in ("other", fingerprint(), fingerprint(*cameras)):
+        out.write_text(json.dumps({"code_sha256": other}) + "\n")
+        with pytest.raises(BadInput, match="another analysis or other cameras"):
+            plain_trial(out, (5,), ("null",), lambda done, of: None)
 
 
 def test_one_of_each_kind_at_small_size():
