@@ -122,10 +122,10 @@ def darks_of(fields: tuple[Fields, ...], lit: list[Fields]) -> list[Fields]:
     that it would be another one at that of the light."""
     darks = [(f, level, e) for f, level, e in dark_levels(fields) if f.static is not None]
     shortest = min_exposure(fields)
-    rise, error = dark_rise([d for d in darks if d[0].exposure_s is not None])
+    rise, error = dark_rise(darks)
     exposures = [f.exposure_s for f in lit]
     longest = None if None in exposures else max(e for e in exposures if e is not None)
-    if rise and rise > 3 * error:
+    if rise > 3 * error:
         away = np.inf if longest is None or shortest is None else rise * max(longest - shortest, 0.0)
         if away > min(e for _, _, e in darks) / 2:
             return []

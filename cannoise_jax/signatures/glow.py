@@ -112,11 +112,13 @@ def _formed(fields: tuple[Fields, ...], names: tuple[str, ...], g: np.ndarray, b
     u, i = _sums_of(fields, every)
     chosen, strengths = [best], np.array([u[best] / i[best]])
     gained = 0.5 * u[best] ** 2 / i[best]
+    shared = [_along(fields, every, every[best])]
     while len(chosen) < _MOST_FALLS:
-        rest, _ = _sums_of(fields, every, strengths @ every[chosen])
-        rest = np.where(np.isin(np.arange(len(every)), chosen), 0.0, rest)
+        rest = u - strengths @ np.array(shared)
+        rest[chosen] = 0.0
         trial = [*chosen, int(np.argmax(rest / np.sqrt(i)))]
-        gram = np.array([_along(fields, every[trial], every[k]) for k in trial])
+        shared.append(_along(fields, every, every[trial[-1]]))
+        gram = np.array(shared)[:, trial]
         root = np.linalg.cholesky(gram + 1e-9 * np.diag(np.diag(gram)))
         fitted = optimize.nnls(root.T, np.linalg.solve(root, u[trial]))[0]
         gain = float(fitted @ u[trial] - 0.5 * fitted @ gram @ fitted)
@@ -154,11 +156,8 @@ def _sums(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | N
     return (*_sums_of(fields, glow_templates(dark[0].mean.shape)[1]), longest) if dark else None
 
 
-def _sums_of(
-    fields: tuple[Fields, ...], g: np.ndarray, taken: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Score and information of falls, the level of every channel fitted too. taken: glow at the longest
-    exposure that is taken out first, DN."""
+def _sums_of(fields: tuple[Fields, ...], g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Score and information of falls, the level of every channel fitted too."""
     dark, longest = _darks(fields)
     channel = channel_index(dark[0].mean.shape).ravel()
     u, i = np.zeros(len(g)), np.zeros(len(g))
@@ -166,8 +165,6 @@ def _sums_of(
         assert f.static is not None
         scale = _scale(f, longest)
         w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
-        if taken is not None:
-            static = static - np.float32(np.sqrt(f.frames) * scale) * w * taken
         u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
         i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
         for c in range(4):

@@ -49,8 +49,9 @@ def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, fl
 
 
 def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.0) -> tuple[float, float]:
-    """How the level of the darks rises with their exposure, DN/s, and its standard error; (0, inf) where all
-    are of one. jitter: variance of the offset of a frame, DN^2."""
+    """How the level of the darks of known exposure rises with it, DN/s, and its standard error; (0, inf)
+    where all are of one. jitter: variance of the offset of a frame, DN^2."""
+    levels = [d for d in levels if d[0].exposure_s is not None]
     t = np.array([f.exposure_s for f, _, _ in levels], float)
     if len(set(t.tolist())) < 2:
         return 0.0, np.inf
@@ -103,7 +104,7 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: boo
         spread = np.sqrt(error**2 / 4 + jitter / frames)
         value = float(difference.mean())
         # What dark current adds in the shortest exposure is no fault of the black level.
-        rise, doubt = dark_rise([d for d in levels if d[0].exposure_s is not None], jitter)
+        rise, doubt = dark_rise(levels, jitter)
         if rise > 3 * doubt:
             value, spread = value - rise * shortest, float(np.hypot(spread, doubt * shortest))
         z = np.sign(value) * max(abs(value) - slack, 0.0) / spread

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.calibrate import most_variance, ordinary_variance, own_variance
+from cannoise_jax.discovery.frames.calibrate import ordinary_variance, own_variance
 from cannoise_jax.discovery.frames.contrasts import FLICKER
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
@@ -83,7 +83,7 @@ def shown_of_tails(shape: float, freedom: int) -> float:
     rng = np.random.default_rng(0)
     values = stats.tukeylambda.ppf(rng.random((freedom + 1, 40_000)), shape)
     pixels = values.var(0, ddof=1)
-    return float(pixels[pixels < most_variance(pixels, freedom)].mean() / stats.tukeylambda.var(shape))
+    return ordinary_variance(pixels, freedom) / float(stats.tukeylambda.var(shape))
 
 
 def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, tails: float | None):

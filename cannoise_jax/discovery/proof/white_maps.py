@@ -41,8 +41,7 @@ def patterned(step: Step) -> Doubt | None:
         return None
     if axes.law not in ("white", NOISE):
         return None
-    halves = [_map(step, half, n) for n, half in enumerate(_halves(step.before))]
-    one, two = halves
+    one, two = (_map(step, half, n) for n, half in enumerate(_halves(step.before)))
     if one is None or two is None:
         return None
     each, other, both = (bank.energies(m.astype(np.float32)) for m in (one, two, one + two))
