@@ -15,12 +15,13 @@ from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT
 from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
 from cannoise_jax.discovery.report.pictures import quality_pictures, where_pictures
-from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats
+from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats, placed
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.physics.core import places
 from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term
 
 _MEASURES = (
@@ -164,8 +165,7 @@ def _place(finding: dict[str, Any]) -> str:
     """Of a structure without a name, where it lives and what comes nearest; of others their name says it."""
     if finding["mechanism"] != UNKNOWN:
         return ""
-    place = finding["sentence"].partition(", ")[2].partition(" (law:")[0]
-    nearest = (finding.get("card") or {}).get("nearest")
+    place, nearest = placed(Axes(**finding["card"]["axes"])), finding["card"]["nearest"]
     return f"{place}; nearest: {_name(nearest)}" if nearest else place
 
 

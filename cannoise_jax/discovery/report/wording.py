@@ -53,7 +53,8 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     meaning = "" if unnamed else term.amplitude
     size = _sized(entry["amplitude"]["value"], unit, meaning)
     if unnamed:
-        start = f"A structure without a name, {_placed(step.named.signature.axes)}: strength {size}"
+        axes = step.named.signature.axes
+        start = f"A structure without a name, {placed(axes)} (law: {axes.law}): strength {size}"
         if step.named.doubt is not None:
             near = step.named.doubt.nearest.replace("_", " ")
             start += f"; nearest to {near}, but {said_against(step.named.doubt)}"
@@ -90,14 +91,14 @@ def _sized(value: float, unit: str | None, meaning: str) -> str:
     return amount(value, unit) + (f" {kind}" if kind in ("rms", "peak") else "")
 
 
-def _placed(axes: Axes) -> str:
+def placed(axes: Axes) -> str:
     """The place of a structure in the grammar in words."""
     parts = (
         place(axes.varies_over).over,
         _TIME.get(axes.time, axes.time),
         _SCALES[axes.scales],
     )
-    return f"{', '.join(p for p in parts if p)} (law: {axes.law})"
+    return ", ".join(p for p in parts if p)
 
 
 def _proven(step: Step, proof: Proof) -> str:
