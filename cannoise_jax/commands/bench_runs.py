@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import runpy
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -216,7 +215,7 @@ def train_speed(width: float, batch: int, patch: int, steps: int) -> float:
     from cannoise_jax.training.state import init_state
     from cannoise_jax.training.step import make_train_step
 
-    config = runpy.run_path(train._default_config())["get_config"]()
+    config = train.default_config()
     config.update({"width": width, "batch_size": batch, "patch": patch})
     rng = np.random.default_rng(0)
     names = ("clean", "noisy", "anchor", "positive", "negative")

@@ -235,16 +235,12 @@ def _refuse_unknown_field(arguments: list[str], error: Exception) -> None:
 
 def _near_flag(name: str) -> str:
     """What an unknown flag may be a slip of: another flag, or a field of the config by its last name."""
-    fields = [f"config.{field.partition('=')[0]}" for field in _fields(_default_fields())]
+    fields = [f"config.{field.partition('=')[0]}" for field in _fields(default_config().to_dict())]
     known = {field.rpartition(".")[2]: field for field in fields} | {field: field for field in fields}
     for flag in (f for f in _flags([]) if "." not in f):
         known |= {flag: flag, flag.replace("-", "_"): flag}
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
     return f": did you mean --{known[near[0]]}?" if near else ": see bin/train --help"
-
-
-def _default_fields() -> dict[str, Any]:
-    return runpy.run_path(_default_config())["get_config"]().to_dict()
 
 
 def _help() -> str:
@@ -255,7 +251,7 @@ def _help() -> str:
         shown = "" if default in (None, []) else f" (default {default})"
         lines.append(f"  --{name}  {values[name].help}{shown}")
     lines.append("\nFields of the config, --config.FIELD=VALUE, with the defaults of configs/default.py:")
-    fields = ", ".join(_fields(_default_fields()))
+    fields = ", ".join(_fields(default_config().to_dict()))
     lines += textwrap.wrap(fields, 100, initial_indent="  ", subsequent_indent="  ",
                            break_long_words=False, break_on_hyphens=False)  # fmt: skip
     return "\n".join(lines)

@@ -215,8 +215,8 @@ def _cut(
         packed = [
             pack(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2], recording.cfa) for image in pair
         ]
-        cleans.append(_tiles(packed[0]))
-        noisies.append(_tiles(packed[1]))
+        cleans.append(tiles(packed[0]))
+        noisies.append(tiles(packed[1]))
     clean, noisy = np.concatenate(cleans), np.concatenate(noisies)
     if not len(clean):
         raise BadInput(f"{recording.path}: smaller than {2 * PATCH} x {2 * PATCH} pixels: no patch fits")
@@ -240,7 +240,8 @@ def _cut(
     }
 
 
-def _tiles(packed: np.ndarray) -> np.ndarray:
-    rows, columns = packed.shape[0] // PATCH, packed.shape[1] // PATCH
-    tiles = packed[: rows * PATCH, : columns * PATCH].reshape(rows, PATCH, columns, PATCH, 4)
-    return tiles.swapaxes(1, 2).reshape(-1, PATCH, PATCH, 4)
+def tiles(packed: np.ndarray, height: int = PATCH, width: int = PATCH) -> np.ndarray:
+    """A packed image cut on a grid, `[n, height, width, 4]`; what is left over at its ends goes."""
+    rows, columns = packed.shape[0] // height, packed.shape[1] // width
+    cut = packed[: rows * height, : columns * width].reshape(rows, height, columns, width, 4)
+    return cut.swapaxes(1, 2).reshape(-1, height, width, 4)

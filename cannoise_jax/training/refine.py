@@ -24,6 +24,7 @@ from cannoise_jax.recordings.recording import mosaic_map
 from cannoise_jax.sampling import Camera, Setting
 from cannoise_jax.training.data import HeldOut, TrainingData
 from cannoise_jax.training.denoise_data import HalfReal, dim_scenes, site_medians, with_photons
+from cannoise_jax.training.recorded import tiles
 
 _MULTIPLE = 32
 _SCENES = {"train": 32, "validation": 4}
@@ -61,7 +62,7 @@ def refine_data(data: HalfReal, sensor: SensorModel) -> TrainingData:
         for i, scene in enumerate(clean):
             lit = with_photons(jax.random.fold_in(jax.random.key(6), i), scene, data.full_scale_e)
             noisy = (lit + data.train[i % len(data.train)]) * scale + mosaic_map(shift, scene.shape)
-            cut.append([_tiles(pack(x.astype(np.float32), data.cfa)) for x in (scene * scale, noisy)])
+            cut.append([_patches(pack(x.astype(np.float32), data.cfa)) for x in (scene * scale, noisy)])
         images, noisies = (np.concatenate(parts) for parts in zip(*cut, strict=True))
         count = len(images)
         return HeldOut(
@@ -104,9 +105,7 @@ def write_unit(path: Path, sensor: SensorModel, size: tuple[int, int]) -> Sensor
     return unit
 
 
-def _tiles(packed: np.ndarray) -> np.ndarray:
+def _patches(packed: np.ndarray) -> np.ndarray:
     """Patches on a grid; of an image smaller than a patch what there is that the networks take."""
-    sides = [min(PATCH, n // _MULTIPLE * _MULTIPLE) for n in packed.shape[:2]]
-    rows, columns = (n // s for n, s in zip(packed.shape[:2], sides, strict=True))
-    cut = packed[: rows * sides[0], : columns * sides[1]].reshape(rows, sides[0], columns, sides[1], 4)
-    return cut.swapaxes(1, 2).reshape(-1, *sides, 4)
+    height, width = (min(PATCH, n // _MULTIPLE * _MULTIPLE) for n in packed.shape[:2])
+    return tiles(packed, height, width)
