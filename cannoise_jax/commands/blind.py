@@ -160,9 +160,12 @@ def _true_size(arguments: argparse.Namespace) -> None:
 
 
 def _plain(arguments: argparse.Namespace) -> None:
+    from cannoise_jax.commands.outputs import check_file
     from cannoise_jax.recordings.atomic import texts_in_place
     from cannoise_jax.trials.plain import KINDS, plain_trial
 
+    if arguments.table:
+        check_file(arguments.table, ".json", arguments.force)
     result = plain_trial(arguments.out, arguments.seeds, arguments.kinds or KINDS, progress("diagnosed"))
     text = json.dumps(result, indent=1, ensure_ascii=False)
     if arguments.table:
@@ -305,6 +308,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     step.add_argument("--kinds", nargs="+", choices=("unlisted", "listed", "null"), help="only these")
     step.add_argument("--table", type=place, metavar="FILE.json", help="the score for bin/bench docs")
+    step.add_argument("--force", action="store_true", help="replace a table that exists")
     step.set_defaults(step=_plain)
     return parser
 

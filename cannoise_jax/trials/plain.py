@@ -3,7 +3,6 @@ gets it."""
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -21,9 +20,10 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.proof.verdict import MATCH, NO_CAUSE, PARTLY
 from cannoise_jax.discovery.search.fit import part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
-from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.trials.analysis import fingerprint
+from cannoise_jax.trials.lines import adding, read
 
+_OTHER = "of another analysis or other cameras: choose a new file"
 KINDS = ("unlisted", "listed", "null")
 _GENERATOR = ("blind/plain_camera.py", "blind/plain_listed.py", "blind/plain_unlisted.py")
 _CODE = (
@@ -71,24 +71,16 @@ def plain_trial(
 ) -> dict[str, Any]:
     """All families at every seed, a line each in `out`; those that are there already are not run again.
     Raises BadInput where it holds those of another analysis or of other cameras."""
-    head = json.dumps({"code_sha256": fingerprint(*_GENERATOR)})
-    lines = out.read_text(encoding="utf-8").split("\n") if out.exists() else [head]
-    if lines[0] != head:
-        raise BadInput(f"{out}: of another analysis or other cameras: choose a new file")
-    done = [json.loads(line) for line in lines[1:] if line.endswith("}")]
+    of = {"code_sha256": fingerprint(*_GENERATOR)}
+    done = read(out, of, _OTHER) if out.exists() else []
     asked = [(kind, name, seed) for seed in seeds for kind, name in families(kinds)]
     known = {(d["kind"], d["family"], d["seed"]): d for d in done}
     out.parent.mkdir(parents=True, exist_ok=True)
-    with open(out, "a", encoding="utf-8") as file:
-        if not out.stat().st_size:
-            file.write(head + "\n")
-        elif lines[-1]:
-            file.write("\n")  # a line that was cut off
+    with adding(out, of) as add:
         for n, one in enumerate(asked):
             if one not in known:
                 known[one] = said(*one)
-                file.write(json.dumps(known[one]) + "\n")
-                file.flush()
+                add(known[one])
             tell(n + 1, len(asked))
     return scored([known[one] for one in asked])
 

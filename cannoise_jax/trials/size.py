@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,11 @@ from scipy import stats
 from cannoise_jax.blind.judge import count
 from cannoise_jax.blind.sets import draw_design, record
 from cannoise_jax.discovery.report.document import plain
-from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.trials.analysis import ALPHA, fingerprint, located
+from cannoise_jax.trials.lines import adding, read
+
+_OTHER = "of another seed, size or analysis: choose a new folder"
 
 
 def replicate(seed: int, number: int, size: tuple[int, int]) -> dict[str, Any]:
@@ -46,33 +48,15 @@ def true_size(
     asked = {"seed": seed, "size": list(size), "code_sha256": fingerprint()}
     part, parts = shard
     path = out / f"size_{part}_of_{parts}.jsonl"
-    done = {line["number"] for file in out.glob("size_*.jsonl") for line in read(file, asked)}
-    with open(path, "a", encoding="utf-8") as file:
-        if not path.stat().st_size:
-            file.write(json.dumps(asked) + "\n")
-        elif not path.read_text(encoding="utf-8").endswith("\n"):
-            file.write("\n")  # a line that was cut off
+    done = {line["number"] for file in out.glob("size_*.jsonl") for line in read(file, asked, _OTHER)}
+    with adding(path, asked) as add:
         mine = range(part - 1, replicates, parts)
         for n, number in enumerate(mine):
             if number not in done:
-                file.write(json.dumps(plain(replicate(seed, number, size))) + "\n")
-                file.flush()
+                add(plain(replicate(seed, number, size)))
             tell(n + 1, len(mine))
-    lines = [line for file in sorted(out.glob("size_*.jsonl")) for line in read(file, asked)]
+    lines = [line for file in sorted(out.glob("size_*.jsonl")) for line in read(file, asked, _OTHER)]
     return summary([line for line in lines if line["number"] < replicates])
-
-
-def read(path: Path, asked: dict[str, Any]) -> list[dict[str, Any]]:
-    """The replicates of one file; the last line may be cut off. Raises BadInput for those of other
-    settings."""
-    head, *lines = path.read_text(encoding="utf-8").split("\n")
-    try:
-        settings = json.loads(head)
-    except json.JSONDecodeError:
-        settings = None
-    if head and settings != asked:
-        raise BadInput(f"{path}: of another seed, size or analysis: choose a new folder")
-    return [json.loads(line) for line in lines if line.endswith("}")]
 
 
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
