@@ -180,6 +180,15 @@ def test_a_name_in_the_shadow_of_something_unknown_is_none():
     assert shadowed([nothing], unknown, of_its_own=False) is not None
 
 
+def step_of(capture, name, mechanism, log_p):
+    """The finding of one signature in all frames, surer than log_p, under a name."""
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == name)
+    score = signature.score(prepared.fields)
+    assert score is not None and score.log_p < log_p
+    return Step(Named(score, signature, mechanism, ((mechanism, 1.0),), False), prepared.fields, score.log_p)
+
+
 def response(pattern):
     """Flats whose light meets a fixed map of gains."""
     return lambda rng: lambda dn, signal, kind, t: dn + (signal * pattern if kind == "flat" else 0)
@@ -194,12 +203,7 @@ def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
         texture
     ]
     capture = capture_set(4, response(0.02 * pattern), kinds="df")
-    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
-    signature = next(s for s in prepared.signatures if s.name == "pixel_relative_static")
-    score = signature.score(prepared.fields)
-    assert score is not None and score.log_p < -50
-    named = Named(score, signature, "prnu", (("prnu", 1.0),), False)
-    against = patterned(Step(named, prepared.fields, score.log_p))
+    against = patterned(step_of(capture, "pixel_relative_static", "prnu", -50))
     assert (against is not None) == (texture == "fringes")
     if against is not None:
         assert against.left > 0.9 and "px" in against.against[0]
@@ -214,13 +218,7 @@ def test_pixels_that_lie_in_few_columns_are_no_single_pixels(where):
         return lambda dn, signal, kind, t: dn + 30 * chosen * (rng.random(dn.shape) < 0.5)
 
     capture = capture_set(4, jumps, kinds="d", frames=10)
-    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
-    signature = next(s for s in prepared.signatures if s.name == "telegraph")
-    score = signature.score(prepared.fields)
-    assert score is not None and score.log_p < -50
-    against = gathered(
-        Step(Named(score, signature, "rts", (("rts", 1.0),), False), prepared.fields, score.log_p)
-    )
+    against = gathered(step_of(capture, "telegraph", "rts", -50))
     assert (against is not None) == (where == "edge columns")
     if against is not None:
         assert "columns" in against.against[0]
@@ -236,10 +234,5 @@ def test_noise_that_grows_over_the_frame_is_no_noise_of_single_pixels(map_of):
         return lambda dn, signal, kind, t: BLACK + (dn - BLACK) * factor
 
     capture = capture_set(4, alter, kinds="d", frames=10)
-    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
-    signature = next(s for s in prepared.signatures if s.name == "pixel_spread")
-    score = signature.score(prepared.fields)
-    assert score is not None and score.log_p < -20
-    named = Named(score, signature, "pixel_read_noise_map", (("pixel_read_noise_map", 1.0),), False)
-    against = patterned(Step(named, prepared.fields, score.log_p))
+    against = patterned(step_of(capture, "pixel_spread", "pixel_read_noise_map", -20))
     assert (against is not None) == (map_of == "a gradient")
