@@ -13,13 +13,16 @@ import shlex
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.outputs import check_folder, make_folder
+from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, whole
-from cannoise_jax.recordings.atomic import texts_in_place
+from cannoise_jax.recordings.atomic import new_folder, one_work, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.evaluation.suites import Request
 
 SUITES = ("noise", "ablation", "encoder", "cameras", "iso")
 SCHEMA = "cannoise/evaluation/1"
@@ -48,7 +51,6 @@ def _run(arguments, argv: list[str]) -> None:
     from cannoise_jax.evaluation.beyond import beyond_bench
     from cannoise_jax.evaluation.noise_models import BASELINES, baselines, make_bench, sensors
     from cannoise_jax.evaluation.results_page import results_page
-    from cannoise_jax.evaluation.suites import SUITES as RUNS
     from cannoise_jax.evaluation.suites import Request
     from cannoise_jax.physics.synthetic.virtual import virtual_cameras
     from cannoise_jax.sampling import MODEL_FILE, load_model
@@ -84,33 +86,40 @@ def _run(arguments, argv: list[str]) -> None:
         bench, draws, models, arguments.seeds, arguments.references, ablations, two_sample_area, also,
         beyond, tell,
     )  # fmt: skip
-    for name in chosen:
-        started = time.monotonic()
-        tell(f"suite {name}")
-        outcome = RUNS[name](request)
-        record: dict[str, Any] = {
-            "schema": SCHEMA, "suite": name, "title": (RUNS[name].__doc__ or name).splitlines()[0],
-            "command": f"bin/evaluate {shlex.join(argv)}",
-            "version": importlib.metadata.version("cannoise-jax"),
-            "seeds": arguments.seeds, "patches": bench.size, "references": arguments.references,
-            "interval": "90 %, seeds and scenes drawn again",
-            "models": [str(p) for p in paths], "seconds": round(time.monotonic() - started, 1),
-            "tables": [_plain(t) for t in outcome.tables], "figures": [_plain(f) for f in outcome.figures],
-            "notes": outcome.notes,
-        }  # fmt: skip
-        make_folder(out)
-        with texts_in_place(
-            {out / f"{name}{ending}.json": json.dumps(record, indent=1, allow_nan=False) + "\n"}
-        ):
+    files = {name: out / f"{name}{ending}.json" for name in chosen}
+    with new_folder(out), one_work([*files.values(), out / "results.html"]):
+        for name, path in files.items():
+            record = _record(name, request, paths, argv)
+            with texts_in_place({path: json.dumps(record, indent=1, allow_nan=False) + "\n"}):
+                pass
+            for table in record["tables"]:
+                print(_text(table), flush=True)
+            for note in record["notes"]:
+                print(f"not run: {note}")
+        stored = {n: out / f"{n}.json" for n in SUITES}
+        found = {n: json.loads(path.read_text()) for n, path in stored.items() if path.is_file()}
+        with texts_in_place({out / "results.html": results_page(found)}):
             pass
-        for table in record["tables"]:
-            print(_text(table), flush=True)
-        for note in outcome.notes:
-            print(f"not run: {note}")
-    found = {n: json.loads((out / f"{n}.json").read_text()) for n in SUITES if (out / f"{n}.json").is_file()}
-    with texts_in_place({out / "results.html": results_page(found)}):
-        pass
     print(out / "results.html")
+
+
+def _record(name: str, request: Request, models: list[Path], argv: list[str]) -> dict[str, Any]:
+    """Runs a suite; what is stored of it."""
+    from cannoise_jax.evaluation.suites import SUITES as RUNS
+
+    started = time.monotonic()
+    request.tell(f"suite {name}")
+    outcome = RUNS[name](request)
+    return {
+        "schema": SCHEMA, "suite": name, "title": (RUNS[name].__doc__ or name).splitlines()[0],
+        "command": f"bin/evaluate {shlex.join(argv)}",
+        "version": importlib.metadata.version("cannoise-jax"),
+        "seeds": request.seeds, "patches": request.bench.size, "references": request.references,
+        "interval": "90 %, seeds and scenes drawn again",
+        "models": [str(p) for p in models], "seconds": round(time.monotonic() - started, 1),
+        "tables": [_plain(t) for t in outcome.tables], "figures": [_plain(f) for f in outcome.figures],
+        "notes": outcome.notes,
+    }  # fmt: skip
 
 
 def _flow(bench, arguments, tell):

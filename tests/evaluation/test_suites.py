@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import signal
+import subprocess
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
@@ -152,6 +155,24 @@ def test_the_command_writes_json_and_a_page(tmp_path, capsys):
     assert "nonsense" in capsys.readouterr().err
     assert main(["--suite", "iso", *flags, *more]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+def test_a_killed_run_is_made_again_and_a_finished_one_is_kept(tmp_path, capsys):
+    flags = ["--suite", "encoder", "--workdir", str(tmp_path), "--seeds", "1", "--scenes", "2"]
+    flags += ["--per-scene", "1", "--train-scenes", "6"]
+    killed = f"""
+import os, signal
+from cannoise_jax.evaluation import results_page
+results_page.results_page = lambda found: os.kill(os.getpid(), signal.SIGKILL)
+from cannoise_jax.commands.evaluate import main
+main({flags!r})
+"""
+    assert subprocess.run([sys.executable, "-c", killed], capture_output=True).returncode == -signal.SIGKILL
+    assert (tmp_path / "evaluation" / "encoder.json").exists()
+    assert main(flags) == 0, capsys.readouterr().err
+    names = {p.name for p in (tmp_path / "evaluation").iterdir()}
+    assert names == {"encoder.json", "results.html"}
+    assert main(flags) == 2 and "--force" in capsys.readouterr().err
 
 
 def test_suites_that_need_a_model_say_so(tmp_path, capsys):
