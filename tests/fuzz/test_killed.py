@@ -25,12 +25,14 @@ from tests.fuzz.test_fuzz import Worker, prepared
 from tests.recordings.folders.night import night
 
 FEW, MANY, SOME = 3, 200, 50
+WRITING = tuple(f"cannoise_jax/recordings/{name}.py" for name in ("atomic", "native", "unfinished"))
+TRAINING = (*WRITING, "cannoise_jax/training", "cannoise_jax/commands/train.py")
 CODE = (
-    *("cannoise_jax/recordings/atomic.py", "cannoise_jax/recordings/native.py", "cannoise_jax/training"),
+    *(*WRITING, "cannoise_jax/recordings/folders/store.py", "cannoise_jax/training"),
     *("cannoise_jax/physics/core/sensor_json.py", "cannoise_jax/discovery/report/save.py"),
     *(f"cannoise_jax/commands/{name}.py" for name in ("convert", "diagnose", "sample_frames", "simulate")),
 )
-"""What the table of docs/reliability.md depends on."""
+"""What the tables of docs/reliability.md depend on, that of the command `train` on TRAINING."""
 
 
 def kill(worker: Worker, target: str, folder: Path, seconds: float) -> bool:
@@ -48,10 +50,10 @@ def leftovers(folder: Path) -> list[str]:
     return [p.name for p in folder.rglob(".*") if p.name.endswith(ends) or p.name.startswith(starts)]
 
 
-def told(tables, what: str, killed: int, runs: int, held: str) -> None:
+def told(tables, what: str, killed: int, runs: int, held: str, name: str = "kills", code=CODE) -> None:
     """Notes a series of kills for the table."""
     row = (what, f"{killed} of {runs}", held)
-    tables.add("kills", ("killed at random times", "before its end", "what held each time"), [row], CODE)
+    tables.add(name, ("killed at random times", "before its end", "what held each time"), [row], code)
 
 
 def counts(request) -> int:
@@ -154,7 +156,8 @@ def test_the_command_train_that_is_killed_ends_at_the_same_bits(worker, tmp_path
         assert answer["status"] in ("hung", 0), answer["err"][-600:]
         killed_ += answer["status"] == "hung"
     assert worker.run(case, folder, 1000, cpu=1000)["status"] == 0 and bits() == expected
-    told(tables, "`train`, the tiny config", killed_, rounds, "it ends at the same bits")
+    held = "it ends at the same bits"
+    told(tables, "`train`, the tiny config", killed_, rounds, held, "kills_train", TRAINING)
 
 
 def test_convert_that_is_killed_leaves_nothing_or_all(worker, tmp_path, request, tables):
