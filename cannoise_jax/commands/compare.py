@@ -8,6 +8,7 @@ import json
 import logging
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import cache_folder, command, progress
@@ -42,6 +43,8 @@ def main(argv: list[str] | None = None) -> int:
             raise BadInput(f"{len(simulators)} simulators: give one, or two to set side by side")
         if not 0 < arguments.alpha < 1:
             raise BadInput(f"--alpha: must lie between 0 and 1, got {arguments.alpha:g}")
+        for simulator in simulators:
+            _check_named(simulator)
         if arguments.out is not None:
             check_folder(arguments.out, _FILES, arguments.force, "the comparison")
         found, result = _compared(arguments, simulators, tell)
@@ -78,6 +81,15 @@ def _of_reports(arguments: argparse.Namespace) -> int:
         ):
             pass
     return 0
+
+
+def _check_named(simulator: str) -> None:
+    """Raises BadInput, before the recordings are read, for what names no simulator."""
+    if simulator != "poisson-gaussian" and ":" not in simulator and not Path(simulator).exists():
+        raise BadInput(
+            f"{simulator}: no such simulator: name poisson-gaussian, a sensor.json, a training folder, a "
+            "folder of simulated frames, or module:function"
+        )
 
 
 def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tuple[list[Comparison], Any]:

@@ -248,7 +248,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Trains denoisers on noise models and tests them on real darks under computed light. "
         "Training and test share no pixel, frame or scene; camera models are fitted to the training part.",
     )
-    verbs = parser.add_subparsers(dest="verb", required=True)
+    verbs = parser.add_subparsers(dest="verb", metavar="train|test|apply", required=True)
     train = verbs.add_parser("train", help="one denoiser for each exposure, noise model and seed")
     test = verbs.add_parser("test", help="PSNR and SSIM of all denoisers of a workdir")
     for verb in (train, test):

@@ -145,7 +145,12 @@ def progress(doing: str) -> Callable[[int, int], None]:
             print(f"{end}{doing}: {total} in {now - started:.0f} s", file=sys.stderr, flush=True)
             spoken = False
             return
-        if now - started < _SILENT_S or not number or now - last < (0.2 if terminal else _EVERY_S):
+        if (
+            number >= total
+            or now - started < _SILENT_S
+            or not number
+            or now - last < (0.2 if terminal else _EVERY_S)
+        ):
             return
         last, spoken = now, True
         left = (now - started) / number * (total - number)

@@ -135,6 +135,9 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
 
 
 def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValues]:
+    file = (_value(arguments, "config") or "").partition(":")[0]
+    if file and not Path(file).is_file():
+        raise BadInput(f"--config {file}: no such file: name a config, as configs/default.py")
     try:
         with _stored_config(arguments) as stored:
             values = _flags(arguments, stored)
@@ -144,7 +147,7 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValue
     except flags.UnrecognizedFlagError as error:
         raise BadInput(f"unknown flag --{error.flagname}{_near_flag(error.flagname)}") from error
     except flags.Error as error:
-        raise BadInput(" ".join(str(error).split())) from error
+        raise BadInput(_plainly(" ".join(str(error).split()))) from error
     except BadInput:
         raise
     except Exception as error:  # a config file is a program: it may raise anything
@@ -173,6 +176,16 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValue
     if values["white-level"].value is not None:
         config.data.white_level = values["white-level"].value
     return config, Path(values.workdir), values
+
+
+def _plainly(message: str) -> str:
+    """What the library of flags says of a value, in the words of a user."""
+    for kind, words in (
+        (r"invalid literal for int\(\) with base 10", "a whole number"),
+        ("could not convert string to float", "a number"),
+    ):
+        message = re.sub(rf"{kind}: (.*)$", rf"\1: give {words}", message)
+    return message
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import contextlib
 import dataclasses
 import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,14 +82,15 @@ def make_recording(
     stated = {**known, **{k: v for k, v in overrides.items() if v is not None}}
     stated = {k: v for k, v in stated.items() if v is not None}
     _check_frames(path, frames)
-    cfa = _cfa(path, _required(path, stated, "cfa"))
+    _check_stated(path, stated)
+    cfa = _cfa(path, stated["cfa"])
     if cfa != "MONO" and (frames.shape[1] % 2 or frames.shape[2] % 2):
         raise BadInput(
             f"{path}: {frames.shape[1]} x {frames.shape[2]} pixels is an odd size for a {cfa} mosaic: "
             "crop one row or column"
         )
-    black = _channels(path, "black_level", _required(path, stated, "black_level"))
-    white = _number(path, "white_level", _required(path, stated, "white_level"))
+    black = _channels(path, "black_level", stated["black_level"])
+    white = _number(path, "white_level", stated["white_level"])
     if white > _HIGHEST or min(black) < -_HIGHEST:
         raise BadInput(
             f"{path}: black level {min(black):g}, white level {white:g}: far beyond codes of 16 bits: "
@@ -222,10 +223,20 @@ def _checked_clean(path: str | Path, frames: Frames, clean: Any, scan: bool) -> 
     return clean
 
 
-def _required(path: str | Path, stated: Mapping[str, Any], name: str) -> Any:
-    if name not in stated:
-        raise BadInput(f"{path}: {name} is missing: set it with {_FLAGS[name]}")
-    return stated[name]
+def _check_stated(path: str | Path, stated: Mapping[str, Any]) -> None:
+    """Raises BadInput that names all that neither the file nor the caller states, of what is required."""
+    missing = [name for name in _FLAGS if name not in stated]
+    if missing:
+        many = len(missing) > 1
+        flags = _and([_FLAGS[name] for name in missing])
+        raise BadInput(
+            f"{path}: {_and(missing)} {'are' if many else 'is'} missing: set {'them' if many else 'it'} with "
+            f"{flags}"
+        )
+
+
+def _and(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _text(path: str | Path, name: str, value: Any) -> str:

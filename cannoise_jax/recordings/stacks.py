@@ -75,6 +75,11 @@ def open_tiff(path: str | Path) -> Opened:
     if not whole:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
     size = next(iter(shapes))
+    if len(shapes) == 1 and len(size) == 3 and {size[0], size[-1]} & {3, 4}:
+        raise BadInput(
+            f"{path}: pages of shape {size} hold colours: give the raw mosaics, one frame a page (tifffile "
+            "takes a stack of three or four for colours unless it is told photometric='minisblack')"
+        )
     if len(shapes) > 1 or len(types) > 1 or len(size) != 2:
         raise BadInput(f"{path}: pages of shape {', '.join(sorted(map(str, shapes)))}: expected mosaics")
     shape = (count, *size)

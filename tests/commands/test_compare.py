@@ -61,6 +61,8 @@ def test_numbers_are_plain():
 
 def test_bad_input_is_one_line(folders, capsys):
     recorded = str(folders / "recorded")
+    assert main(["--recordings", str(folders / "nowhere"), "--simulator", "nlf"]) == 2  # read last
+    assert "nlf: no such simulator" in capsys.readouterr().err
     for flags in (
         ["--recordings", str(folders / "nowhere")],
         ["--recordings", recorded, "--simulator", "missing:function"],

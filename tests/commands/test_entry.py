@@ -192,4 +192,7 @@ def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
     for number in range(1, 11):
         now[0] += 0.01
         quick(number, 10)
+    only = entry.progress("doing")
+    now[0] += 60.0
+    only(1, 1)  # nothing is left to wait for
     assert capsys.readouterr().err == ""

@@ -50,9 +50,10 @@ def test_a_run_ends_with_table_picture_and_results(tmp_path, capsys):
     ("arguments", "expected"),
     [
         ([], "--workdir"),
-        (["--workdir", "RUN", "--config", "nowhere.py"], "nowhere.py"),
+        (["--workdir", "RUN", "--config", "nowhere.py"], "nowhere.py: no such file"),
         (["--workdir", "RUN", "--config.nothing=1"], "nothing"),
-        (["--workdir", "RUN", "--config.steps=many"], "config.steps"),
+        (["--workdir", "RUN", "--config.steps=many"], "config.steps=many: 'many': give a whole number"),
+        (["--workdir", "RUN", "--white-level", "high"], "give a number"),
         (["--workdir", "RUN", "--nothing"], "nothing"),
         (["--workdir", "RUN", "left over"], "left over"),
         (["--workdir", "RUN", "--recordings", "RUN/none,RUN/nothing"], "none: no such folder"),

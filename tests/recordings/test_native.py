@@ -109,6 +109,10 @@ BAD = {
     "cfa is missing: set it with --cfa": {"cfa": None},
     "black_level is missing: set it with --black-level": {"black_level": None},
     "white_level is missing: set it with --white-level": {"white_level": None},
+    "cfa and white_level are missing: set them with --cfa and --white-level": {
+        "cfa": None,
+        "white_level": None,
+    },
     "unknown CFA 'RGBW'": {"cfa": "RGBW"},
     "black level 1023 is not below white level 1023": {"black_level": [0, 0, 0, 1023.0]},
     "black_level array.*expected 1 or 4": {"black_level": [1.0, 2.0, 3.0]},

@@ -43,7 +43,10 @@ def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
         said += [words] if words else []
     black, white = ({**values, **overrides}.get(n) for n in ("black_level", "white_level"))
     if black is not None and white is not None and max(per_channel(black)) >= white:
-        missing.append(f"a white level ({white:g} DN) above the black level ({max(per_channel(black)):g} DN)")
+        missing.append(
+            f"the white level of {white:g} DN is not above the black level, {max(per_channel(black)):g} DN: "
+            "state them with --white-level and --black-level"
+        )
     return Levels(values, tuple(said), tuple(missing))
 
 

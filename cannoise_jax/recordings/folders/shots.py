@@ -85,8 +85,11 @@ def scan(
     unread: dict[str, int] = {}
     links: list[str] = []
     lost: list[str] = []
-    found = list(_files(folder, tuple(leave_out), unread, links, lost))
+    leave_out = tuple(leave_out)
+    found = list(_files(folder, leave_out, unread, links, lost))
     if not found:
+        if leave_out and next(_files(folder, (), {}, [], []), None) is not None:
+            raise BadInput(f"{folder}: --leave-out passes over every recording: leave out fewer")
         kinds = f", only {_counted(unread)}" if unread else ""
         remedies = dict.fromkeys(instead_of(suffix) for suffix in sorted(unread))
         remedy = "; ".join(map(str, remedies)) or "see bin/convert --help for the formats"

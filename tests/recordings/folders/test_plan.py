@@ -195,6 +195,8 @@ def test_everything_missing_is_said_at_once(tmp_path):
     with pytest.raises(BadInput, match="broken.fits.*flat_x.fits.*--black-level") as caught:
         check(plan)
     assert "\n" not in str(caught.value)
+    with pytest.raises(BadInput, match="--leave-out passes over every recording"):
+        plan_folder(tmp_path, leave_out=["*"])
     mended = plan_folder(
         tmp_path,
         {"cfa": "RGGB", "black_level": (1000.0,)},
@@ -373,7 +375,7 @@ def test_what_side_cars_say_is_held_to_the_rules_of_single_files(tmp_path, field
 def test_a_pattern_without_a_file_and_levels_the_wrong_way_round_are_said(tmp_path):
     plan = plan_folder(night(tmp_path), {"white_level": 10.0}, assign=[("darc*", "dark")])
     assert "--assign darc*=dark: no file of such a name" in notes(plan)
-    assert any("a white level (10 DN) above the black level" in p for p in plan.problems)
+    assert any("the white level of 10 DN is not above the black level" in p for p in plan.problems)
 
 
 def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
