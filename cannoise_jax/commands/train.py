@@ -80,6 +80,7 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     started = time.monotonic()
     logging.basicConfig(format="bin/train: %(message)s", level=logging.WARNING)
+    workdir = None
     try:
         with _interruptible() as check:
             config, workdir, values = _read_flags(arguments)
@@ -89,7 +90,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"bin/train: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("bin/train: interrupted: the same command goes on from the last checkpoint", file=sys.stderr)
+        begun = workdir is not None and any(workdir.glob("checkpoints/*"))
+        onward = "goes on from the last checkpoint" if begun else "begins again"
+        print(f"bin/train: interrupted: the same command {onward}", file=sys.stderr)
         return 130
 
 
@@ -123,11 +126,11 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _no_empty_folder(folder: Path) -> Iterator[None]:
-    """A folder that a refused run has made and not filled is taken away again."""
+    """A folder that a run has made and not filled when it is refused or interrupted is taken away again."""
     there = folder.exists()
     try:
         yield
-    except BadInput:
+    except (BadInput, KeyboardInterrupt):
         if not there:
             with suppress(OSError):
                 folder.rmdir()  # only where it is empty

@@ -127,9 +127,13 @@ def test_an_interruption_outside_training_is_one_line(number, tmp_path, capsys, 
 
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(data, "load_data", interrupted)
-    assert train.main(["--workdir", str(tmp_path), "--config", CI]) == 130
+    assert train.main(["--workdir", str(tmp_path / "run"), "--config", CI]) == 130
     message = capsys.readouterr().err
-    assert message.startswith("bin/train: interrupted") and message.count("\n") == 1
+    assert message == "bin/train: interrupted: the same command begins again\n"
+    assert not (tmp_path / "run").exists()
+    (tmp_path / "run" / "checkpoints" / "2").mkdir(parents=True)
+    assert train.main(["--workdir", str(tmp_path / "run"), "--config", CI]) == 130
+    assert "goes on from the last checkpoint" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == before
 
 
