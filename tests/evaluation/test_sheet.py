@@ -84,7 +84,9 @@ def test_what_was_not_recorded_is_said():
     (setting,) = sheet_data(photon_transfer(CaptureSet("Acme X", (made(0.0, "dark", 0.01),))))
     assert "even, steady light" in row(setting, "K,", "DN/e-")["record"]
     assert "three exposure times" in row(setting, "LE", "%")["record"]
-    assert "not measurable" in sheet_page("Acme X", [setting])
+    assert "not measurable" in (page := sheet_page("Acme X", [setting]))
+    assert ("four sites (row, column)" in page) == (setting["cfa"] == "MONO")
+    assert "four sites (row, column)" in sheet_page("Acme X", [{**setting, "cfa": "MONO"}])
 
 
 def test_profiles_of_every_iso():
