@@ -194,7 +194,7 @@ def survives(worker: Worker, case: Case, folder: Path, kills: int, seed: int, cp
     whole = worker.run(case, folder, 1000, cpu=cpu)
     assert whole["status"] == 0, whole["err"][-600:]
     names = {p.name for p in (folder / "out").iterdir()}
-    rng, killed_, number = random.Random(seed), 0, 0
+    rng, killed_, number, quickest = random.Random(seed), 0, 0, whole["seconds"]
     plain = Case("", case.target, [word for word in case.argv if word != "--force"])
     while number < kills or (
         not killed_ and number < 10 * kills
@@ -205,15 +205,16 @@ def survives(worker: Worker, case: Case, folder: Path, kills: int, seed: int, cp
         if empty:
             shutil.rmtree(folder / "out")
             (folder / "out").mkdir()
-        answer = worker.run(
-            plain if empty else case, folder, rng.uniform(0, early) * whole["seconds"], cpu=cpu
-        )
+        answer = worker.run(plain if empty else case, folder, rng.uniform(0, early) * quickest, cpu=cpu)
         assert answer["status"] in ("hung", 0), answer["err"][-600:]
         killed_ += answer["status"] == "hung"
+        if answer["status"] == 0:  # what else runs on the machine changes how long it takes
+            quickest = min(quickest, answer["seconds"])
         left = [p for p in (folder / "out").iterdir() if not p.name.startswith(".")]
         assert {p.name for p in left} <= names and all(sound(p) for p in left)
         if empty and answer["status"] == "hung":  # what is not finished is made again, what is stays
             again = worker.run(plain, folder, 1000, cpu=cpu)
+            quickest = min(quickest, again["seconds"] if again["status"] == 0 else quickest)
             assert again["status"] == 0 or ("exists:" in again["err"] and {p.name for p in left} == names)
             assert {p.name for p in (folder / "out").iterdir()} == names
     assert worker.run(case, folder, 1000, cpu=cpu)["status"] == 0
