@@ -17,7 +17,7 @@ from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.simulate import Draw
-from cannoise_jax.discovery.frames.splits import Splits, splits_of
+from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
@@ -83,6 +83,7 @@ def diagnose(
     capture, left_out = usable(capture)
     for line in left_out:
         warnings.warn(line, LeftOutWarning, stacklevel=2)
+    capture = read_once(capture)
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -46,3 +47,23 @@ def read_stack(read_one: Callable[[int], np.ndarray], shape: tuple[int, ...], in
     if chosen.size == 0:
         return read_one(0)[tuple(rest)][None][:0]
     return np.stack([read_one(int(number))[tuple(rest)] for number in chosen])
+
+
+def kept(array: LazyArray, most: int) -> LazyArray:
+    """The same array, of whose images the last `most` that were asked for one by one stay in memory: to fetch
+    one may mean to open and to inflate a file."""
+
+    @lru_cache(most)
+    def image(number: int) -> np.ndarray:
+        out = np.array(array[number : number + 1])
+        out.setflags(write=False)
+        return out
+
+    def read(index: Any) -> np.ndarray:
+        if isinstance(index, slice) and index.step in (None, 1):
+            start, stop, _ = index.indices(len(array))
+            if stop == start + 1:
+                return image(start)
+        return array[index]
+
+    return LazyArray(read, array.shape, array.dtype)

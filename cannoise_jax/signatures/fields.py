@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import KINDS, LIT
 
 
@@ -175,18 +176,19 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
         if not len(f.contrasts) or any(f.contrasts is g.contrasts for g in before):
             out.append(f)  # nothing was taken out of the contrasts, so the variance is what it was
             continue
-        channel = channel_index(f.mean.shape)
         factor = np.ones(f.mean.shape, np.float32)
-        for c in range(4):
-            chosen = (channel == c) & f.usable
+        for at in SITES:
+            chosen = f.usable[at].ravel()
             if chosen.any():
-                values = f.contrasts[:, chosen]
-                limit = 5 * max(1.0, float(np.median(np.abs(values))))
+                values = np.compress(chosen, f.contrasts[:, *at].reshape(len(f.contrasts), -1), 1)
+                away = np.abs(values)
+                limit = 5 * max(1.0, _median_from(away, 1.0))
                 # Of noise far below a step a pixel that changes by a code or two is no outlier.
-                limit = max(limit, 2 * f.step * float(np.median(f.weight[chosen])))
-                power = np.mean(values[np.abs(values) < limit] ** 2)
+                weight = f.weight[at].ravel()[chosen]
+                limit = max(limit, 2 * f.step * _median_from(weight, limit / max(2 * f.step, 1e-30)))
+                power = np.mean(values[away < limit] ** 2)
                 if power > 1e-6:  # less is what rounding leaves of a channel that never moves
-                    factor[channel == c] = 1 / np.sqrt(power)
+                    factor[at] = 1 / np.sqrt(power)
         out.append(
             f._replace(
                 contrasts=f.contrasts * factor,
@@ -195,3 +197,9 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
             )
         )
     return tuple(out)
+
+
+def _median_from(values: Float[np.ndarray, "..."], least: float) -> float:
+    """The median, or 0 where it plainly lies below `least`: to count is much faster than to order."""
+    below = 2 * np.count_nonzero(values < np.float32(0.999 * least)) > values.size
+    return 0.0 if below else float(np.median(values))

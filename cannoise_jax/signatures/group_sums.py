@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import ndimage
 
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields
@@ -132,14 +131,26 @@ def outlying(values: np.ndarray, response: np.ndarray, groups: Groups) -> np.nda
     number = groups.kin.size
     count = np.bincount(groups.of[seen], minlength=number)
     middle = float(np.median(values[seen]))
-    centre = np.asarray(ndimage.median(values, np.where(seen, groups.of, -1), np.arange(number)))
-    centre = np.where(count < _FEWEST, middle, centre)
+    centre = np.where(count < _FEWEST, middle, _medians(values[seen], groups.of[seen], count))
     spread = max(float(np.median(np.abs(values - centre[groups.of])[seen])) / _MEDIAN_OFF, 1.0)
     many = count >= _FEWEST
     chance = _MEDIANS * spread**2 * float(np.sum(1 / count[many]))
     apart = float(np.sum((centre[many] - middle) ** 2))
     centre = middle + max(1 - chance / max(apart, 1e-30), 0.0) * (centre - middle)
     return seen & (np.abs(values - centre[groups.of]) > _FAR * spread)
+
+
+def _medians(
+    values: Float[np.ndarray, "n"], of: Int[np.ndarray, "n"], count: Int[np.ndarray, "g"]
+) -> Float[np.ndarray, "g"]:
+    """Median of the values of every group, of so many each; of a group without any that of some other."""
+    order = np.argsort(values)
+    # A stable sort of short numbers is one pass over them.
+    kind = np.uint16 if count.size <= 1 << 16 else of.dtype
+    ranked = values[order[np.argsort(of[order].astype(kind), kind="stable")]]
+    start = np.cumsum(count) - count
+    low, high = (np.minimum(start + (count + k) // 2, values.size - 1) for k in (-1, 0))
+    return (ranked[low] + ranked[high]) / 2
 
 
 def shared_sums(fields: tuple[Fields, ...], groups: Groups, scaling: str) -> LineSums | None:

@@ -8,7 +8,7 @@ any correlation between neighbours.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 
@@ -40,6 +40,9 @@ LATTICES: dict[str, np.ndarray] = {
     "but one of four pairs": (_ROWS // 2 + _COLUMNS // 2) > 0,
 }
 """Phases of 4 x 4 pixels that are interpolated; their complements are tried as well."""
+_KERNELS = {**KERNELS, **MONO_KERNELS}
+_EDGE = 2
+"""Rows and columns at the border, whose neighbours are not all in the frame."""
 _NAMES = ("four", "row", "column", "next_four", "next_row", "next_column", "eight", "next_eight")
 _COST = 8.0
 """Nats of a lattice: log(240) = 5.5 of 8 kernels, 15 lattices and their complements, and 2.5 of the weight.
@@ -64,44 +67,64 @@ def _phases(values: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndar
     return mean, number
 
 
-def _left(fields: tuple[Fields, ...], kernel: tuple[tuple[int, int], ...]):
-    """Per phase: variance of pixels minus the mean of their neighbours over the variance of all, that of
-    pixels whose neighbours are independent, and how many values it is from."""
-    left, alone, total = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+Left = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Per phase: variance of pixels minus the mean of their neighbours over the variance of all, that of pixels
+whose neighbours are independent, and how many values it is from."""
+
+
+def _each_left(fields: tuple[Fields, ...]) -> list[tuple[Fields, list[Left]]]:
+    """What each recording of even light shows by every kernel of `_NAMES`."""
+    out = []
     for f in fields:
-        if not len(f.contrasts) or np.median(f.sigma) < f.step or f.usable.mean() < 0.5:
+        if not len(f.contrasts) or np.median(f.sigma) < f.step or f.usable.mean() < 0.5 or f.kind == "scene":
             continue
         c = f.contrasts - f.contrasts.mean(2, keepdims=True)
         c = (c - c.mean(1, keepdims=True)).clip(-6, 6)
         # In units of the noise of the place, smooth over it: a lattice in sigma is part of the effect.
-        scale = f.sigma / float(np.median(f.sigma))
-        if f.kind == "scene":
-            continue
-        values = c * scale
-        mean = sum(np.roll(values, (-dy, -dx), (1, 2)) for dy, dx in kernel) / len(kernel)
+        values = c * (f.sigma / float(np.median(f.sigma)))
         own = np.einsum("nij,nij->ij", values, values) / len(c)
-        near = sum(np.roll(own, (-dy, -dx), (0, 1)) for dy, dx in kernel) / len(kernel) ** 2
-        rest = values - mean
         usable = f.usable.copy()
-        usable[:2], usable[-2:], usable[:, :2], usable[:, -2:] = False, False, False, False
-        d, number = _phases(np.einsum("nij,nij->ij", rest, rest) / len(c), usable)
-        a, _ = _phases(own + near, usable)
-        weight = number * len(c)
+        usable[:_EDGE], usable[-_EDGE:], usable[:, :_EDGE], usable[:, -_EDGE:] = False, False, False, False
+        out.append((f, [_by_kernel(values, own, usable, _KERNELS[name]) for name in _NAMES]))
+    return out
+
+
+def _by_kernel(
+    values: np.ndarray, own: np.ndarray, usable: np.ndarray, kernel: tuple[tuple[int, int], ...]
+) -> Left:
+    """One recording by one kernel; own: variance of every pixel. Pixels at the border have no neighbours."""
+    h, w = own.shape
+    inner = (slice(_EDGE, h - _EDGE), slice(_EDGE, w - _EDGE))
+
+    def about(x: np.ndarray) -> np.ndarray:
+        near = (x[..., _EDGE + i : h - _EDGE + i, _EDGE + j : w - _EDGE + j] for i, j in kernel)
+        return reduce(np.add, near)
+
+    rest = values[:, *inner] - about(values) / len(kernel)
+    difference, alone = np.zeros(own.shape, own.dtype), np.zeros(own.shape, own.dtype)
+    difference[inner] = np.einsum("nij,nij->ij", rest, rest) / len(values)
+    alone[inner] = own[inner] + about(own) / len(kernel) ** 2
+    d, number = _phases(difference, usable)
+    return d, _phases(alone, usable)[0], number * len(values)
+
+
+def _together(each: list[Left]) -> Left | None:
+    """Of several recordings; None where a phase has no pixels."""
+    left, alone, total = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    for d, a, weight in each:
         left, alone, total = left + weight * d, alone + weight * a, total + weight
-    if not total.all():
-        return None
-    return left / total, alone / total, total
+    return (left / total, alone / total, total) if total.all() else None
 
 
 def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
     """Pixels of a lattice that follow their neighbours. Amplitude: weight of the interpolated value."""
     best: tuple[float, float, str, str, float, float, np.ndarray] | None = None
     tried = 0
-    unlit = tuple(f for f in fields if f.kind in DARK)
-    dark = {name: _left(unlit, {**KERNELS, **MONO_KERNELS}[name]) for name in _NAMES} if unlit else {}
-    for name in _NAMES:
-        kernel = {**KERNELS, **MONO_KERNELS}[name]
-        found = _left(fields, kernel)
+    each = _each_left(fields)
+    for n, name in enumerate(_NAMES):
+        kernel = _KERNELS[name]
+        found = _together([by[n] for _, by in each])
+        dark = _together([by[n] for f, by in each if f.kind in DARK])
         if found is None:
             return None
         left, alone, number = found
@@ -118,7 +141,7 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
                 z = (lost - _LEAST) / error
                 z_shared = (_SHARED - together) / float(np.sqrt(3 / number.sum()))
                 uneven = inside / own_in < outside / own_out - 2 * error
-                if uneven and lost > 0 and _in_darks(dark.get(name), on, lost):
+                if uneven and lost > 0 and _in_darks(dark, on, lost):
                     both = min(z, z_shared)
                     if best is None or both > best[0]:
                         weight = 1 - float(
@@ -146,7 +169,7 @@ def lattice_score(fields: tuple[Fields, ...], *, mono: bool) -> Score | None:
     )
 
 
-def _in_darks(found, on: np.ndarray, lost: float) -> bool:
+def _in_darks(found: Left | None, on: np.ndarray, lost: float) -> bool:
     """Whether the darks, if there are any, show at least half of what is lost on a lattice: of lit frames
     a noise that neighbours share is another share of the noise where the light is another."""
     if found is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +13,18 @@ from cannoise_jax.discovery.frames.battery import Prepared, prepare
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.recordings.lazy import LazyArray, kept
 from cannoise_jax.recordings.recording import CaptureSet
+
+
+def read_once(capture: CaptureSet) -> CaptureSet:
+    """The capture set with the frames that a run sees in memory once they were read: every look at them
+    would open and inflate their files again."""
+    held = (
+        dataclasses.replace(r, frames=kept(r.frames, MOST_FRAMES)) if isinstance(r.frames, LazyArray) else r
+        for r in capture.recordings
+    )
+    return dataclasses.replace(capture, recordings=tuple(held))
 
 
 def split_frames(count: int) -> tuple[list[int], list[int]]:
