@@ -23,6 +23,8 @@ def run(name: str) -> int:
     if before is signal.default_int_handler:  # else it is ignored, as a shell has it for what runs behind
         signal.signal(signal.SIGINT, partial(_end, name))
     keep_compiled()
+    # The work is shared out above: threads of the library of matrices would fight with those that share it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     main = import_module(f"cannoise_jax.commands.{name}").main
     signal.signal(signal.SIGINT, before)
     try:

@@ -26,6 +26,7 @@ from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, re
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import code_step, steady
 from cannoise_jax.discovery.frames.splits import split_recordings
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.packing import SITES
@@ -149,15 +150,17 @@ def _parts(
 ) -> tuple[list[_Part], list[_Part]]:
     """Darks (none where no two frames show what is redrawn), and lit recordings at their knots."""
     step, isos = code_step(capture), iso_numbers(gain_groups(capture))
-    parts = []
-    for n, (r, (look, _)) in enumerate(zip(capture.recordings, split_recordings(capture), strict=True)):
-        # One gain setting alone: what is left of another is another remainder.
-        if not look or r.iso != capture.recordings[0].iso:
-            continue
+    looks = [look for look, _ in split_recordings(capture)]
+
+    def one(n: int) -> _Part | None:
         tell(f"remainder: recording {n + 1} of {len(capture.recordings)}")
-        part = _part(r, n, look, source, step, isos[r.iso])
-        if part is not None:
-            parts.append(part)
+        r = capture.recordings[n]
+        return _part(r, n, looks[n], source, step, isos[r.iso])
+
+    # One gain setting alone: what is left of another is another remainder.
+    iso = capture.recordings[0].iso
+    asked = [n for n, r in enumerate(capture.recordings) if looks[n] and r.iso == iso]
+    parts = [part for part in each(one, asked) if part is not None]
     darks = [p for p in parts if p.dark]
     lit = [p for p in parts if not p.dark and p.contrasts and p.signal.mean() > 0]
     return (

@@ -20,6 +20,7 @@ from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.contrasts import code_step
 from cannoise_jax.discovery.frames.simulate import Draw
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
@@ -105,15 +106,19 @@ def compare_bank(
     recorded: dict[str, Measured] = {}
     simulated: dict[str, list[Measured]] = {}
     seen: dict[str, Seen] = {}
-    for number, (r, (before, frames)) in enumerate(zip(capture.recordings, chosen, strict=True)):
-        if not frames:
-            continue
+
+    def one(number: int):
+        r = capture.recordings[number]
         spent, ready = time.monotonic() - began, sum(work[:number])
         left = f", some {spent * (total - ready) / ready:.0f} s more" if ready else ""
         tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}{left}")
-        done = _one(source, number, r, (before, frames), count, step, isos[r.iso])
+        return _one(source, number, r, chosen[number], count, step, isos[r.iso])
+
+    asked = [number for number, (_, frames) in enumerate(chosen) if frames]
+    for number, done in zip(asked, each(one, asked), strict=True):
         if done is None:
             continue
+        r = capture.recordings[number]
         name = Path(r.path or f"{number} {r.kind}").stem
         name = name if name not in seen else f"{name} ({number})"
         seen[name], recorded[name], simulated[name] = done[0]._replace(name=name), done[1], done[2]

@@ -13,6 +13,7 @@ and new frames.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.frames.blocks import bands, frame_blocks, leave_out
 from cannoise_jax.discovery.frames.splits import Splits
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.physics.transfer.estimate import Z90
@@ -132,13 +134,28 @@ def prove(
     signatures = {p.name: p for p in second.signatures}
     laws = [s.named.signature.predict(s.before, s.named.score) for s in steps]
     known = [p for p in laws if p is not None]
-    base = score_frames(first, second, chosen, [])
-    full = score_frames(first, second, chosen, known) if known else base
+    base, full = each(lambda model: score_frames(first, second, chosen, model), ([], known))
     pixels = int(base.pixels.sum())
     ordinary = {f.number: f.usable for f in fitted.fields}
     masked = any(not np.array_equal(f.usable, ordinary[f.number]) for f in first.fields)
+
+    def cut(n: int) -> tuple[bool, bool, bool]:
+        """What says which pixels and parts of the frames are scored for a finding."""
+        law = laws[n]
+        assert law is not None
+        return steps[n].named.signature.single_pixels or not masked, bool(law.frame), bool(law.column)
+
+    def scored(n: int, whole: bool) -> Scored:
+        model = [p for p in known if whole or p is not laws[n]]
+        return score_frames(first, second, chosen, model, None if cut(n)[0] else ordinary, laws[n])
+
+    lawful = [n for n, law in enumerate(laws) if law is not None and pixels]
+    alike = {cut(n): n for n in lawful}  # the complete model is the same for all that are cut alike
+    asked = [*((n, True) for n in alike.values()), *((n, False) for n in lawful)]
+    told_by = each(lambda which: scored(*which), asked)
+    complete_model = dict(zip(alike, told_by, strict=False))
+    less = dict(zip(lawful, told_by[len(alike) :], strict=True))
     out: list[Proof] = []
-    complete_model: dict[tuple[bool, bool, bool], Scored] = {}
     again, looking = others_out(steps, second.fields), others_out(steps, first.fields)
     once = any(step.named.signature.drawn_once for step in steps)
     together = others_out(steps, splits.together.fields) if once else None
@@ -147,7 +164,7 @@ def prove(
         signature = signatures.get(step.named.signature.name)
         score = signature.score_again(fields, step.named.score) if signature is not None else None
         if together is not None and score is not None and step.named.signature.drawn_once:
-            looked, both = (step.named.signature.score(out(n)) for out in (looking, together))
+            looked, both = each(partial(_score_of, step.named.signature, n), (looking, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
         told = step.named.signature.strength
@@ -155,20 +172,14 @@ def prove(
             score = told(step.named.score, looking(n), fields) or score
         law = laws[n]
         if law is not None and pixels:
-            rest = [p for p in laws if p is not None and p is not law]
-            single = step.named.signature.single_pixels or not masked
-            masks, cut = None if single else ordinary, (single, bool(law.frame), bool(law.column))
-            if cut not in complete_model:  # the same for all findings whose frames are cut alike
-                complete_model[cut] = score_frames(first, second, chosen, known, masks, law)
-            reference = complete_model[cut]
-            without = score_frames(first, second, chosen, rest, masks, law)
-            gain, low, high = frame_interval(reference, without)
-            scored, shown = int(reference.pixels.sum()), None
+            reference = complete_model[cut(n)]
+            gain, low, high = frame_interval(reference, less[n])
+            number, shown = int(reference.pixels.sum()), None
             if not np.isfinite(low) and score is not None and signature is not None:
                 own = held_out_gain(step.named.score, score)  # one frame has no scatter: parts of it do
                 shown = own > 0 and jackknife_interval(signature, fields, step.named.score, own)[0] > 0
             log_e = gain - _NUISANCES / 2
-            out.append(Proof(score, gain, low, high, scored, "likelihood", log_e, shown))
+            out.append(Proof(score, gain, low, high, number, "likelihood", log_e, shown))
         elif score is None or signature is None or not pixels:
             out.append(Proof(None, None, np.nan, np.nan, 0))
         else:
@@ -199,6 +210,10 @@ def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[
         return out
 
     return without
+
+
+def _score_of(signature: Signature, n: int, split: Callable[[int], tuple[Fields, ...]]) -> Score | None:
+    return signature.score(split(n))
 
 
 def _without(step: Step, fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
@@ -278,13 +293,12 @@ def jackknife_interval(
     shares what is new in it; nan for fewer than two blocks."""
     size = sum(f.contrasts.size for f in fields)
     most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
-    if signature.axes.in_bands:
-        parts = [without_pixels(fields, band) for band in bands(fields[0].mean.shape, most)]
-    else:
-        parts = [leave_out(fields, block) for block in frame_blocks(fields, most)]
-    if len(parts) < 2:
+    banded = signature.axes.in_bands
+    blocks: list = bands(fields[0].mean.shape, most) if banded else frame_blocks(fields, most)
+    if len(blocks) < 2:
         return float("nan"), float("nan")
-    again = [signature.score_again(part, found) for part in parts]
+    left: Callable[..., tuple[Fields, ...]] = without_pixels if banded else leave_out
+    again = each(lambda block: signature.score_again(left(fields, block), found), blocks)
     gains = np.array([held_out_gain(found, s) for s in again if s is not None])
     if gains.size < 2:
         return float("nan"), float("nan")

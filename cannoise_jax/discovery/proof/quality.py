@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.draws import as_fields, draw_like, frames_at_once, spread_codes
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.proof.curves import Curves, curves
 from cannoise_jax.discovery.proof.heldout import Scored
 from cannoise_jax.discovery.proof.patch_network import SIDE
@@ -218,11 +219,13 @@ def _pit(real: np.ndarray, fake: np.ndarray) -> np.ndarray:
 def composite_scores(key: Key[Array, ""], half: Prepared, draw: Drawings) -> Float[np.ndarray, "t"]:
     """Composite score of every frame held back, nats per pixel, learned from draws of the simulator: batches
     of as many frames as each recording has, for the mean of a batch is taken out of it."""
-    out = []
-    for number, field in enumerate(half.fields):
+
+    def one(number: int) -> Float[np.ndarray, "t"]:
+        field = half.fields[number]
         alone = _only(half, {field.number})
-        out.append(_composite(field, _learned(jax.random.fold_in(key, number), alone, draw)))
-    return np.concatenate(out)
+        return _composite(field, _learned(jax.random.fold_in(key, number), alone, draw))
+
+    return np.concatenate(each(one, range(len(half.fields))))
 
 
 def _learned(key: Key[Array, ""], alone: Prepared, draw: Drawings) -> list[Fields]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.physics.likelihood.whittle import whittle
@@ -225,10 +226,8 @@ def lines(card: dict[str, Any]) -> list[tuple[str, str]]:
 def _nearest(step: Step, signatures: tuple[Signature, ...]) -> tuple[str | None, float]:
     """The mechanism with most evidence in the same fields, and how much less that is, nats."""
     best, name = 0.0, None
-    for signature in signatures:
-        if signature.name == step.named.signature.name:
-            continue
-        told = signature.score(step.before)
+    others = [s for s in signatures if s.name != step.named.signature.name]
+    for signature, told in zip(others, each(lambda s: s.score(step.before), others), strict=True):
         if told is not None and told.evidence > best:
             best, name = told.evidence, signature.mechanism
     return name, step.named.score.evidence - best

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.search.locate import Located, locate
 from cannoise_jax.discovery.search.name import UNKNOWN, Named, name
 from cannoise_jax.physics.transfer.estimate import Z90
@@ -219,8 +220,11 @@ def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
     that the others leave nothing to look at keeps the p-value of its step. What is left of an effect that is
     known but approximately, and has no name, does not make it superfluous."""
-    out = []
-    for k, step in enumerate(steps):
+
+    def alone(k: int) -> Step:
+        step = steps[k]
+        if step.late:
+            return step
         fields = step.before
         for later in steps[k + 1 :]:
             if step.named.signature.approximate and later.named.mechanism == UNKNOWN:
@@ -228,7 +232,6 @@ def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
             fields = refit(later.named.signature.absorb(fields, later.named.score), fields)
         score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
         share = step.named.signature.weight
-        out.append(
-            step if score is None or step.late else step._replace(log_p=sidak(score.log_p, tests / share))
-        )
-    return tuple(out)
+        return step if score is None else step._replace(log_p=sidak(score.log_p, tests / share))
+
+    return tuple(each(alone, range(len(steps))))

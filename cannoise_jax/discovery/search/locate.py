@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import Signature
-
-_WORKERS = 2
-"""Signatures that are computed at once: each holds arrays as large as the recordings."""
 
 
 class Located(NamedTuple):
@@ -39,10 +36,8 @@ def locate(
     """
     scores = dict(known or {})
     missing = [s for s in signatures if s.name not in scores]
-    # They are independent and spend their time in NumPy, which lets others run meanwhile.
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        each = zip(missing, pool.map(lambda s: s.score(fields), missing), strict=True)
-        scores |= {s.name: score for s, score in each if score is not None}
+    found = zip(missing, each(lambda s: s.score(fields), missing), strict=True)
+    scores |= {s.name: score for s, score in found if score is not None}
     scores = {s.name: scores[s.name] for s in signatures if s.name in scores}
     number = tests or SHARED.effective * sum(p.weight for p in signatures if p.name in scores)
     share = {p.name: p.weight for p in signatures}
