@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Key, UInt16
 from cannoise_jax.physics.core import presets, ranges, registry
 from cannoise_jax.physics.core.chain import closed_form, maps_of, run_chain, to_codes
 from cannoise_jax.physics.core.grammar import Point, bare
-from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
+from cannoise_jax.physics.core.mechanism import Context, HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
 from cannoise_jax.physics.core.sensor_json import read_model, write_sensor
 from cannoise_jax.physics.core.sensor_noise import noise_at_exposure, noise_at_level, placed, with_drawn
@@ -198,7 +198,13 @@ class SensorModel:
         # The frozen patterns are drawn by a program of their own: fused with the frames they would be
         # drawn anew for each of them.
         drawn = _draw_maps(self, setting, np.shape(clean))
-        return _sample_codes(with_drawn(self, drawn), key, clean, setting, settings.frames)
+        whole = with_drawn(self, drawn)
+        if not any(f.record.acts_on == "code" and f.record.sample is not None for f in self.mechanisms):
+            return _sample_codes(whole, key, clean, setting, settings.frames)
+        # So are the values that digital mechanisms change: a pixel that takes those of its neighbours would
+        # draw each of them anew.
+        analogue = _sample_analogue(whole, key, clean, setting, settings.frames)
+        return _sample_digital(whole, key, clean, setting, analogue)
 
     def expected(self, clean: Float[Array, "h w"], settings: Settings = DEFAULT) -> Float[Array, "h w"]:
         """Expected value in DN before rounding and clipping: black level, signal and the closed-form mean
@@ -282,9 +288,25 @@ def _draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tup
 
 @partial(jax.jit, static_argnames="frames")
 def _sample_codes(model: SensorModel, key, clean, setting: tuple, frames: int) -> UInt16[Array, "t h w"]:
-    context = context_of(
+    return _sample_digital(model, key, clean, setting, _sample_analogue(model, key, clean, setting, frames))
+
+
+@partial(jax.jit, static_argnames="frames")
+def _sample_analogue(model: SensorModel, key, clean, setting: tuple, frames: int) -> tuple[Array, Array]:
+    """Frames in DN just before rounding, and the code step."""
+    context = _context_of(model, clean, setting, frames)
+    return run_chain(model, key, context, resolve(model, context), frames)
+
+
+@jax.jit
+def _sample_digital(
+    model: SensorModel, key, clean, setting: tuple, analogue: tuple[Array, Array]
+) -> UInt16[Array, "t h w"]:
+    context = _context_of(model, clean, setting, len(analogue[0]))
+    return to_codes(model, key, *analogue, context, resolve(model, context)).astype(jnp.uint16)
+
+
+def _context_of(model: SensorModel, clean, setting: tuple, frames: int) -> Context:
+    return context_of(
         model, jnp.asarray(clean, jnp.float32)[None], Settings(setting[0], setting[1], setting[2], frames)
     )
-    values = resolve(model, context)
-    y, step = run_chain(model, key, context, values, frames)
-    return to_codes(model, key, y, step, context, values).astype(jnp.uint16)
