@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, special
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, channel_index
@@ -131,16 +132,15 @@ def _formed(fields: tuple[Fields, ...], names: tuple[str, ...], g: np.ndarray, b
 def _along(fields: tuple[Fields, ...], falls: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Information that falls share with another one, the level of every channel fitted too."""
     dark, longest = _darks(fields)
-    channel = channel_index(dark[0].mean.shape).ravel()
-    out = np.zeros(len(falls))
+    size = dark[0].mean.shape
+    together, fall = np.zeros(size), other.reshape(size).astype(np.float64)
     for f in dark:
-        square = f.weight.ravel().astype(np.float64) ** 2
-        own = other.astype(np.float64)
-        for c in range(4):
-            at = channel == c
-            own[at] -= float(square[at] @ own[at]) / max(float(square[at].sum()), 1e-30)
-        out += f.frames * _scale(f, longest) ** 2 * (falls @ (square * own))
-    return out
+        square = f.weight.astype(np.float64) ** 2
+        for at in SITES:
+            level = float(np.sum(square[at] * fall[at])) / max(float(square[at].sum()), 1e-30)
+            together[at] += f.frames * _scale(f, longest) ** 2 * square[at] * (fall[at] - level)
+    # One by one: all of them in double precision would take as much memory as the recordings.
+    return np.array([own.astype(np.float64) @ together.ravel() for own in falls])
 
 
 def _darks(fields: tuple[Fields, ...]) -> tuple[list[Fields], float | None]:
@@ -159,21 +159,20 @@ def _sums(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | N
 def _sums_of(fields: tuple[Fields, ...], g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of falls, the level of every channel fitted too."""
     dark, longest = _darks(fields)
-    channel = channel_index(dark[0].mean.shape).ravel()
-    u, i = np.zeros(len(g)), np.zeros(len(g))
-    for f in dark:
-        assert f.static is not None
-        scale = _scale(f, longest)
-        w, static = f.weight.ravel().astype(np.float32), f.static.ravel()
-        u += np.sqrt(f.frames) * scale * (g @ (w * static)).astype(np.float64)
-        i += f.frames * scale**2 * ((g**2) @ w**2).astype(np.float64)
-        for c in range(4):
-            square = w[channel == c] ** 2
-            total = max(float(np.sum(square, dtype=np.float64)), 1e-30)
-            along = (g[:, channel == c] @ square).astype(np.float64)
-            level = float(np.sum(w[channel == c] * static[channel == c], dtype=np.float64))
-            u -= np.sqrt(f.frames) * scale * along * level / total
-            i -= f.frames * scale**2 * along**2 / total
+    size = dark[0].mean.shape
+    scale = np.array([_scale(f, longest) for f in dark])
+    frames = np.array([f.frames for f in dark])
+    falls, u, i = g.reshape(-1, *size), np.zeros(len(g)), np.zeros(len(g))
+    for at in SITES:  # all darks at once, for the falls are many times larger than a dark
+        w = np.stack([f.weight[at].ravel() for f in dark], 1).astype(np.float32)
+        response = w * np.stack([f.static[at].ravel() for f in dark if f.static is not None], 1)
+        total = np.maximum(np.sum(w**2, 0, dtype=np.float64), 1e-30)
+        level = np.sum(response, 0, dtype=np.float64) / total
+        own = np.ascontiguousarray(falls[:, *at]).reshape(len(g), -1)
+        score, along = (own @ x.astype(np.float32) for x in (response, w**2))
+        u += (score - along.astype(np.float64) * level) @ (np.sqrt(frames) * scale)
+        own *= own
+        i += (own @ w**2 - along.astype(np.float64) ** 2 / total) @ (frames * scale**2)
     return u, np.maximum(i, 1e-30)
 
 
