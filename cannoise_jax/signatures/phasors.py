@@ -57,9 +57,9 @@ def rician_fit(
 
 def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
     """Orthonormal rows that span those of the basis, by its small Gram matrix."""
-    values, vectors = np.linalg.eigh(np.einsum("kn,ln->kl", basis, basis))
+    values, vectors = np.linalg.eigh(basis @ basis.T)
     kept = values > 1e-6 * values[-1]
-    return np.einsum("km,kn->mn", vectors[:, kept] / np.sqrt(values[kept]), basis).astype(np.float32)
+    return ((vectors[:, kept] / np.sqrt(values[kept])).T @ basis).astype(np.float32)
 
 
 def without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
@@ -69,7 +69,5 @@ def without(field: Fields, basis: Float[np.ndarray, "k n"]) -> Fields:
 
 def projected_out(values: Float[np.ndarray, "n h w"], q: Float[np.ndarray, "m p"]) -> np.ndarray:
     """Images without what orthonormal rows `q` span."""
-    flat = values.reshape(len(values), q.shape[1])
-    # Not `@`: the threads of a library fight with those of the search over matrices this thin.
-    share = np.einsum("np,mp->nm", flat, q)
-    return values - np.einsum("nm,mp->np", share, q).reshape(values.shape)
+    share = values.reshape(len(values), q.shape[1]) @ q.T
+    return values - (share @ q).reshape(values.shape)

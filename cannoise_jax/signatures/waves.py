@@ -57,7 +57,9 @@ def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
         y = x * w
         y = y - y.sum() / total * w**2
         own = max(float(np.sum(y.astype(np.float64) ** 2)), 1e-30)
-        out += np.abs(fft.rfft2(y, (_PAD * h, _PAD * wd))) ** 2 / own
+        # Row by row before the rows of zeros are added: of those nothing is to be transformed.
+        modes = fft.fft(fft.rfft(y, _PAD * wd, axis=1), _PAD * h, axis=0, overwrite_x=True)
+        out += (modes.real**2 + modes.imag**2) / own
     return out
 
 
@@ -175,20 +177,26 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float, str
     """Projects the wave out of every field, and its near neighbours on the frequency grid; not the mean of a
     field, which is no wave's."""
     fy, fx, _ = score.payload
-    h, w = fields[0].mean.shape
-    y, x = np.indices((h, w))
+    waves = _neighbours(fy, fx, fields[0].mean.shape)
     out = []
     for f in fields:
-        weight = f.weight.astype(np.float64)
+        weight = f.weight.ravel().astype(np.float64)
         total = max(float(np.sum(weight**2)), 1e-30)
-        basis = []
-        for dy in (-0.5 / h, 0.0, 0.5 / h):
-            for dx in (-0.5 / w, 0.0, 0.5 / w):
-                phase = 2 * np.pi * ((fy + dy) * y + (fx + dx) * x)
-                for wave in (np.cos(phase), np.sin(phase)):
-                    basis.append(((wave - np.sum(wave * weight**2) / total) * weight).ravel())
-        out.append(without(f, np.array(basis)))
+        level = waves @ weight**2 / total
+        out.append(without(f, (waves - level[:, None]) * weight))
     return tuple(out)
+
+
+def _neighbours(fy: float, fx: float, size: tuple[int, int]) -> Float[np.ndarray, "18 p"]:
+    """Both phases of a plane wave and of those half a frequency of the frame away, at every pixel."""
+    h, w = size
+    out = []
+    for dy in (-0.5 / h, 0.0, 0.5 / h):
+        for dx in (-0.5 / w, 0.0, 0.5 / w):
+            turn = np.exp(2j * np.pi * (fy + dy) * np.arange(h))[:, None]
+            wave = turn * np.exp(2j * np.pi * (fx + dx) * np.arange(w))
+            out += [wave.real.ravel(), wave.imag.ravel()]
+    return np.array(out)
 
 
 def wave_map(fields: Many, fy: float, fx: float) -> np.ndarray | None:
