@@ -16,12 +16,17 @@ from cannoise_jax.vocabulary import RMS, Term
 
 def _by_turns(key, x, values, maps, context: Context):
     sign = 1.0 - 2.0 * (jnp.arange(x.shape[-1]) % 2)
-    return x + values["sigma_dn"] * jax.random.normal(key, (*x.shape[:2], 1)) * sign
+    # A group is never so large that it starts beyond the rows that are drawn.
+    group = (jnp.arange(x.shape[1]) + values["before"]) // values["rows"]
+    drawn = jax.random.normal(key, (*x.shape[:2], 1))
+    return x + values["sigma_dn"] * drawn[:, jnp.clip(group, 0, x.shape[1] - 1).astype(int)] * sign
 
 
 def _effect(values, maps, context: Context):
     power = values["sigma_dn"] ** 2
-    return Effect(variance=power, lags={(0, 1): -power, (0, 2): power})
+    next_row = power * (1 - 1 / values["rows"])  # of the pairs of rows, so many are of one group
+    lags = {(0, 1): -power, (0, 2): power, (1, 0): next_row, (1, 1): -next_row}
+    return Effect(variance=power, lags=lags)
 
 
 ODD_EVEN_ROW_NOISE = Mechanism(
@@ -29,8 +34,11 @@ ODD_EVEN_ROW_NOISE = Mechanism(
     point=Point("readout", "signal", "row", "redrawn", interleave=2),
     parameters=(
         Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "rms, half the difference of even and odd columns"),
+        Parameter("rows", "rows", 1.0, 1.0, 64.0, "rows that are read together and part alike"),
+        Parameter("before", "rows", 0.0, 0.0, 63.0, "rows of the first group that lie before the frame"),
     ),
-    equation=r"y_{tij} \to y_{tij} + (-1)^j d_{ti},\quad d_{ti} \sim \mathcal{N}(0,\sigma^2)",
+    equation=r"y_{tij} \to y_{tij} + (-1)^j d_{tg},\ g = \lfloor (i+b)/n \rfloor,\quad d_{tg} \sim"
+    r" \mathcal{N}(0,\sigma^2)",
     sentence="Even and odd columns of a row are sampled by circuits of their own, which jitter apart: the "
     "row breaks into a comb, another one in every row and frame.",
     reference="Rauscher, Teledyne H1RG, H2RG, and H4RG Noise Generator, PASP 127, 1144 (2015) (alternating "

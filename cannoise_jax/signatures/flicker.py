@@ -180,19 +180,51 @@ def flicker_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, bool]])
 
 def _even_rows(field: Fields) -> Fields:
     """The field with the power of its row sums brought down to that of white noise at every frequency where
-    it is more, even and odd columns by themselves."""
+    it is more, even and odd columns by themselves; the static part loses as much as the mean of so many
+    frames keeps of it. The level of a frame stays. White noise is that of the pixels within the rows: a field
+    that is standardised with its flicker has far less of it than 1."""
     values = field.contrasts.copy()
+    static = None if field.static is None else field.static[None].copy()
     for parity in (0, 1):
         columns = (slice(None), slice(parity, None, 2))
         r = response(field, "signal")[columns].astype(np.float32)
-        information = np.maximum(np.sum(r.astype(np.float64) ** 2, 1), 1e-30)
-        rows = np.einsum("nij,ij->ni", field.contrasts[:, *columns], r) / np.sqrt(information)
-        modes = fft.rfft(rows, axis=1)
-        power = np.mean(np.abs(modes) ** 2, 0) / rows.shape[1]
-        smooth = ndimage.uniform_filter1d(power, 5, mode="nearest")
-        removed = fft.irfft(modes * (1 - 1 / np.sqrt(np.maximum(smooth, 1.0))), rows.shape[1], axis=1)
-        values[:, *columns] -= (removed / np.sqrt(information))[:, :, None].astype(np.float32) * r
-    return field._replace(contrasts=values)
+        rows = _row_modes(values[:, *columns], r)
+        white = max(np.mean(values[:, *columns] ** 2, dtype=float) - np.mean(rows.power) / r.shape[1], 1e-30)
+        values[:, *columns] = _scaled_rows(values[:, *columns], r, rows, np.full(rows.power.shape, white))
+        if static is not None:
+            kept = _row_modes(static[:, *columns], r)
+            wanted = np.maximum(kept.power - rows.power, 0) + white
+            static[:, *columns] = _scaled_rows(static[:, *columns], r, kept, wanted)
+    return field._replace(contrasts=values, static=None if static is None else static[0])
+
+
+class _Rows(NamedTuple):
+    """Weighted sums of the rows over frequency, and their power smoothed over five frequencies."""
+
+    modes: np.ndarray
+    power: np.ndarray
+
+
+def _row_modes(values: Float[np.ndarray, "n h w"], r: Float[np.ndarray, "h w"]) -> _Rows:
+    rows = np.einsum("nij,ij->ni", values, r) / np.sqrt(_information(r))
+    modes = fft.rfft(rows, axis=1)
+    power = np.mean(np.abs(modes) ** 2, 0) / rows.shape[1]
+    power[0] = power[1]  # drift of the light as a whole is none of the rows'
+    return _Rows(modes, ndimage.uniform_filter1d(power, 5, mode="nearest"))
+
+
+def _scaled_rows(
+    values: Float[np.ndarray, "n h w"], r: Float[np.ndarray, "h w"], rows: _Rows, wanted: np.ndarray
+) -> Float[np.ndarray, "n h w"]:
+    """The values with the power of their row sums brought down to what is wanted, where it is more."""
+    kept = np.sqrt(np.minimum(wanted / np.maximum(rows.power, 1e-30), 1.0))
+    kept[0] = 1.0
+    removed = fft.irfft(rows.modes * (1 - kept), r.shape[0], axis=1)
+    return values - (removed / np.sqrt(_information(r)))[:, :, None].astype(np.float32) * r
+
+
+def _information(r: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h"]:
+    return np.maximum(np.sum(r.astype(np.float64) ** 2, 1), 1e-30)
 
 
 def _with_level(field: Fields, left: Fields, frequency: float, amplitude: float) -> Fields:

@@ -76,6 +76,8 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
         told = term.says_exposure or step.named.signature.axes.scales != "exposure"
         grows = "" if told else " (growing with the exposure)"
         start = f"{term.definition.removesuffix('.')}{grows}: {size}"
+    count = entry.get("where", {}).get("rows_together")
+    start += f", shared by {count} rows that are read together" if count else ""
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
     within = f" (90 %: {amount((low, high), unit, meaning)})" if low < high else ""
