@@ -19,6 +19,7 @@ from cannoise_jax.mechanisms import (
     unnamed,
 )
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.mechanisms.pedestal import PEDESTAL
 from cannoise_jax.mechanisms.residual import RESIDUAL
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.signature import Signature
@@ -56,7 +57,7 @@ def _mutual(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
 ENTRIES: tuple[Entry, ...] = _mutual(tuple(entry for family in _FAMILIES for entry in family))
 """All mechanisms in the order of the signal chain."""
 
-RECORDS = {**{entry.id: entry.record for entry in ENTRIES}, RESIDUAL.id: RESIDUAL}
+RECORDS = {**{entry.id: entry.record for entry in ENTRIES}, **{r.id: r for r in (RESIDUAL, PEDESTAL)}}
 """All that a camera model may hold, by id: what no name explains is drawn and kept like the others."""
 
 LISTED: tuple[Entry, ...] = tuple(sorted(ENTRIES, key=lambda entry: entry.term.listed))

@@ -191,18 +191,20 @@ CLOCK_INDUCED_CHARGE = Mechanism(
 def _temperature(key, x, values, maps, context: Context):
     raw = sample_normal(key, (x.shape[0], 1, 1))
     kelvin = values["sigma_k"] * fields.remember(raw, values["memory_frames"])
-    return x + values["e_per_s"] * jnp.exp2(kelvin / DOUBLING_C)
+    charge = values["e_per_s"] * (jnp.exp2(kelvin / DOUBLING_C) - 1 + values["base"])
+    return jnp.maximum(x + charge, 0.0)
 
 
 def _temperature_effect(values, maps, context):
     # The dark current is log-normal over the frames.
     width = values["sigma_k"] * math.log(2) / DOUBLING_C
     charge = values["e_per_s"] * jnp.exp(width**2 / 2)
+    added = charge - values["e_per_s"] * (1 - values["base"])
     gain = context.gain_dn_per_e[0]
     shared = gain**2 * charge**2 * jnp.expm1(width**2)
     rho = jnp.exp(-1.0 / values["memory_frames"])
     lagged = {n: gain**2 * charge**2 * jnp.expm1(width**2 * rho**n) for n in (1, 2)}
-    return Effect(mean=gain * charge, variance=gain**2 * charge + shared, frame=shared, temporal=lagged)
+    return Effect(mean=gain * added, variance=gain**2 * added + shared, frame=shared, temporal=lagged)
 
 
 TEMPERATURE_DRIFT = Mechanism(
@@ -212,8 +214,9 @@ TEMPERATURE_DRIFT = Mechanism(
         Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "rms temperature change"),
         Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "correlation time"),
         _rate("dark current at the mean temperature", 100.0),
+        Parameter("base", "1", 1.0, 0.0, 1.0, "share of it added here; 0: by dark_current", 1.0),
     ),
-    equation=r"\mu_t \to \mu + D\,t\,2^{\Delta T_t/T_d}",
+    equation=r"\mu_t \to \mu + D\,t\,(2^{\Delta T_t/T_d} - 1 + b)",
     sentence="The sensor warms up while it records, and its dark current with it, from frame to frame.",
     reference=_WIDENHORN,
     needs=("burst", "temperature"),
@@ -298,7 +301,8 @@ ENTRIES: tuple[Entry, ...] = (
         TEMPERATURE_DRIFT,
         needs="darks with the temperature of every frame stated",
         signatures=looks.always(
-            looks.warm.warming(name="warm", covers=("frame_additive",), lifted_by=imprints.WARM),
+            looks.warm.warming(name="warm", covers=("frame_additive",), lifted_by=imprints.WARM,
+                beside={id: {"base": 0.0} for id in ("dark_current", "compensated_dark_current")}),
         ),
         examples=Examples("frames", shown={"e_per_s": 50.0, "sigma_k": 3.0},
                           strong={"sigma_k": 4.0, "e_per_s": 120.0, "memory_frames": 1.5}),

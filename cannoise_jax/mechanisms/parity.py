@@ -34,8 +34,8 @@ ODD_EVEN_ROW_NOISE = Mechanism(
     point=Point("readout", "signal", "row", "redrawn", interleave=2),
     parameters=(
         Parameter("sigma_dn", "DN", 0.5, 0.0, 1e4, "rms, half the difference of even and odd columns"),
-        Parameter("rows", "rows", 1.0, 1.0, 64.0, "rows that are read together and part alike"),
-        Parameter("before", "rows", 0.0, 0.0, 63.0, "rows of the first group that lie before the frame"),
+        Parameter("rows", "rows", 1.0, 1.0, 64.0, "rows that are read together and part alike", 1.0),
+        Parameter("before", "rows", 0.0, 0.0, 63.0, "rows of the first group before the frame", 0.0),
     ),
     equation=r"y_{tij} \to y_{tij} + (-1)^j d_{tg},\ g = \lfloor (i+b)/n \rfloor,\quad d_{tg} \sim"
     r" \mathcal{N}(0,\sigma^2)",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -109,7 +110,7 @@ class Addition(NamedTuple):
     """What a finding adds to a camera model: strengths of a mechanism, measured maps, another place or
     scaling than its own where given. black_shift: DN per channel taken from the black level; fitted_black:
     whether the model takes the black level that was fitted. bare: nothing but these. record: of a mechanism
-    from outside."""
+    from outside. beside: values that hold instead where a mechanism of this id is added too."""
 
     values: dict[str, float] = {}
     maps: dict[str, Any] = {}
@@ -119,6 +120,7 @@ class Addition(NamedTuple):
     fitted_black: bool = False
     bare: bool = False
     record: Mechanism | None = None
+    beside: Mapping[str, dict[str, float]] = MappingProxyType({})
 
 
 class Asked(NamedTuple):

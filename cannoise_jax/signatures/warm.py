@@ -19,7 +19,7 @@ from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score, chi2_log_sf
-from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Addition, Axes, Found, Signature
 
 DOUBLING_K = 6.3
 """Kelvin over which the dark current of silicon doubles near room temperature."""
@@ -151,6 +151,8 @@ _TWO_WITNESSES = 4.0
 """Nats of the changes of temperature, told by the map or by the offsets: log(2), and 0.5 log(n) of n = 700.
 Of tens of frames the second would be 1.7. Six sets without it gained 3.7 on average and 7.6 at most, p =
 0.02."""
+_MOST = 3.0
+"""Relative change of the dark current beyond which no temperature moves it from frame to frame: 27 K."""
 
 
 def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
@@ -173,8 +175,11 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
         thermal, additive, rate = _best(offsets**2, doubt, seconds)
         by_offset = max(thermal - additive, 0.0)
         current = _dark_current(fields)
-        if current > 0 and by_offset > 6 and not relative:
-            relative, error = rate / current, rate / current / np.sqrt(2 * offsets.size)
+        asked = rate / current if current > 0 else np.inf
+        if asked > (_MOST if heat is None else min(relative + 3 * error, _MOST)):
+            by_offset = 0.0  # the map would have moved with them
+        elif by_offset > 6 and not relative:
+            relative, error = asked, asked / np.sqrt(2 * offsets.size)
     # A likelihood ratio of two laws that both fit offsets of frames: its inverse bounds the chance of it.
     by_offset_p = -by_offset if by_offset > 6 else 0.0
     if heat is None and not by_offset:
@@ -229,11 +234,17 @@ def without_warmth(fields: tuple[Fields, ...], score: Score[Heat | None]) -> tup
     return tuple(out)
 
 
-def warming(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
-    """Dark current that is more in one frame than in another."""
+def warming(
+    *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...], beside: dict[str, dict[str, float]]
+) -> Signature:
+    """Dark current that is more in one frame than in another. beside: as `Addition` has it, for what adds the
+    dark current itself."""
 
     def values(score: Score) -> dict[str, float]:
         return {"sigma_k": score.amplitude, "e_per_s": max(score.parameters["current"][0], 0.0)}
+
+    def simulate(found: Found) -> Addition:
+        return carried(values)(found)._replace(beside=beside)
 
     return plain(
         name=name,
@@ -241,7 +252,7 @@ def warming(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -
         reads=CONTRASTS | STATIC | {"mean"},
         score=warm_score,
         absorb=without_warmth,
-        simulate=carried(values),
+        simulate=simulate,
         covers=covers,
         lifted_by=lifted_by,
     )

@@ -211,3 +211,16 @@ def test_diagonal_offsets_are_shared_along_their_diagonal(over, step):
     along = np.mean(frames * np.roll(frames, (-1, -step), (1, 2))) / np.mean(frames**2)
     across = np.mean(frames * np.roll(frames, (-1, step), (1, 2))) / np.mean(frames**2)
     assert along > 0.6 and abs(across) < 0.15
+
+
+def test_a_dark_current_that_moves_is_not_drawn_twice():
+    """Temperature drift beside a dark current adds its changes alone."""
+    bare = SensorModel.poisson_gaussian(2.0, 3.0, 200.0, 4095.0)
+    both = bare.with_mechanism("dark_current", e_per_s=50.0)
+    both = both.with_mechanism("temperature_drift", sigma_k=1.0, e_per_s=50.0, memory_frames=1.0, base=0.0)
+    setting = Settings(exposure_s=1.0, frames=256)
+    drawn = np.asarray(both.sample(jax.random.key(0), np.zeros((32, 32), np.float32), setting), float)
+    assert drawn.mean() == pytest.approx(200 + 2 * 50, abs=2.5)
+    assert drawn.mean((1, 2)).std() == pytest.approx(2 * 50 * np.log(2) / 7, rel=0.15)
+    closed = both.expected(np.zeros((32, 32), np.float32), setting)
+    assert float(np.mean(closed)) == pytest.approx(drawn.mean(), abs=2.5)

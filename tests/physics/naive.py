@@ -171,7 +171,7 @@ def hot_pixel_suppression(rng, x, p, maps, c):
 
 def temperature_drift(rng, x, p, maps, c):
     kelvin = p["sigma_k"] * _chain_of_frames(rng, len(x), p["memory_frames"])
-    return x + p["e_per_s"] * (2 ** (kelvin / 7))[:, None, None]
+    return x + p["e_per_s"] * (2 ** (kelvin / 7) - 1 + p["base"])[:, None, None]
 
 
 SAMPLE = {

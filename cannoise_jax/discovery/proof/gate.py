@@ -115,7 +115,7 @@ def gate(panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs) ->
     for what, some, number in (("findings", steps, NAMED), ("confirmed findings", sure, SURE)):
         if not some or (all_tried and len(some) == len(steps)):
             continue
-        candidate = sides.of(some)
+        candidate = sides.level(sides.of(some))
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, before, looked)
         all_tried.append(tried._replace(entered=not tried.worse))
@@ -150,7 +150,7 @@ def remaining(
             or not _told(panel, gated.after)
         ):
             continue
-        base = spare.model if number == WITH_REST else sides.of(some) if some else sides.bare
+        base = spare.model if number == WITH_REST else sides.level(sides.of(some) if some else sides.bare)
         candidate = with_rest(base)
         if candidate is base:
             continue

@@ -16,6 +16,7 @@ from cannoise_jax.discovery.frames.simulate import Simulator, codes_of
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.model import baseline_model, extended_model
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.pedestal import with_pedestals
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import channel_index
@@ -31,7 +32,8 @@ class Sides(NamedTuple):
     extended one without each finding, where it has no likelihood. control: the fitted baseline. exported: the
     extended camera model. likelihood: whether the simulator has one. calibrated: whether it is the baseline
     itself. model: the judged simulator where it is a camera model. bare: the fitted baseline. of:
-    the camera model with some of the findings alone."""
+    the camera model with some of the findings alone. level: adds to it where its darks lie, exposure by
+    exposure; a camera model that was handed over has the levels that it has."""
 
     plain: Drawings
     extended: Drawings | None
@@ -43,6 +45,7 @@ class Sides(NamedTuple):
     model: SensorModel | None
     bare: SensorModel
     of: Callable[..., SensorModel]
+    level: Callable[[SensorModel], SensorModel] = lambda model: model
 
 
 def of_model(model: SensorModel) -> Drawings:
@@ -56,10 +59,12 @@ def simulators(
     """Of a run on Poisson-Gaussian noise, calibrated or with gain and read noise as `stated`."""
     plain, bare = baseline_model(capture, first, stated), baseline_model(capture, first)
     of = partial(extended_model, capture, first)
-    model = of(steps)
+    level = partial(with_pedestals, prepared=first)
+    model = level(of(steps)) if steps else of(steps)
     extended = of_model(model) if steps else None
     calibrated = stated is None
-    return Sides(of_model(plain), extended, (), of_model(bare), model, True, calibrated, plain, bare, of)
+    control = of_model(bare)
+    return Sides(of_model(plain), extended, (), control, model, True, calibrated, plain, bare, of, level)
 
 
 def handed_simulators(

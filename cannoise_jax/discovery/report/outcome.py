@@ -10,11 +10,13 @@ import numpy as np
 from cannoise_jax.discovery.compare.report import difference_document
 from cannoise_jax.discovery.proof.gate import Gated, Tried
 from cannoise_jax.discovery.result import Result
+from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 
 
 def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
-    back, for every ISO that it has; the ISO is None where no file states one, and not the stand-in by which
+    back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was
+    found (DN), where they do; the ISO is None where no file states one, and not the stand-in by which
     a camera model knows that gain."""
     model = diagnosis.model
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
@@ -24,6 +26,14 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
             "gain_dn_per_e": np.asarray(model.gain_dn_per_e)[n],
             "read_noise_e": np.asarray(model.read_noise_e)[n],
             "black_dn": np.asarray(model.black_level),
+            "black_beyond": [
+                {
+                    "exposure_s": f.parameters["exposure_s"],
+                    "beyond_dn": [f.parameters[name] for name in LEVELS],
+                }
+                for f in model.mechanisms
+                if f.record is PEDESTAL
+            ],
         }
         for n, iso in enumerate(np.asarray(model.iso).tolist())
     ]

@@ -73,8 +73,11 @@ def extended_model(
     if any(a is not None and a.fitted_black for _, a in added):
         model = dataclasses.replace(model, black_level=bare.black_level)
     temperature = measured_at(capture.recordings)
+    names = {_id(step) for step, more in added if more is not None}
     for step, more in added:
         if more is not None:
+            instead = [more.beside[id] for id in names if id in more.beside]
+            more = more._replace(values={**more.values, **{k: v for d in instead for k, v in d.items()}})
             more = _silenced(step, more) if step is silent else more
             model = with_addition(model, step, more, temperature)
     matched = start is None or np.size(model.iso) == np.size(bare.iso)

@@ -38,7 +38,8 @@ Maps = Mapping[str, Array]
 
 
 class Parameter(NamedTuple):
-    """One continuous parameter: unit, a typical value and bounds."""
+    """One continuous parameter: unit, a typical value and bounds. absent: its value in files of versions that
+    had none; None: a file has to state it."""
 
     name: str
     unit: str
@@ -46,6 +47,7 @@ class Parameter(NamedTuple):
     low: float
     high: float
     definition: str = ""
+    absent: float | None = None
 
 
 @jax.tree_util.register_dataclass

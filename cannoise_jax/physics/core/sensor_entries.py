@@ -202,6 +202,7 @@ def _with_entry(
     point = _point(id, entry.get("grammar"))
     # A typical value is for those who compose a model: a file that leaves one out is damaged.
     record = _record(id, point, known, entry.get("home"))
+    parameters = {**{p.name: p.absent for p in record.parameters if p.absent is not None}, **parameters}
     for name in (n for n in record.defaults() if n not in parameters):
         raise ValueError(f"{id} lacks the parameter {name!r}")
     named = _of_kind(entry.get("maps", {}), f"{id}: maps", dict)

@@ -1,0 +1,86 @@
+"""A camera that sets its black level by the exposure is drawn with the levels that its darks had."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.search.model import baseline_model
+from cannoise_jax.discovery.search.pedestal import with_pedestals
+from cannoise_jax.mechanisms.pedestal import PEDESTAL
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.recordings.recording import CaptureSet
+from tests.discovery.capture import capture_set
+
+SIZE = (64, 64)
+
+
+def clamped(by_site, seed=1):
+    """Darks of which those of the longer exposure lie elsewhere, by so much at each site."""
+    rows, columns = np.indices(SIZE)
+    shift = np.asarray(by_site, float)[2 * (rows % 2) + columns % 2]
+    return capture_set(
+        seed,
+        lambda rng: (
+            lambda dn, signal, kind, t: dn + (shift if t > 0.05 else 0.0) + 0.1 * rng.standard_normal()
+        ),
+        kinds="df",
+        size=SIZE,
+    )
+
+
+def levelled(capture):
+    first = prepare_split(capture, split_recordings(capture))
+    bare = baseline_model(capture, first)
+    return bare, with_pedestals(bare, first)
+
+
+def drawn_levels(model, seconds):
+    dn = model.sample(jax.random.key(3), np.zeros(SIZE, np.float32), Settings(100.0, seconds, None, 64))
+    mean = np.asarray(dn, float).mean(0)
+    return np.array([mean[i::2, j::2].mean() for i in (0, 1) for j in (0, 1)])
+
+
+def test_levels_are_those_of_the_darks_and_lie_between_in_between():
+    shift = np.array([-6.0, 4.0, 3.0, -5.0])
+    bare, model = levelled(clamped(shift))
+    assert all(f.mechanism == "pedestal" for f in model.mechanisms) and len(model.mechanisms) == 2
+    for seconds, share in ((0.01, 0.0), (0.001, 0.0), (0.1, 1.0), (5.0, 1.0), (0.055, 0.5)):
+        np.testing.assert_allclose(drawn_levels(model, seconds), 200 + share * shift, atol=0.35)
+    closed = np.asarray(model.expected(np.zeros(SIZE, np.float32), Settings(100.0, 0.1)))
+    np.testing.assert_allclose(closed[0, :2], 200 + shift[:2], atol=0.35)
+    np.testing.assert_allclose(drawn_levels(bare, 0.1), 200, atol=0.35)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_darks_that_lie_where_they_should_get_none(seed):
+    assert not levelled(clamped(np.zeros(4), seed))[1].mechanisms
+
+
+def test_one_exposure_or_several_gains_or_no_darks_get_none():
+    capture = clamped(np.full(4, 9.0))
+    one = tuple(r for r in capture.recordings if r.kind != "dark" or r.exposure_s < 0.05)
+    flats = tuple(r for r in capture.recordings if r.kind != "dark")
+    dark = next(r for r in capture.recordings if r.kind == "dark")
+    gains = (*capture.recordings, dataclasses.replace(dark, iso=800.0))
+    for some in (one, flats, gains):
+        assert not levelled(CaptureSet("c", some, None))[1].mechanisms
+
+
+def test_it_is_kept_in_a_file_and_files_without_newer_parameters_are_read(tmp_path):
+    _, model = levelled(clamped(np.full(4, 9.0)))
+    model = model.with_mechanism("odd_even_row_noise", sigma_dn=2.0)
+    path = tmp_path / "sensor.json"
+    model.save(path)
+    read = SensorModel.load(path)
+    assert [f.record for f in read.mechanisms].count(PEDESTAL) == 2
+    np.testing.assert_array_equal(drawn_levels(read, 0.1), drawn_levels(model, 0.1))
+    document = json.loads(path.read_text())
+    for entry in document["mechanisms"]:
+        for name in ("rows", "before"):
+            entry["parameters"].pop(name, None)
+    path.write_text(json.dumps(document))
+    np.testing.assert_array_equal(drawn_levels(SensorModel.load(path), 0.1), drawn_levels(model, 0.1))
