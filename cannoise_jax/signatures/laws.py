@@ -53,13 +53,12 @@ def _normal(upper: np.ndarray, lower: np.ndarray, far: np.ndarray) -> np.ndarray
     return np.where(np.isfinite(z), z, far)
 
 
-def compare_energies(
-    recorded: Float[np.ndarray, "u k"], simulated: Float[np.ndarray, "m v k"], count: Float[np.ndarray, "k"]
-) -> Judged:
-    """Mean squares of `count` coefficients a unit, by the F law; where the simulator's own units scatter
-    more than chi-squared, with fewer degrees of freedom."""
-    a, b = recorded.mean(0), simulated.mean((0, 1))
-    m, u, _ = simulated.shape
+def energy_excess(
+    simulated: Float[np.ndarray, "m v k"], count: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """How much more than chi-squared the mean squares of a simulator's units scatter: few coefficients hold
+    most of a wave, and are large or small together."""
+    b = simulated.mean((0, 1))
     expected = 2 * np.maximum(b, 1e-12) ** 2 / count
     each, between, dof = _spread(simulated, expected)
     excess = np.ones_like(b)
@@ -67,7 +66,20 @@ def compare_energies(
         ratio = each / expected
         family = max(float(np.median(ratio[count >= 4])) if (count >= 4).any() else 1.0, 1.0)
         excess = np.maximum((_PRIOR * family + dof * ratio) / (_PRIOR + dof), 1.0)
-    excess = excess * between
+    return excess * between
+
+
+def compare_energies(
+    recorded: Float[np.ndarray, "u k"],
+    simulated: Float[np.ndarray, "m v k"],
+    count: Float[np.ndarray, "k"],
+    least: Float[np.ndarray, "k"] | float = 1.0,
+) -> Judged:
+    """Mean squares of `count` coefficients a unit, by the F law; where the simulator's own units scatter
+    more than chi-squared, by `least` times as much at least, with fewer degrees of freedom."""
+    a, b = recorded.mean(0), simulated.mean((0, 1))
+    m, u, _ = simulated.shape
+    excess = np.maximum(energy_excess(simulated, count), least)
     first, second = (np.maximum(n * count / excess, 0.5) for n in (len(recorded), m * u))
     tiny = 1e-9
     ratio = (a + tiny) / (b + tiny)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.compare import pieces, words
+from cannoise_jax.discovery.compare.moves import JUMPS, LINE_LAGS, SINGLE
 from cannoise_jax.discovery.compare.view import RESIDUES
 from cannoise_jax.signatures import bank
 
@@ -14,6 +15,7 @@ TEMPORAL, STATIC = words.TEMPORAL, words.STATIC
 STRUCTURE, SPARSITY, MOMENTS, TAILS = "structure", "sparsity", "moments", "tails"
 NEIGHBOURS, BY_PARITY = "neighbours", "neighbours by parity"
 UNSTEADY, IN_ONE_FRAME, STANDING_OUT = "pixels: unsteady", "pixels: one frame only", "pixels: standing out"
+LEVELS, NEXT_LINES = "pixels: levels", "next frame: lines"
 NEXT_FRAME, RAILS, CODES, LEVEL = "next frame: products", "rails", "codes", "level"
 SMOOTH_MAPS, SHARED = "smooth maps", "shared with another recording"
 
@@ -77,6 +79,15 @@ def _unsteady(k: int) -> tuple[str, str]:
     return words.unsteady((*UNSTEADY_CHANCES, *QUIET_CHANCES)[k], k < len(UNSTEADY_CHANCES))
 
 
+def _jump(k: int) -> tuple[str, str]:
+    side, size = divmod(k, len(JUMPS))
+    return words.jump(-JUMPS[size] if side == 0 else JUMPS[size], JUMPS[size] >= SINGLE)
+
+
+def _line(k: int) -> tuple[str, str]:
+    return words.line_memory(k < len(LINE_LAGS), LINE_LAGS[k % len(LINE_LAGS)])
+
+
 FAMILIES = {
     family.id: family
     for family in (
@@ -91,9 +102,11 @@ FAMILIES = {
         Family(STATIC, SMOOTH_MAPS, STATIC, pieces.means(lambda k: words.smooth(bank.MOMENTS[k + 1]), "DN")),
         Family("", LEVEL, STATIC, pieces.level),
         Family("", UNSTEADY, TEMPORAL, pieces.counts(_unsteady)),
-        Family("", IN_ONE_FRAME, TEMPORAL, pieces.counts(words.in_one_frame, per_frame=True)),
+        Family("", LEVELS, TEMPORAL, pieces.counts(words.levels)),
+        Family("", IN_ONE_FRAME, TEMPORAL, pieces.counts(_jump, per_frame=True)),
         Family("", STANDING_OUT, STATIC, pieces.counts(lambda k: words.standing_out(STANDING_SIGMAS[k]))),
         Family("", NEXT_FRAME, TEMPORAL, pieces.means(lambda k: words.memory(*NEXT_LAGS[k]))),
+        Family("", NEXT_LINES, TEMPORAL, pieces.means(_line)),
         Family("", RAILS, TEMPORAL, pieces.counts(words.rails, per_frame=True)),
         Family("", CODES, TEMPORAL, pieces.counts(lambda k: words.code(k, RESIDUES), per_frame=True)),
         Family("", SHARED, STATIC, pieces.means(words.shared)),

@@ -47,12 +47,19 @@ class Peak(NamedTuple):
     z: float
 
 
-def judged(recorded: Statistics, simulated: list[Statistics]) -> laws.Judged:
-    """One family by its law."""
+def judged(
+    recorded: Statistics, simulated: list[Statistics], moving: list[Statistics] | None = None
+) -> laws.Judged:
+    """One family by its law. moving: that of what is redrawn, whose mean is in a static map and scatters as
+    it does, which is seen in many contrasts but in one map a set."""
     real, drawn = recorded.values, np.stack([s.values for s in simulated])
     if recorded.law == "energy":
         free = recorded.size > 0
-        out = laws.compare_energies(real[:, free], drawn[..., free], recorded.size[free])
+        least: np.ndarray | float = 1.0
+        if moving:
+            units = np.stack([s.values for s in moving])
+            least = laws.energy_excess(units[..., free], moving[0].size[free])
+        out = laws.compare_energies(real[:, free], drawn[..., free], recorded.size[free], least)
         return laws.Judged(*(_spread_over(v, free) for v in out))
     if recorded.law == "count":
         share = len(real) / (len(real) + drawn.shape[0] * drawn.shape[1])
@@ -103,10 +110,12 @@ def judge(
             drawn = [s.families[family] for s in simulated[name] if family in s.families]
             if drawn:
                 known = FAMILIES[family]
-                moving = own.get(of(TEMPORAL, known.name))
-                if known.part == STATIC and moving is not None:
+                redrawn = of(TEMPORAL, known.name)
+                moving = own.get(redrawn) if known.part == STATIC else None
+                if moving is not None:
                     values = without_noise(known, values, moving, drawn)
-                own[family] = judged(values, drawn)
+                units = None if moving is None else [s.families[redrawn] for s in simulated[name]]
+                own[family] = judged(values, drawn, units)
                 every[family].append((name, own[family]))
     for results in every.values():
         pooled = []

@@ -13,10 +13,12 @@ from cannoise_jax.discovery.compare.families import (
     CODES,
     IN_ONE_FRAME,
     LEVEL,
+    LEVELS,
     MOMENTS,
     NEIGHBOURS,
     NEXT_FRAME,
     NEXT_LAGS,
+    NEXT_LINES,
     QUIET_CHANCES,
     RAILS,
     SMOOTH_MAPS,
@@ -32,6 +34,7 @@ from cannoise_jax.discovery.compare.families import (
     UNSTEADY_CHANCES,
     of,
 )
+from cannoise_jax.discovery.compare.moves import lines_after
 from cannoise_jax.discovery.compare.view import RESIDUES, View
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
@@ -91,11 +94,15 @@ def measure(
         over = [(seen.steadiness[seen.usable] > t).sum() for t in limits]
         under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in QUIET_CHANCES]
         families[UNSTEADY] = _count(np.array([[*over, *under]]))
-        frames = seen.single.size
+        families[LEVELS] = _count(seen.levels[None])
+        frames = len(seen.single)
         if frames > 1:
-            families[IN_ONE_FRAME] = _count(seen.single[:, None])
+            families[IN_ONE_FRAME] = _count(seen.single)
         if frames > 2:
-            families[NEXT_FRAME] = _next(seen._replace(z=seen.z[: frames - 1]), share)
+            inner = seen.z[: frames - 1]
+            families[NEXT_FRAME] = _next(seen._replace(z=inner), share)
+            lines, width = lines_after(inner, seen.kept)
+            families[NEXT_LINES] = Statistics("mean", lines[None], width)
     families[RAILS] = _count(seen.rails)
     broad = np.repeat([np.sqrt(np.mean(variance)) > BROAD * m * step for m in RESIDUES], RESIDUES)
     families[CODES] = _count((seen.codes * broad)[None])
@@ -105,12 +112,12 @@ def measure(
     if seen.static is not None and seen.static_kept.any():
         share = float(max(seen.static_kept.mean(), 1e-6))
         kept = seen.static_kept.astype(np.float32)
-        grain = step / np.sqrt(float(np.mean(variance)) * seen.single.size)
+        grain = step / np.sqrt(float(np.mean(variance)) * len(seen.single))
         (row,) = _units(seen.static[None], kept, share, coarse, grain)
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             if name == STRUCTURE:
                 width = width * ~absorbed(seen.kept.shape, degree).ravel()
-            families[of(STATIC, name)] = Statistics(law, row[name][None], width, seen.single.size)
+            families[of(STATIC, name)] = Statistics(law, row[name][None], width, len(seen.single))
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
             noise = _smooth_noise(seen, 1 / (size * share), first.size)
@@ -249,6 +256,11 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _rough(profile: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """A profile without what is smooth: that may be light."""
-    at = np.linspace(-1, 1, profile.size)
-    return profile - np.polynomial.legendre.legval(at, np.polynomial.legendre.legfit(at, profile, 12))
+    """A profile without what is smooth: that may be light, whose colours differ from line to line of a
+    mosaic."""
+    out = np.empty(profile.shape)
+    for own in (slice(0, None, 2), slice(1, None, 2)):
+        at = np.linspace(-1, 1, profile[own].size)
+        smooth = np.polynomial.legendre.legfit(at, profile[own], min(12, at.size - 1))
+        out[own] = profile[own] - np.polynomial.legendre.legval(at, smooth)
+    return out

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt16
 from scipy import stats
 
+from cannoise_jax.discovery.compare import moves
 from cannoise_jax.discovery.compare.light import Light
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
 from cannoise_jax.physics.robust import robust_std
@@ -21,8 +22,6 @@ from cannoise_jax.signatures.fields import contrast_matrix, helmert
 
 FAR = 1e-5
 """Chance by which a pixel of normal noise is set aside."""
-SINGLE = 6.0
-"""Standard deviations from which one value of one frame is an outlier."""
 STATIC = 6.0
 """Robust standard deviations from which a pixel of the static map stands out."""
 RESIDUES = (2, 4, 8, 16)
@@ -63,7 +62,8 @@ class View(NamedTuple):
     static: mean over frames minus the expected one, times the root of the number of frames; None: not known.
     static_kept: pixels of it; outlying: the map before any was set aside.
     steadiness: mean square of every pixel's contrasts over that of the bulk.
-    single: pixels of each frame whose value lies off alone.
+    single: values of each frame that lie off alone, see `moves.lone_values`.
+    levels: unsteady pixels by what two levels leave of them.
     level: mean of every frame and site, DN (of contrasts alone where `static` is None).
     """
 
@@ -74,7 +74,8 @@ class View(NamedTuple):
     outlying: Float[np.ndarray, "h w"] | None
     usable: Bool[np.ndarray, "h w"]
     steadiness: Float[np.ndarray, "h w"]
-    single: Float[np.ndarray, "t"]
+    single: Float[np.ndarray, "t s"]
+    levels: Float[np.ndarray, "l"]
     level: Float[np.ndarray, "t 4"]
     rails: Float[np.ndarray, "t 2"]
     codes: Float[np.ndarray, "k"]
@@ -167,11 +168,14 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse
     z = raw.contrasts * weight.astype(np.float32)
     n = len(z)
     steadiness = np.mean(z**2, 0) if n else np.zeros(raw.mean.shape, np.float32)
-    odd, single = np.zeros(raw.mean.shape, bool), np.zeros(raw.frames)
+    odd, single, jumping = np.zeros(raw.mean.shape, bool), np.zeros((raw.frames, 1)), np.zeros(1)
     if n:
         scale = np.ones_like(steadiness) if coarse else _typical(steadiness, raw.usable, n)
         odd = steadiness > scale * stats.chi2.isf(FAR, n) / n
-        alone, single = _lone(z[: raw.frames - 1], scale)
+        inner = z[: raw.frames - 1]
+        unsteady = odd & raw.usable
+        jumping = moves.two_levels(inner[:, unsteady], scale[unsteady])
+        alone, single = moves.lone_values(inner, scale, raw.usable)
         odd |= alone
         steadiness = steadiness / scale
     level, static, static_kept = np.zeros(4), None, raw.usable & ~odd
@@ -191,8 +195,9 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse
     if static is not None:
         static = np.where(static_kept, static, 0).astype(np.float32)
     return View(
-        z, kept, static, static_kept, outlying, raw.usable, steadiness, single, levels, raw.rails, raw.codes
-    )
+        z, kept, static, static_kept, outlying, raw.usable, steadiness, single, jumping, levels, raw.rails,
+        raw.codes,
+    )  # fmt: skip
 
 
 def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
@@ -204,23 +209,6 @@ def _typical(steadiness: np.ndarray, usable: np.ndarray, n: int) -> np.ndarray:
         if mine.size:
             out[at] = max(bulk_variance(mine, n), 1e-3)
     return out
-
-
-def _lone(z: Float[np.ndarray, "n h w"], scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels whose noise is like the others' but for one value; how many of them every frame has."""
-    frames = len(z) + 1
-    if frames < 2:
-        return np.zeros(z.shape[1:], bool), np.zeros(1)
-    matrix = helmert(frames).astype(np.float32)
-    total = np.sum(z**2, 0)
-    limit = scale * (stats.chi2.isf(1e-3, max(frames - 2, 1)))
-    found, count = np.zeros(z.shape[1:], bool), np.zeros(frames)
-    factor = np.float32(np.sqrt(frames / (frames - 1)))
-    for t in range(frames):
-        moved = np.tensordot(matrix[:, t], z, 1) * factor
-        here = (np.abs(moved) > SINGLE * np.sqrt(scale)) & (total - moved**2 < limit)
-        count[t], found = here.sum(), found | here
-    return found, count
 
 
 def _robust(static: np.ndarray, kept: np.ndarray) -> float:

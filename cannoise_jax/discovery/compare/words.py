@@ -84,9 +84,15 @@ def unsteady(chance: float, above: bool) -> tuple[str, str]:
     return "pixels quieter than the others", f"below a chance of {chance:g}"
 
 
-def in_one_frame(index: int) -> tuple[str, str]:
-    """Pixels that are outliers of single frames."""
-    return "pixels that are off in one frame only", "six sigma and more"
+def jump(limit: float, outlying: bool) -> tuple[str, str]:
+    """Values that lie so many standard deviations off, of pixels that are else like the others."""
+    what = "pixels that are off in one frame only" if outlying else "heavy tails"
+    return what, f"{limit:+g} sigma in one frame"
+
+
+def levels(index: int) -> tuple[str, str]:
+    """Unsteady pixels, by what two levels leave of them."""
+    return "how pixels jump", "two levels are enough" if index < 3 else "two levels are not enough"
 
 
 def standing_out(limit: float) -> tuple[str, str]:
@@ -111,6 +117,12 @@ def code(index: int, modulo: Sequence[int]) -> tuple[str, str]:
 def memory(down: int, across: int) -> tuple[str, str]:
     """Products of a frame and the next one, so many rows and columns apart."""
     return "memory of the frame before", f"{down} down, {across:+d} across"
+
+
+def line_memory(rows: bool, lag: int) -> tuple[str, str]:
+    """Products of the lines of a frame and of the next one."""
+    what = "rows" if rows else "columns"
+    return f"{what} that remember the frame before", f"{lag:+d} {what}"
 
 
 def smooth(name: str) -> tuple[str, str]:

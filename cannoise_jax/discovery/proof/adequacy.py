@@ -17,9 +17,10 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.families import SPARSITY, TEMPORAL, of
-from cannoise_jax.discovery.compare.run import Chosen, Compared, compare_bank
+from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
+from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, drawn_structures, most_of, own_part, owned
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned
@@ -49,6 +50,8 @@ LEFT_OF_SCENES = 0.1
 """The same of a name that speaks for all that stays in scenes, whose filter is fitted freely. References
 shifted by 0.1 to 0.8 pixels of a colour, softened or sharpened leave 0 to 5 % of it; a wide halo, which is a
 blur as well, 5 to 6 %; a trail along the rows 1 to 19 %, the more the more detail the scene has."""
+LEFT_ALONE = 0.15
+"""Share of its part in one family that a name may leave."""
 LEFT_TOGETHER = 0.5
 """The same where no single statistic differs significantly, but all together leave more than chance."""
 _UNEVEN = 4.5
@@ -64,8 +67,6 @@ _TRACE = 0.05
 clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, columns and dark current."""
 _SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
 _FEW_TIMES = "it is strong in few places or frames, not in all alike"
-_PIXELS = 1.2e6
-"""Pixels of all frames that are looked at, beyond which fewer are."""
 
 
 def doubts(
@@ -88,7 +89,7 @@ def doubts(
     out: list[Doubt | None] = [None] * len(steps)
     if not named:
         return tuple(out)
-    chosen = _few(capture, splits)
+    chosen = frames_for_names(capture, splits)
     off = [_off(s, n) for n, s in enumerate(steps)]
 
     def drawn_from(model: SensorModel, names: Sequence[int]) -> Compared:
@@ -246,9 +247,17 @@ def doubt(
     else:
         share = LEFT_OF_WEAK if free else LEFT + (LEFT_STATIC - LEFT) * part.static
         most = min(share * part.before + _SLACK, LEFT_OF_WEAK * part.before)
-    if part.after <= most:
+    share = part.after / max(part.before, 1e-9)
+    if part.after > most:
+        return Doubt(share, tuple(lines_of(full, part.left)[:3]))
+    if speaks_for or free:
         return None
-    return Doubt(part.after / max(part.before, 1e-9), tuple(lines_of(full, part.left)[:3]))
+    # What one family says of the form is not outweighed by how much another says of the size.
+    against = [f for f in part.alone if f.left and f.after > LEFT_ALONE * f.before + _SLACK]
+    if not against:
+        return None
+    worst = max(against, key=lambda f: f.after)
+    return Doubt(share, tuple(lines_of(full, worst.left)[:3]), instead=True)
 
 
 def uneven(whole: Compared, each: list[Borne]) -> Doubt | None:
@@ -277,22 +286,3 @@ def uneven(whole: Compared, each: list[Borne]) -> Doubt | None:
     before = sum(float(b.before[cells].sum()) for b, cells in mine)
     lines = lines_of(whole, [f for f in found if f[1].size])[:3]
     return Doubt(left / (left + before), (_FEW_TIMES, *lines), instead=True)
-
-
-def _few(capture: CaptureSet, splits: Sequence[tuple[list[int], list[int]]]) -> Chosen:
-    """The frames that are looked at, of all: of large recordings two of each, and of many large ones those of
-    some recordings, spread evenly, the first and the last among them."""
-    chosen = [(list[int](), [*look, *held]) for look, held in splits]
-    size = [r.size[0] * r.size[1] for r in capture.recordings]
-
-    def pixels(some: Chosen) -> int:
-        return sum((len(a) + len(b)) * n for (a, b), n in zip(some, size, strict=True) if b)
-
-    if pixels(chosen) > _PIXELS:
-        chosen = [(a, b[:2]) for a, b in chosen]
-    shown = [n for n, (_, b) in enumerate(chosen) if b]
-    most = max(int(len(shown) * _PIXELS / max(pixels(chosen), 1)), 3)
-    if most < len(shown):
-        kept = {shown[k] for k in np.linspace(0, len(shown) - 1, most).round().astype(int)}
-        chosen = [c if n in kept else ([], []) for n, c in enumerate(chosen)]
-    return chosen

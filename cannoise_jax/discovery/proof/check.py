@@ -8,10 +8,11 @@ in it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
+import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.report import Comparison
@@ -25,6 +26,9 @@ from cannoise_jax.recordings.recording import CaptureSet
 
 LENT = 3
 """Frames that lend their mean to as many held back or fewer."""
+
+_PIXELS = 1.2e6
+"""Pixels of all frames that are looked at, beyond which fewer are of the longest recordings."""
 
 
 class Checked(NamedTuple):
@@ -61,6 +65,27 @@ class Checked(NamedTuple):
 def frames_for(splits: list[tuple[list[int], list[int]]]) -> Chosen:
     """The frames of every recording that are looked at, and those that lend their mean."""
     return [(look[-LENT:] if held and len(held) <= LENT else [], held) for look, held in splits]
+
+
+def frames_for_names(capture: CaptureSet, splits: Sequence[tuple[list[int], list[int]]]) -> Chosen:
+    """The frames that are looked at, in the order they were taken, as what a frame has of the one before says
+    much of a name: all, or as many of the first of every recording as there is room for, two at least, and of
+    many large ones those of some recordings, spread evenly, the first and the last among them."""
+    frames = [sorted((*look, *held)) for look, held in splits]
+    size = [r.size[0] * r.size[1] for r in capture.recordings]
+
+    def pixels(most: int) -> int:
+        return sum(min(len(f), most) * n for f, n in zip(frames, size, strict=True))
+
+    longest = max(map(len, frames), default=0)
+    most = next((m for m in range(longest, 2, -1) if pixels(m) <= _PIXELS), 2)
+    chosen = [(list[int](), f[:most]) for f in frames]
+    shown = [n for n, (_, b) in enumerate(chosen) if b]
+    number = max(int(len(shown) * _PIXELS / max(pixels(most), 1)), 3)
+    if number < len(shown):
+        kept = {shown[k] for k in np.linspace(0, len(shown) - 1, number).round().astype(int)}
+        chosen = [c if n in kept else ([], []) for n, c in enumerate(chosen)]
+    return chosen
 
 
 def compared_on(

@@ -12,7 +12,9 @@ from scipy import stats
 from cannoise_jax.discovery.compare.families import (
     FAMILIES,
     IN_ONE_FRAME,
+    LEVELS,
     MOMENTS,
+    NEXT_LINES,
     STATIC,
     STRUCTURE,
     TAILS,
@@ -22,6 +24,7 @@ from cannoise_jax.discovery.compare.families import (
 )
 from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.measure import Statistics
+from cannoise_jax.discovery.compare.moves import LINE_LAGS
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.signatures import bank
 
@@ -60,10 +63,18 @@ class Borne(NamedTuple):
         return np.abs(self.before - self.after)
 
 
+class Alone(NamedTuple):
+    """The share of one family in a mechanism's part: nats without and with it, and what still differs."""
+
+    before: float
+    after: float
+    left: list[tuple[Judgement, np.ndarray]]
+
+
 class Part(NamedTuple):
     """A mechanism's own part of the mismatch: nats without and with it beyond what chance leaves, of how many
-    statistics, those that still differ, whether all together leave more than chance, and what share of it is
-    of what stays."""
+    statistics, those that still differ, whether all together leave more than chance, what share of it is of
+    what stays, and every family by itself."""
 
     before: float
     after: float
@@ -71,6 +82,7 @@ class Part(NamedTuple):
     left: list[tuple[Judgement, np.ndarray]]
     more: bool
     static: float
+    alone: tuple[Alone, ...] = ()
 
 
 def borne_by(
@@ -106,7 +118,23 @@ def borne_by(
         if full.recorded[j.where].families[j.family].law == "energy":
             own |= _broken(own, full.seen[j.where].size)
         out.append(Borne(j, one, two, own | claimed, claimed, share))
-    return out
+    return _with_memory(out, full)
+
+
+def _with_memory(each: list[Borne], full: Compared) -> list[Borne]:
+    """A name for whole lines that are redrawn says that they have nothing of the frame before: it speaks for
+    that even where it does not move it."""
+    lines: dict[str, np.ndarray] = {}
+    for b, cells in drawn_structures(each):
+        moved = cells.reshape(bank.counts(full.seen[b.judged.where].size).shape)
+        whole = [moved[:, :-1, -1].any(), moved[:, -1, :-1].any()]
+        lines[b.judged.where] = np.repeat(whole, len(LINE_LAGS))
+    return [
+        b._replace(own=b.own | mine, weight=np.where(mine, 1.0, b.weight))
+        if b.judged.family == NEXT_LINES and (mine := lines.get(b.judged.where)) is not None
+        else b
+        for b in each
+    ]
 
 
 def share_of(before: Float[np.ndarray, "k"], after: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
@@ -153,7 +181,19 @@ def own_part(each: list[Borne]) -> Part:
         float((b.weight * b.before)[b.own].sum()) for b in each if FAMILIES[b.judged.family].part == STATIC
     )
     static = stays / before if before > 0 else 0.0
-    return Part(max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more, static)
+    return Part(
+        max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more, static,
+        tuple(_alone(family, each, left) for family in dict.fromkeys(b.judged.family for b in each)),
+    )  # fmt: skip
+
+
+def _alone(family: str, each: list[Borne], left: list[tuple[Judgement, np.ndarray]]) -> Alone:
+    mine = [b for b in each if b.judged.family == family]
+    before, after = (
+        sum(float((b.weight * (nats - 0.5))[b.own].sum()) for b, nats in zip(mine, values, strict=True))
+        for values in ([b.before for b in mine], [b.after for b in mine])
+    )
+    return Alone(max(before, 0.0), max(after, 0.0), [f for f in left if f[0].family == family])
 
 
 def drawn_structures(each: Sequence[Borne]) -> list[tuple[Borne, Bool[np.ndarray, "k"]]]:
@@ -168,7 +208,7 @@ def _of_shape(family: str, number: int) -> Bool[np.ndarray, "k"]:
     name = FAMILIES[family].name
     if name == MOMENTS:
         return np.arange(number) >= number // 3
-    return np.full(number, name in (TAILS, UNSTEADY, IN_ONE_FRAME))
+    return np.full(number, name in (TAILS, UNSTEADY, IN_ONE_FRAME, LEVELS))
 
 
 def _moved(one: Float[np.ndarray, "k"], two: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:

@@ -1,0 +1,87 @@
+"""How single pixels and whole lines move from frame to frame: the law of single jumps, whether two levels are
+enough for a pixel that is unsteady, and what a line has of the frame before."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import stats
+
+from cannoise_jax.signatures.fields import helmert
+
+JUMPS = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
+"""Standard deviations from which values that lie off alone are counted, up to the next: half of one where
+noise has its tails, doubled twice an octave beyond."""
+SINGLE = 6.0
+"""From which on such a value is an outlier."""
+LEVEL_CHANCES = (0.5, 0.1, 1e-2, 1e-4)
+"""Chances of what an unsteady pixel leaves beside its two levels, between which pixels are counted."""
+_FEWEST = 5
+"""Frames from which on more than two levels can be seen."""
+LINE_LAGS = (-1, 0, 1)
+"""Rows, or columns, from a line to that of the frame after whose product is taken."""
+
+
+def values_of(z: Float[np.ndarray, "n ..."], frame: int) -> Float[np.ndarray, "..."]:
+    """One frame, off the mean of all, from their contrasts: of unit variance."""
+    frames = len(z) + 1
+    factor = np.float32(np.sqrt(frames / (frames - 1)))
+    return np.tensordot(helmert(frames)[:, frame].astype(np.float32), z, 1) * factor
+
+
+def lone_values(
+    z: Float[np.ndarray, "n h w"], scale: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]
+) -> tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "t k"]]:
+    """Pixels whose noise is like the others' but for one outlying value, and how many values of every frame
+    lie off alone, by how far and to which side: first those below, the nearest first."""
+    frames = len(z) + 1
+    if frames < 2:
+        return np.zeros(z.shape[1:], bool), np.zeros((1, 2 * len(JUMPS)))
+    total = np.sum(z**2, 0)
+    limit = scale * stats.chi2.isf(1e-3, max(frames - 2, 1))
+    found, counts = np.zeros(z.shape[1:], bool), np.zeros((frames, 2 * len(JUMPS)))
+    edges = np.array([*JUMPS, np.inf])
+    for t in range(frames):
+        moved = values_of(z, t)
+        far = usable & (np.abs(moved) > JUMPS[0] * np.sqrt(scale)) & (total - moved**2 < limit)
+        size = moved[far] / np.sqrt(scale[far])
+        for side, sign in enumerate((-1, 1)):
+            counts[t, side * len(JUMPS) :][: len(JUMPS)] = np.histogram(sign * size, edges)[0]
+        found[far] |= np.abs(size) > SINGLE
+    return found, counts
+
+
+def two_levels(z: Float[np.ndarray, "n p"], scale: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k"]:
+    """How many unsteady pixels leave how much of their variance beside the two levels that fit them best."""
+    frames = len(z) + 1
+    if frames < _FEWEST or not z.size:
+        return np.zeros(len(LEVEL_CHANCES) + 1)
+    values = np.sort(helmert(frames).T @ z, 0)
+    low = np.cumsum(values, 0)[:-1]  # they sum to zero, so that the upper ones have minus that
+    count = np.arange(1, frames)[:, None]
+    between = low**2 / count + low**2 / (frames - count)
+    left = (np.sum(values**2, 0) - between.max(0)) / scale
+    edges = [-np.inf, *(stats.chi2.isf(p, frames - 2) for p in LEVEL_CHANCES), np.inf]
+    return np.histogram(left, edges)[0].astype(float)
+
+
+def lines_after(
+    z: Float[np.ndarray, "n h w"], kept: Bool[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Correlation of the lines of a frame with those of the next at `LINE_LAGS`, rows first, and their
+    variance where frames have nothing of each other, whatever the spectrum of the lines is."""
+    out, variance = [], []
+    for axis in (1, 0):
+        weight = np.maximum(kept.sum(axis), 1)
+        profiles = np.stack([values_of(z, t).sum(axis) / weight for t in range(len(z) + 1)])
+        profiles -= profiles.mean(1, keepdims=True)
+        power = np.mean(np.abs(np.fft.fft(profiles, axis=1)) ** 2, 0)
+        level = max(float(np.mean(profiles**2)), 1e-12)
+        first, second = profiles[:-1], profiles[1:]
+        side = profiles.shape[1]
+        for lag in LINE_LAGS:
+            a = first[:, max(-lag, 0) : side - max(lag, 0)]
+            b = second[:, max(lag, 0) : side - max(-lag, 0)]
+            out.append(float(np.mean(a * b)) / level)
+            variance.append(float(np.sum(power**2) / np.sum(power) ** 2) / len(first))
+    return np.array(out), np.array(variance)

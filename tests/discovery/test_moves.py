@@ -1,0 +1,183 @@
+"""How pixels and lines move from frame to frame: a name that says how is held to it."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
+from cannoise_jax.discovery.compare.measure import shared
+from cannoise_jax.discovery.compare.moves import JUMPS, LEVEL_CHANCES, lines_after, lone_values, two_levels
+from cannoise_jax.discovery.compare.run import compare_bank
+from cannoise_jax.discovery.compare.sources import modelled
+from cannoise_jax.discovery.proof.adequacy import doubt
+from cannoise_jax.discovery.proof.check import frames_for_names
+from cannoise_jax.discovery.proof.own_part import borne_by
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.signatures.fields import helmert
+from tests.discovery.capture import capture_set, row_offsets
+
+KEY = jax.random.key(5)
+GAIN, READ, BLACK, WHITE, SIGMA, JUMP = 1.5, 3.0, 200.0, 16383.0, 1.5, 27.0
+
+
+def against(alter, name, blinking=False, **values):
+    """What speaks against a mechanism of these strengths in darks that were altered."""
+    capture = capture_set(8, alter, kinds="d", read=READ, frames=10)
+    plain = SensorModel.poisson_gaussian([[GAIN] * 4], [[READ] * 4], (BLACK,) * 4, WHITE, "RGGB")
+    full, less = (
+        compare_bank(capture, modelled(m, KEY), sets=2, alpha=0.002)
+        for m in (plain.with_mechanism(name, **values), plain)
+    )
+    return doubt(full, borne_by(full, less, blinking=blinking))
+
+
+def remembering(memory):
+    """Row noise that is partly that of the frame before; recordings begin anew where the kind changes."""
+
+    def alter(rng):
+        last: dict[float, np.ndarray] = {}
+
+        def change(dn, signal, kind, t):
+            new = rng.standard_normal((dn.shape[0], 1))
+            old = last.get(t, rng.standard_normal((dn.shape[0], 1)))
+            last[t] = memory * old + np.sqrt(1 - memory**2) * new
+            return dn + SIGMA * last[t]
+
+        return change
+
+    return alter
+
+
+@pytest.mark.parametrize(("alter", "doubted"), [(remembering(0.8), True), (row_offsets(SIGMA), False)])
+def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, doubted):
+    found = against(alter, "row_noise", sigma_dn=SIGMA)
+    assert (found is not None) == doubted
+    if found is not None:
+        assert any("remember" in line for line in found.against)
+
+
+def jumping(levels):
+    """One pixel of a hundred jumps between levels, six standard deviations apart where it has two; three are
+    of the same variance."""
+    apart = JUMP * np.sqrt(3 / (levels**2 - 1))
+
+    def alter(rng):
+        sites = rng.random((96, 128)) < 0.01
+        middle = (levels - 1) / 2
+        return lambda dn, signal, kind, t: dn + sites * apart * (rng.integers(0, levels, dn.shape) - middle)
+
+    return alter
+
+
+@pytest.mark.parametrize(("levels", "doubted"), [(3, True), (2, False)])
+def test_pixels_of_three_levels_are_no_telegraph_pixels(levels, doubted):
+    found = against(jumping(levels), "rts", True, jump_dn=JUMP, fraction=0.01, rate=0.5)
+    assert (found is not None) == doubted
+    if found is not None:
+        assert "how pixels jump (frame to frame)" in found.against
+
+
+def flips(rng):
+    """One bit of one code in seven hundred is wrong; the black level has it clear: nearly all go up."""
+
+    def alter(dn, signal, kind, t):
+        codes = np.round(dn).astype(int)
+        return np.where(rng.random(dn.shape) < 0.0015, codes ^ 16, codes)
+
+    return alter
+
+
+def test_steps_of_one_size_to_one_side_are_no_heavy_tails():
+    """Of equal excess kurtosis: 0.2, that of a Tukey lambda of 0.1."""
+    found = against(flips, "heavy_tails", tukey_lambda=0.1)
+    assert found is not None and any("tails" in line or "one frame" in line for line in found.against)
+
+
+def contrasts(values):
+    return np.tensordot(helmert(len(values)), values, 1)
+
+
+@pytest.mark.parametrize("levels", [2, 3])
+def test_two_levels_are_enough_for_pixels_that_have_two(levels):
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal((10, 400)) + 6.0 * rng.integers(0, levels, (10, 400))
+    counts = two_levels(contrasts(values), np.ones(400))
+    assert counts.sum() == 400 and counts.size == len(LEVEL_CHANCES) + 1
+    assert (counts[3:].sum() > 300) if levels == 3 else (counts[3:].sum() < 20)
+
+
+def test_values_that_lie_off_alone_are_counted_by_size_and_side():
+    rng = np.random.default_rng(4)
+    values = rng.standard_normal((8, 64, 64)).astype(np.float32)
+    values[2, 5, 5], values[3, 9, 9] = 14.0, -7.5
+    found, counts = lone_values(contrasts(values), np.ones((64, 64)), np.ones((64, 64), bool))
+    assert np.argwhere(found).tolist() == [[5, 5], [9, 9]]
+    below, above = counts[:, : len(JUMPS)], counts[:, len(JUMPS) :]
+    assert above[2, JUMPS.index(12.0)] == 1 and below[3, JUMPS.index(6.0)] == 1
+    assert below[:, JUMPS.index(8.0) :].sum() == 0
+    # Beyond 2.5 standard deviations normal noise has 0.62 % on each side.
+    assert below.sum() == pytest.approx(0.0062 * values.size, rel=0.3)
+
+
+@pytest.mark.parametrize("spectrum", ["white", "red"])
+def test_lines_of_independent_frames_scatter_as_stated(spectrum):
+    rng = np.random.default_rng(5)
+
+    def drawn():
+        rows = rng.standard_normal((6, 64))
+        rows = np.cumsum(rows, 1) if spectrum == "red" else rows
+        frames = rows[:, :, None] + 0.1 * rng.standard_normal((6, 64, 48))
+        return lines_after(contrasts(frames), np.ones((64, 48), bool))
+
+    values, stated = (np.array(v) for v in zip(*(drawn() for _ in range(200)), strict=True))
+    scatter = values.var(0) / stated.mean(0)
+    assert (scatter > 0.3).all() and (scatter < 2.0).all()
+
+
+def test_names_are_held_against_frames_in_the_order_they_were_taken():
+    capture = capture_set(1, kinds="df", size=(256, 320), frames=9)
+    splits = [([0, 1, 2, 4, 5, 6, 8], [3, 7])] * len(capture.recordings)
+    chosen = [frames for _, frames in frames_for_names(capture, splits)]
+    assert all(frames == list(range(len(frames))) for frames in chosen)
+    # Six recordings of 82 thousand pixels: not nine frames of each, but more than a pair.
+    assert {len(frames) for frames in chosen} == {2} or all(2 < len(frames) < 9 for frames in chosen)
+
+
+def test_light_that_the_surface_does_not_follow_is_no_pattern_that_recordings_share():
+    """Of two colours that alternate from column to column, off to either side."""
+    rng = np.random.default_rng(6)
+    at = np.linspace(-1, 1, 160)
+    off = 0.3 * at**6 * np.where(np.arange(160) % 2, 1.0, -1.0)
+    one, two = (rng.standard_normal((128, 160)) + off for _ in range(2))
+    assert abs(shared(one, two)[2]) * np.sqrt(160) < 3
+    steps = 0.3 * rng.standard_normal(160)
+    one, two = (rng.standard_normal((128, 160)) + steps for _ in range(2))
+    assert shared(one, two)[2] * np.sqrt(160) > 8
+
+
+FREQUENCY = 0.0011
+"""Cycles a pixel of the raster: a period of seven rows."""
+
+
+def waves(rng):
+    """A wave along the raster, of a phase of its own in every frame."""
+
+    def alter(dn, signal, kind, t):
+        phase = 2 * np.pi * (FREQUENCY * np.arange(dn.size) + rng.uniform())
+        return dn + 2 * SIGMA * np.sin(phase).reshape(dn.shape)
+
+    return alter
+
+
+def test_what_a_redrawn_wave_leaves_in_a_mean_of_few_frames_is_no_fixed_pattern():
+    """One frequency at random phases: its mean over the frames is as large or small as these happen to add
+    up to. Of ten cameras none has rows that stay."""
+    plain = SensorModel.poisson_gaussian([[GAIN] * 4], [[READ] * 4], (BLACK,) * 4, WHITE, "RGGB")
+    model = plain.with_mechanism("banding", amplitude_dn=2 * SIGMA, frequency=FREQUENCY)
+    for seed in range(10):
+        capture = capture_set(seed, waves, kinds="d", frames=6)
+        found = compare_bank(capture, modelled(model, KEY), sets=2, alpha=0.01)
+        (j,) = (j for j in found.judgements if (j.family, j.where) == (of(STATIC, STRUCTURE), "all dark"))
+        assert np.abs(j.z).max() < j.passing
