@@ -17,7 +17,7 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
-from cannoise_jax.discovery.proof.white_maps import gathered, patterned
+from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -236,3 +236,20 @@ def test_noise_that_grows_over_the_frame_is_no_noise_of_single_pixels(map_of):
     capture = capture_set(4, alter, kinds="d", frames=10)
     against = patterned(step_of(capture, "pixel_spread", "pixel_read_noise_map", -20))
     assert (against is not None) == (map_of == "a gradient")
+
+
+@pytest.mark.parametrize("columns", ["single", "a few single", "an edge", "a wave", "one place"])
+def test_columns_that_are_like_their_neighbours_are_no_single_columns(columns):
+    rng, at = np.random.default_rng(4), np.arange(128)
+    pattern = {
+        "single": 0.005 * rng.standard_normal(128),
+        "a few single": 0.02 * np.isin(at, rng.choice(128, 4, False)),
+        "an edge": -0.02 * (at < 7),
+        "one place": 0.02 * rng.standard_normal(128) * ((at > 40) & (at < 52)),
+        "a wave": 0.005 * np.sin(at / 2.3),
+    }[columns]
+    capture = capture_set(4, response(pattern), kinds="df")
+    against = ranged(step_of(capture, "column_relative_static", "column_gain", -20))
+    assert (against is not None) == (columns in ("an edge", "a wave", "one place"))
+    if against is not None:
+        assert "neighbouring columns" in against.against[0]

@@ -23,7 +23,7 @@ from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, drawn_structures, most_of, own_part, owned
-from cannoise_jax.discovery.proof.white_maps import gathered, patterned
+from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel, closed_moments
@@ -133,6 +133,7 @@ def doubts(
             doubt(one, own, claimed, steps[n].named.signature.form_free)
             or patterned(steps[n])
             or gathered(steps[n])
+            or ranged(steps[n])
             or (None if steps[n].named.signature.frozen else uneven(full, own))
         )
     unknown = [n for n in every if n not in named or out[n] is not None]

@@ -1,4 +1,5 @@
-"""Whether a map that a name says is of single pixels is: each pixel by itself, not a structure of many.
+"""Whether a map that a name says is of single pixels, or of single lines, is: each by itself, not a structure
+of many.
 
 A map is estimated from two halves of the recordings, whose noise is independent. Their products, in the
 orthonormal basis of `signatures.bank`, are what the map itself has at every scale, without noise. Pixels that
@@ -29,6 +30,12 @@ _FEW = 0.2
 _BLOCK = 16
 _CROWDED = 1e-4
 """Chance that a line or block of those of a frame holds as many."""
+_FEWEST = 16
+"""Lines below which nothing is told of their order."""
+_ORDERS = 4000
+"""Orders by chance that are looked at."""
+_PLACES = 8
+"""Places of lines that lie side by side."""
 _SMOOTH = 8
 """Parts of the frame that are as smooth as light along a side."""
 
@@ -63,6 +70,42 @@ def patterned(step: Step) -> Doubt | None:
     length = _length(shared, weight, one.shape)
     what = f"{100 * share:.0f} % of the map is of structures some {length} px wide, not of single pixels"
     return Doubt(share, (what,), instead=True)
+
+
+def ranged(step: Step) -> Doubt | None:
+    """What speaks against a step that names a frozen pattern of single rows or columns: that neighbours are
+    alike, as steps and slopes have them, or that most of it lies in one place, where other orders of the same
+    lines have neither."""
+    axes = step.named.signature.axes
+    if step.named.mechanism == UNKNOWN or (axes.time, axes.law) != ("frozen", "white"):
+        return None
+    if axes.varies_over not in ("row", "column"):
+        return None
+    halves = [step.named.signature.predict(half, step.named.score) for half in _halves(step.before)]
+    one, two = (None if p is None or p.pattern is None else np.ravel(p.pattern) for p in halves)
+    if one is None or two is None or one.size != two.size or one.size < _FEWEST:
+        return None
+    rng, at, wide = np.random.default_rng(0), np.arange(one.size), one.size // _PLACES
+
+    def told(order: np.ndarray) -> tuple[float, float]:
+        """What neighbours differ by, and what the fullest place holds."""
+        a, b = one[order], two[order]
+        held = np.cumsum(np.concatenate([[0.0], a * b]))
+        return float(np.mean(np.diff(a) * np.diff(b))), float(np.max(held[wide:] - held[:-wide]))
+
+    apart, most = told(at)
+    others = np.array([told(rng.permutation(at)) for _ in range(_ORDERS)])
+    usual, whole = float(others[:, 0].mean()), float(np.sum(one * two))
+    if usual <= 0 or whole <= 0:
+        return None
+    alike, held = 1 - max(apart, 0.0) / usual, min(most / whole, 1.0)
+    if alike > _STRUCTURED and (others[:, 0] > apart).all():
+        what = f"{100 * alike:.0f} % of the pattern is shared by neighbouring {axes.varies_over}s"
+        return Doubt(alike, (f"{what}, not of single ones",), instead=True)
+    if held > _STRUCTURED and (others[:, 1] < most).all():
+        what = f"{100 * held:.0f} % of the pattern lies in {wide} neighbouring {axes.varies_over}s"
+        return Doubt(held, (f"{what}, not in any",), instead=True)
+    return None
 
 
 def gathered(step: Step) -> Doubt | None:
