@@ -14,6 +14,9 @@ from cannoise_jax.physics.transfer.fit import median_quotient
 _PRIOR = 20.0
 """Degrees of freedom that the other statistics of a family lend to the spread of one of them."""
 
+_SEEN = 8
+"""Degrees of freedom from which on a spread that is far beyond the others' stands for itself."""
+
 
 class Judged(NamedTuple):
     """Recorded and simulated value of every statistic, their difference in standard deviations."""
@@ -66,6 +69,8 @@ def energy_excess(
         ratio = each / expected
         family = max(float(np.median(ratio[count >= 4])) if (count >= 4).any() else 1.0, 1.0)
         excess = np.maximum((_PRIOR * family + dof * ratio) / (_PRIOR + dof), 1.0)
+        if dof >= _SEEN:
+            excess = np.where(ratio > 1 + 4 * np.sqrt(2 / dof), ratio, excess)
     return excess * between
 
 

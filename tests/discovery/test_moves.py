@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
-from cannoise_jax.discovery.compare.measure import shared
+from cannoise_jax.discovery.compare.measure import shared, shared_variance
 from cannoise_jax.discovery.compare.moves import JUMPS, LEVEL_CHANCES, lines_after, lone_values, two_levels
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
@@ -181,3 +181,22 @@ def test_what_a_redrawn_wave_leaves_in_a_mean_of_few_frames_is_no_fixed_pattern(
         found = compare_bank(capture, modelled(model, KEY), sets=2, alpha=0.01)
         (j,) = (j for j in found.judgements if (j.family, j.where) == (of(STATIC, STRUCTURE), "all dark"))
         assert np.abs(j.z).max() < j.passing
+
+
+@pytest.mark.parametrize("lines", ["white", "a wave"])
+def test_what_maps_share_by_chance_scatters_as_stated(lines):
+    rng, at = np.random.default_rng(7), np.arange(128)
+
+    def profile():
+        wave = 3 * np.sin(0.9 * at + rng.uniform(0, 2 * np.pi))
+        return (rng.standard_normal(128) if lines == "white" else wave)[:, None]
+
+    def drawn():
+        maps = [profile() + rng.standard_normal((128, 48)) for _ in range(2)]
+        return shared(*maps), shared_variance(*maps)
+
+    values, stated = (np.array(v) for v in zip(*(drawn() for _ in range(300)), strict=True))
+    ratio = values.var(0) / stated.mean(0)
+    # A frequency between two of the grid spreads over both.
+    assert (ratio > 0.6).all() and (ratio < (2.5 if lines == "a wave" else 1.5)).all()
+    assert lines == "white" or stated[:, 1].mean() > 20 / 128

@@ -250,6 +250,19 @@ def shared(first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) ->
     return np.array(out)
 
 
+def shared_variance(
+    first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "3"]:
+    """Of `shared` where the maps have nothing to do with each other: of lines by their spectra, as
+    two waves of one frequency correlate by their phases, however many lines there are."""
+    out = [1 / first.size]
+    for axis in (1, 0):
+        profiles = [_rough(m.mean(axis, dtype=np.float64)) for m in (first, second)]
+        a, b = (np.abs(np.fft.rfft(p)) ** 2 + 1e-12 for p in profiles)
+        out.append(max(float(a @ b / a.sum() / b.sum()) / 2, 1 / profiles[0].size))
+    return np.array(out)
+
+
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     scale = np.sqrt(np.mean(a * a, dtype=np.float64) * np.mean(b * b, dtype=np.float64))
     return float(np.mean(a * b, dtype=np.float64) / max(scale, 1e-12))

@@ -13,7 +13,14 @@ from jaxtyping import Array, Float, Key
 from cannoise_jax.discovery.compare.families import SHARED
 from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.measure import Measured, Statistics, is_coarse, measure, shared
+from cannoise_jax.discovery.compare.measure import (
+    Measured,
+    Statistics,
+    is_coarse,
+    measure,
+    shared,
+    shared_variance,
+)
 from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.frames.calibrate import gain_groups
@@ -222,12 +229,10 @@ def _between(
     for first, second in zip(order, order[1:], strict=False):
         if seen[first].size != seen[second].size:
             continue
-        rows, columns = seen[first].size
-        size = 1 / np.array([rows * columns, rows, columns])
 
-        def family(a: Measured, b: Measured, size=size) -> Statistics:
+        def family(a: Measured, b: Measured) -> Statistics:
             assert a.static is not None and b.static is not None
-            return Statistics("mean", shared(a.static, b.static)[None], size)
+            return Statistics("mean", shared(a.static, b.static)[None], shared_variance(a.static, b.static))
 
         recorded[second].families[SHARED] = family(recorded[first], recorded[second])
         for a, b in zip(simulated[first], simulated[second], strict=True):
