@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy import fft, ndimage, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.added import as_map
+from cannoise_jax.signatures.carriers import carrier, raster_frequency, refined
 from cannoise_jax.signatures.fields import Fields, frame_fields
 from cannoise_jax.signatures.least import (
     one,
@@ -232,14 +234,9 @@ def wave_detectable(asked: Asked, score: Score, mechanism: str) -> float:
     return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))
 
 
-def raster_frequency(found: Found) -> float:
-    """Cycles per pixel of the scan whose aliases are the plane wave (fy, fx): f = fx + n / width nearest to
-    fy."""
-    fy, fx = (found.score.parameters[name][0] for name in ("frequency_y", "frequency_x"))
-    width = found.size[1]
-    turns = np.round(fx * width - fy)
-    f = abs((turns + fy) / width)
-    return float(min(f, 1 - f) if f <= 1 else f % 0.5)
+def _weighted(fields: Many) -> list[np.ndarray]:
+    """What shows a redrawn wave, weighed by the noise."""
+    return [redrawn(f) * f.weight.astype(np.float32) for f in fields]
 
 
 def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: str) -> Signature:
@@ -253,19 +250,23 @@ def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: st
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
         return wave_map(fields, score.parameters["frequency_y"][0], score.parameters["frequency_x"][0])
 
-    def simulate(found: Found) -> Addition:
-        values = {parameter: found.score.amplitude, "frequency": raster_frequency(found)}
+    def added(found: Found, amplitude: str) -> Addition:
+        fy, fx = (found.score.parameters[name][0] for name in ("frequency_y", "frequency_x"))
         if redrawn_too:
-            return Addition(values)
-        return Addition(
-            values, {} if found.pattern is None else {"field": as_map(found.pattern)}, point=point
-        )
+            over, frequency = carrier(*refined(_weighted(found.fields), (fy, fx)), found.size)
+        else:
+            over, frequency = "raster", raster_frequency(fy, fx, found.size[1])
+        maps = {} if found.pattern is None else {"field": as_map(found.pattern)}
+        values = {amplitude: found.score.amplitude, "frequency": frequency}
+        return Addition(values, maps, point=dataclasses.replace(point, over=over))
+
+    def simulate(found: Found) -> Addition:
+        more = added(found, parameter)
+        usual = redrawn_too and more.point == point
+        return more._replace(point=None) if usual else more
 
     def place(found: Found) -> Addition:
-        values = {amplitude_name(point): found.score.amplitude, "frequency": raster_frequency(found)}
-        return Addition(
-            values, {} if found.pattern is None else {"field": as_map(found.pattern)}, point=point
-        )
+        return added(found, amplitude_name(point))
 
     return Signature(
         name=name,

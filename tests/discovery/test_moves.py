@@ -11,10 +11,13 @@ from cannoise_jax.discovery.compare.measure import shared, shared_variance
 from cannoise_jax.discovery.compare.moves import JUMPS, LEVEL_CHANCES, lines_after, lone_values, two_levels
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import doubt
 from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.own_part import borne_by
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.signatures.carriers import carrier, refined
 from cannoise_jax.signatures.fields import helmert
 from tests.discovery.capture import capture_set, row_offsets
 
@@ -200,3 +203,27 @@ def test_what_maps_share_by_chance_scatters_as_stated(lines):
     # A frequency between two of the grid spreads over both.
     assert (ratio > 0.6).all() and (ratio < (2.5 if lines == "a wave" else 1.5)).all()
     assert lines == "white" or stated[:, 1].mean() > 20 / 128
+
+
+@pytest.mark.parametrize("over", ["row", "raster"])
+def test_a_wave_is_drawn_where_it_runs_and_at_its_own_frequency(over):
+    """Along the rows alone, or on from the end of each to the start of the next: a fifth of a period apart at
+    the other end of a row. The grid of frequencies has half a period in the frame."""
+    rng = np.random.default_rng(9)
+    cycles = 0.2031
+    n = np.arange(96 * 128).reshape(96, 128)
+    run = cycles / 128 * n if over == "raster" else cycles * (n // 128)
+
+    def alter(rng):
+        return lambda dn, *_: dn + 3 * np.sin(2 * np.pi * (run + rng.uniform()))
+
+    capture = capture_set(int(rng.integers(9)), alter, kinds="d")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == "wave_redrawn")
+    score = signature.score(prepared.fields)
+    assert score is not None
+    weighted = [f.contrasts * f.weight.astype(np.float32) for f in prepared.fields]
+    found = refined(weighted, score.payload[:2])
+    place, frequency = carrier(*found, (96, 128))
+    assert place == over
+    assert frequency * (128 if over == "raster" else 1) == pytest.approx(cycles, abs=3e-4)

@@ -253,8 +253,10 @@ def doubt(
         return Doubt(share, tuple(lines_of(full, part.left)[:3]))
     if speaks_for or free:
         return None
-    # What one family says of the form is not outweighed by how much another says of the size.
-    against = [f for f in part.alone if f.left and f.after > LEFT_ALONE * f.before + _SLACK]
+    # What one family says of the form is not outweighed by how much another says of the size. Of what is
+    # redrawn a fixed map holds what happens to be left in a mean.
+    told = [f for f in part.alone if f.left and not (f.stays and part.static < LEFT_TOGETHER)]
+    against = [f for f in told if f.after > LEFT_ALONE * f.before + _SLACK]
     if not against:
         return None
     worst = max(against, key=lambda f: f.after)

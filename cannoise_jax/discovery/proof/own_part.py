@@ -66,9 +66,15 @@ class Borne(NamedTuple):
 class Alone(NamedTuple):
     """The share of one family in a mechanism's part: nats without and with it, and what still differs."""
 
+    family: str
     before: float
     after: float
     left: list[tuple[Judgement, np.ndarray]]
+
+    @property
+    def stays(self) -> bool:
+        """Whether it is of what stays from frame to frame."""
+        return FAMILIES[self.family].part == STATIC
 
 
 class Part(NamedTuple):
@@ -193,7 +199,7 @@ def _alone(family: str, each: list[Borne], left: list[tuple[Judgement, np.ndarra
         sum(float((b.weight * (nats - 0.5))[b.own].sum()) for b, nats in zip(mine, values, strict=True))
         for values in ([b.before for b in mine], [b.after for b in mine])
     )
-    return Alone(max(before, 0.0), max(after, 0.0), [f for f in left if f[0].family == family])
+    return Alone(family, max(before, 0.0), max(after, 0.0), [f for f in left if f[0].family == family])
 
 
 def drawn_structures(each: Sequence[Borne]) -> list[tuple[Borne, Bool[np.ndarray, "k"]]]:
