@@ -57,10 +57,10 @@ def rounding_kurtosis(mean: np.ndarray, sigma: np.ndarray, step: float) -> tuple
 def known_kurtosis(field: Fields) -> tuple[np.ndarray, np.ndarray]:
     """Excess kurtosis of each pixel by Poisson noise and by rounding, and the share of an excess kurtosis of
     its read noise that shows in it."""
-    poisson = float(np.mean(field.gain)) ** 3 * field.signal / field.sigma**4
+    poisson = float(np.mean(field.gain)) ** 3 * field.signal / field.sigma**2 / field.sigma**2
     if field.kind not in DARK:
         read = np.clip(1 - field.shot - field.step**2 / 12 / field.sigma**2, 0, 1)
-        return poisson - field.step**4 / 120 / field.sigma**4, read**2
+        return poisson - field.step**4 / 120 / field.sigma**2 / field.sigma**2, read**2
     channel = channel_index(field.mean.shape)
     chosen = [channel == c for c in range(4)]
     mean = np.array([np.median(field.mean[m]) for m in chosen])

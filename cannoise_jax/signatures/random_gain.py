@@ -35,7 +35,8 @@ def excess_score(fields: tuple[Fields, ...]) -> Score | None:
         bright = base < 0.12
         total = np.zeros(f.mean.shape)
         for z in each_frame(inside, static=False):
-            total += np.where(np.abs(z) < 7, z.astype(np.float64) ** 3, 0.0)
+            z = np.where(np.abs(z) < 7, z, 0).astype(np.float64)
+            total += z * z * z
         kept = f.usable & (base > 0.004)
         for n, part in enumerate((kept & bright, kept & ~bright)):
             w = base * part

@@ -32,13 +32,18 @@ def remembered(*reads: str) -> Callable[[Callable[[Fields], Result]], Callable[[
                 return found[1]
             result = function(field)
             kept[key] = tuple(_reference(a) for a in arrays), result
-            while len(kept) > _MOST:
-                kept.popitem(last=False)
+            for old, (references, _) in list(kept.items()):
+                if len(kept) > _MOST or any(_gone(r) for r in references):
+                    kept.pop(old, None)
             return result
 
         return call
 
     return wrap
+
+
+def _gone(reference: Callable[[], Any]) -> bool:
+    return isinstance(reference, weakref.ref) and reference() is None
 
 
 def _reference(value: Any) -> Callable[[], Any]:

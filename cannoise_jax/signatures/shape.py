@@ -90,7 +90,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         base, share = known_kurtosis(f)
         w = (share * f.usable * (np.abs(static) < 7)).astype(np.float64)
         squares += float(np.sum(w**2)) * f.frames
-        cubes += float(np.sum(w**3)) * f.frames
+        cubes += float(np.sum(w * w**2)) * f.frames
         doubt += (float(np.sum(w)) * f.frames * kurtosis_doubt(f)) ** 2 if f.kind in DARK else 0.0
         for values in each_frame(f):
             z2 = values**2
@@ -181,7 +181,7 @@ def skew_score(fields: tuple[Fields, ...]) -> Score | None:
         base = system**2 * f.signal / f.sigma**3
         w = f.usable * base * (np.abs(f.static) < 7)
         for values in each_frame(f):
-            term = w * (values**3 - 3 * values - base)
+            term = w * (values * values**2 - 3 * values - base)
             u += float(np.sum(term, dtype=np.float64))
             squares += float(np.sum(term**2, dtype=np.float64))
         i += float(np.sum(w * base)) * f.frames
