@@ -8,6 +8,7 @@ model, a trained generator and a user's function are judged alike, with or witho
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +27,8 @@ from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, Model, load_model, of_camera, sample_noise
 
+_ALONE = threading.Lock()
+"""Held by whoever calls a function of someone else, which need not bear two calls at once."""
 Draw = Callable[[Key[Array, ""], Float[Array, "h w"], Settings], Any]
 """(key, clean mosaic, normalised, settings) -> DN, `[H, W]` or `[T, H, W]`."""
 
@@ -152,10 +155,11 @@ def codes_of(
             return None
         own = jax.random.fold_in(key, number)
         given = jnp.asarray(clean)
-        frames = np.asarray(draw(own, given, settings), np.float64)
-        if frames.ndim == 2:
-            more = [draw(jax.random.fold_in(own, t), given, settings) for t in range(1, settings.frames)]
-            frames = np.stack([frames, *(np.asarray(m, np.float64) for m in more)])
+        with _ALONE:
+            frames = np.asarray(draw(own, given, settings), np.float64)
+            if frames.ndim == 2:
+                more = [draw(jax.random.fold_in(own, t), given, settings) for t in range(1, settings.frames)]
+                frames = np.stack([frames, *(np.asarray(m, np.float64) for m in more)])
         if frames.shape != (settings.frames, *recording.size):
             raise BadInput(
                 f"simulator: drew frames of shape {frames.shape}: it must return finite DN of the size of "
