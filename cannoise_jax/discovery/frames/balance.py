@@ -118,7 +118,7 @@ def _variance(
     fitted baseline is without: what whole frames share, and rows of light where that is strong. freedom: of
     the recordings that it is compared with, whose mean leaves out pixels far noisier than the others."""
     own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel, freedom)
-    if not any(_of_lit_rows(f.record) for f in model.mechanisms):
+    if not level or not any(_of_lit_rows(f.record) for f in model.mechanisms):
         return own
     steady = _closed_variance_of(
         model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel, freedom
