@@ -13,7 +13,8 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import modelled, smooth_part
-from cannoise_jax.discovery.frames.contrasts import stack
+from cannoise_jax.discovery.frames.contrasts import Stack, stack
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.signatures.fields import Fields, frame_fields
 
@@ -52,8 +53,9 @@ def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
     """As many frames as every recording of the split has, of its expected signal and at its settings; where
     they are seen against frames before, as many of those first; times: all that so many times."""
     black = {b.iso: b.black_level for b in prepared.baselines}
-    out = {}
-    for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
+
+    def one(pair: tuple[Stack, Fields]) -> np.ndarray | None:
+        stacked, field = pair
         r = stacked.recording
         span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
         settings = Settings(
@@ -63,20 +65,19 @@ def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
             times * (field.before + field.frames),
         )
         clean = field.signal if field.lit else np.zeros(r.size, np.float32)
-        frames = draw(field.number, (clean / span).astype(np.float32), settings)
-        if frames is not None:
-            out[field.number] = frames
-    return out
+        return draw(field.number, (clean / span).astype(np.float32), settings)
+
+    drawn = each(one, zip(prepared.stacks, prepared.fields, strict=True))
+    return {f.number: x for f, x in zip(prepared.fields, drawn, strict=True) if x is not None}
 
 
 def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
     """The drawn frames as fields beside those of the recordings: their own mean taken out, the baseline's
     standard deviation and the recordings' usable pixels."""
     baselines = {b.iso: b for b in prepared.baselines}
-    out = []
-    for stacked, field in zip(prepared.stacks, prepared.fields, strict=True):
-        if field.number not in drawn:
-            continue
+
+    def one(pair: tuple[Stack, Fields]) -> Fields:
+        stacked, field = pair
         r = stacked.recording
         frames = drawn[field.number]
         all_frames, a = list(range(len(frames))), field.before
@@ -90,8 +91,10 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
             assert smooth is not None  # as the recording, the draw has a fixed pattern
             mean = smooth.astype(np.float32)
             static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
-        out.append(field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static))
-    return tuple(out)
+        return field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static)
+
+    pairs = zip(prepared.stacks, prepared.fields, strict=True)
+    return tuple(each(one, [(s, f) for s, f in pairs if f.number in drawn]))
 
 
 def spread_codes(field: Fields, rng: np.random.Generator) -> Float[np.ndarray, "t h w"]:

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.proof.patch_network import cut, train
 from cannoise_jax.signatures.fields import Fields, stratum
 
@@ -94,14 +95,18 @@ def area(real: np.ndarray, fake: np.ndarray) -> float:
 def judge(real: Pair, fake: Pair, seed: int) -> Scored | None:
     """Trains the network on the first of both pairs and scores the second, on the other half of the image,
     either way round; None for frames too few or small."""
-    parts: list[tuple[np.ndarray, ...]] = []
-    for parity in (0, 1):
+
+    def half(parity: int) -> tuple[np.ndarray, ...] | None:
         a, b = cut(real[0], parity, seed), cut(fake[0], parity, seed + 1)
         c, d = cut(real[1], 1 - parity, seed + 2), cut(fake[1], 1 - parity, seed + 3)
         if min(len(p.values) for p in (a, b, c, d)) < 2:
             return None
         network = train(a, b)
-        parts.append((network.scores(c), network.scores(d), c.frame, d.frame))
+        return network.scores(c), network.scores(d), c.frame, d.frame
+
+    parts = [part for part in each(half, (0, 1)) if part is not None]
+    if len(parts) < 2:
+        return None
     told, plain, frame, other = (np.concatenate(column) for column in zip(*parts, strict=True))
     shown = [f for f in real[1] if len(f.contrasts)]
     recording, strata = (np.repeat(v, [f.frames for f in shown]) for v in _places(shown))
