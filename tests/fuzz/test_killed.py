@@ -259,7 +259,8 @@ def test_a_diagnosis_that_is_killed_leaves_whole_reports(worker, tmp_path, table
         write_recording(folder / "in" / recording.path, recording)
     case = Case("", "diagnose", ["--recordings", "in", "--out", "out", "--force"])
     count = survives(worker, case, folder, SOME, 6, cpu=1000)
-    told(tables, "`diagnose`", count, SOME, "every file is whole, and the next run replaces them")
+    held = "every file is whole, and the next run replaces them"
+    told(tables, "`diagnose`", count, SOME, held, "kills_diagnose")
     assert count > SOME // 2
 
 
