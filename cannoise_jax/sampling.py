@@ -135,7 +135,7 @@ def sample_noise(
     next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
     Pure; use `jax.vmap` for one reference per clean image.
 
-    Raises ValueError for images of other shapes, for a `clean` in DN, for an nlf that is negative or infinite
+    Raises ValueError for images of other shapes, for images in DN, for an nlf that is negative or infinite
     (of what is traced under jit only shapes are known), and for a level of another source than the model was
     trained with (`Model.level`), which would be corrected twice or not at all.
     """
@@ -151,7 +151,8 @@ def sample_noise(
     if min(height, width) < SMALLEST:
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
     shot, read = estimate_nlf(noisy_ref) if nlf is None else _checked_nlf(nlf)
-    _check_units(clean)
+    _check_units(clean, "clean")
+    _check_units(noisy_ref, "noisy_ref")
     images = clean.reshape(-1, height, width, 4)
     per_image = (*clean.shape[:-3], 4)
     shot, read = (
@@ -215,13 +216,13 @@ def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
     return nlf
 
 
-def _check_units(clean: Array) -> None:
-    if isinstance(clean, jax.core.Tracer) or not clean.size:
+def _check_units(image: Array, name: str) -> None:
+    if isinstance(image, jax.core.Tracer) or not image.size:
         return
-    middle = float(jnp.median(clean))
+    middle = float(jnp.median(image))
     if not _DARKEST <= middle <= _BRIGHTEST:
         raise ValueError(
-            f"clean has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
+            f"{name} has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
         )
 
 

@@ -350,6 +350,8 @@ def test_a_clean_image_in_dn_is_refused(model):
         sample_noise(
             model, jax.random.key(0), 1000 * scene(32, 32) + 64, noisy(jax.random.key(1)), (1e-3, 1e-5)
         )
+    with pytest.raises(ValueError, match="noisy_ref has median .*, so it is not normalised"):
+        sample_noise(model, jax.random.key(0), scene(32, 32), 1000 * noisy(jax.random.key(1)), (1e-3, 1e-5))
     with pytest.raises(ValueError, match="clean has median -3, so it is not normalised"):
         sample_noise(model, jax.random.key(0), 0 * scene(32, 32) - 3, noisy(jax.random.key(1)), (1e-3, 1e-5))
 
