@@ -110,8 +110,9 @@ def _record(name: str, request: Request, models: list[Path], argv: list[str]) ->
     started = time.monotonic()
     request.tell(f"suite {name}")
     outcome = RUNS[name](request)
+    title = " ".join((RUNS[name].__doc__ or name).split()).removesuffix(".")
     return {
-        "schema": SCHEMA, "suite": name, "title": (RUNS[name].__doc__ or name).splitlines()[0],
+        "schema": SCHEMA, "suite": name, "title": title,
         "command": f"bin/evaluate {shlex.join(argv)}",
         "version": importlib.metadata.version("cannoise-jax"),
         "seeds": request.seeds, "patches": request.bench.size, "references": request.references,

@@ -30,7 +30,12 @@ svg { width: 100%; min-width: 36rem; max-width: 44rem; height: auto; }
 svg text { font: 12px system-ui, sans-serif; fill: currentColor; }
 code { overflow-wrap: anywhere; }
 @media (max-width: 40rem) { body { font-size: 14px; padding: .6rem; } th, td { padding: .2rem .4rem; }
-  svg { min-width: 0; } svg text { font-size: 18px; } }
+  svg { min-width: 0; } svg text { font-size: 18px; }
+  table, tbody, tbody th { display: block; } thead { display: none; }
+  tbody th { text-align: left; border: 0; }
+  tr { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); border-bottom: 1px solid #8884; }
+  tr > :first-child { grid-column: 1 / -1; } td, td.text { text-align: left; border: 0; min-width: 0; }
+  [data-of]::before { content: attr(data-of) ": "; color: var(--dim); } }
 """
 )
 
@@ -62,7 +67,7 @@ def _suite(name: str, record: Mapping[str, Any]) -> str:
 def _table(table: Mapping[str, Any]) -> str:
     head = "".join(f"<th>{escape(c)}</th>" for c in ("", *table["columns"]))
     body = "".join(
-        f"<tr><th>{escape(name)}</th>" + "".join(_cell(row.get(c)) for c in table["columns"]) + "</tr>"
+        f"<tr><th>{escape(name)}</th>" + "".join(_cell(row.get(c), c) for c in table["columns"]) + "</tr>"
         for name, row in table["rows"].items()
     )
     note = f"<p class=note>{escape(table['note'])}</p>" if table["note"] else ""
@@ -72,16 +77,18 @@ def _table(table: Mapping[str, Any]) -> str:
     )
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, column: str) -> str:
+    """A cell, which on narrow screens says of which column it is."""
+    of = f'data-of="{escape(column)}"'
     if value is None:
-        return "<td>–</td>"
+        return f"<td {of}>–</td>"
     if isinstance(value, str):
-        return f"<td class=text>{escape(value)}</td>"
+        return f"<td class=text {of}>{escape(value)}</td>"
     small = ""
     if value["low"] is not None:
         small = f"<small>{number(value['low'])} … {number(value['high'])}</small>"
     title = f"{value['seeds']} seeds, {value['patches']} patches"
-    return f'<td title="{title}">{number(value["value"])}{small}</td>'
+    return f'<td {of} title="{title}">{number(value["value"])}{small}</td>'
 
 
 def number(value: float | None) -> str:

@@ -134,7 +134,9 @@ def test_the_command_writes_json_and_a_page(tmp_path, capsys):
         and record["patches"] == 20
         and record["command"].startswith("bin/evaluate --suite")
     )
+    assert record["title"].endswith("gains and read noises that no training saw")  # all of it
     page = (tmp_path / "evaluation" / "results.html").read_text()
+    assert '<td data-of="pg_recalibrated"' in page  # narrow screens show no head of the table
     opened: list[str] = []
 
     class Check(HTMLParser):
