@@ -74,7 +74,7 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
 
     draws = gate_module.of_model("given")
     named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
-    sides = SimpleNamespace(plain=draws, model="given", bare="given", of=named.get)
+    sides = SimpleNamespace(plain=draws, model="given", bare="given", of=named.get, level=str)
     found = gate_module.gate(Bench(areas), sides, ("a", "b"), proofs)
     found = gate_module.remaining(found, Bench(areas), sides, ("a",), lambda model: model + "+")
     assert (found.model, "".join(found.steps), found.remainder) == (handed_back, steps, rest)

@@ -12,19 +12,30 @@ from cannoise_jax.discovery.proof.gate import Gated, Tried
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 
+_SURE = 3.0
+"""Standard errors of the mean gain of the sites from which on noise counts as growing with the light."""
+
 
 def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was
-    found (DN), where they do; the ISO is None where no file states one, and not the stand-in by which
-    a camera model knows that gain."""
+    found (DN), where they do. shot_noise: whether noise grows with the light: where it does not, as a
+    bolometer's, gain and read noise in electrons are no measurements. The ISO is None where no file states
+    one, and not the stand-in by which a camera model knows that gain."""
     model = diagnosis.model
+    grows = {
+        diagnosis.first.isos[b.iso]: bool(b.gain.sum() > _SURE * np.linalg.norm(b.gain_stderr))
+        for b in diagnosis.first.baselines
+    }
+    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e)
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
     return [
         {
             "iso": stated.get(iso, iso),
-            "gain_dn_per_e": np.asarray(model.gain_dn_per_e)[n],
-            "read_noise_e": np.asarray(model.read_noise_e)[n],
+            "gain_dn_per_e": gain[n],
+            "read_noise_e": read[n],
+            "read_noise_dn": gain[n] * read[n],
+            "shot_noise": next((known for number, known in grows.items() if np.isclose(number, iso)), True),
             "black_dn": np.asarray(model.black_level),
             "black_beyond": [
                 {
