@@ -219,7 +219,7 @@ def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
 def _check_units(image: Array, name: str) -> None:
     if isinstance(image, jax.core.Tracer) or not image.size:
         return
-    middle = float(jnp.median(image))
+    middle = float(np.median(np.asarray(image)))  # of constants of a traced function too
     if not _DARKEST <= middle <= _BRIGHTEST:
         raise ValueError(
             f"{name} has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"

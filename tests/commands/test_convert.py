@@ -121,7 +121,7 @@ def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
     np.save(tmp_path / "bare.npy", FRAMES)
     out = tmp_path / "out.h5"
     refused(capsys, "bad.h5: not a readable HDF5 file", good, tmp_path / "bad.h5", out)
-    refused(capsys, "set it with --cfa", tmp_path / "bare.npy", out)
+    refused(capsys, "set them with --cfa", tmp_path / "bare.npy", out)
     refused(capsys, "none.h5: no such file or folder", good, tmp_path / "none.h5", out)
     refused(capsys, "good.h5: exists", good, good)
     refused(capsys, "no such folder", good, tmp_path / "none" / "out.h5")
