@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples, Shot
+from cannoise_jax.mechanisms.lamp import FLICKER
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.mosaic_ops import moved, neighbour_mean
@@ -13,21 +14,6 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import codes, light
 from cannoise_jax.vocabulary import FRACTION, Term
-
-FLICKER = mechanism_from_grammar(
-    Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"),
-    id="flicker",
-    parameters=(
-        Parameter("amplitude", "1", 0.02, 0.0, 1.0, "peak, as a fraction of the signal"),
-        Parameter("frequency", "cycles/row", 0.02, 0.0, 0.5, "twice the mains over the row rate"),
-    ),
-    equation=r"\mu_{tij} \to \mu_{ij}\,(1+m\cos(2\pi f i+\phi_t))",
-    sentence="Lamps on mains light blink, and a rolling shutter turns the blinking into bands that move from "
-    "frame to frame.",
-    reference="Sheinin et al., Computational Imaging on the Electric Grid, CVPR 2017",
-    needs=("pair", "burst"),
-    confused_with=("row_noise", "row_pink_noise", "banding", "illumination_drift"),
-)
 
 ILLUMINATION_DRIFT = mechanism_from_grammar(
     Point("photons", "mean", "frame", "redrawn", "multiply"),

@@ -17,8 +17,9 @@ from scipy import fft, ndimage
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import placed, strength
-from cannoise_jax.signatures.fields import Fields, frame_fields, map_contrasts
+from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import LineSums, response
+from cannoise_jax.signatures.lamp_wave import Lamp, lamp_wave
 from cannoise_jax.signatures.least import (
     signal,
     sinusoid,
@@ -45,6 +46,13 @@ _PLAIN = 10.0
 """Nats by which one sinusoid of the same amplitude everywhere must fall short before it is given up."""
 
 
+class _Wave(NamedTuple):
+    """Frequency, cycles per row; lamp: of a wave far above the noise."""
+
+    frequency: float
+    lamp: Lamp | None
+
+
 def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
     """Half the chi-square of both phases of each field at every frequency k / 4h, their correlation accounted
     for."""
@@ -58,7 +66,7 @@ def _wave_power(score: np.ndarray, information: np.ndarray) -> np.ndarray:
     return chi2 / 2
 
 
-def flicker_score(fields: tuple[Fields, ...]) -> Score[tuple[float, bool]] | None:
+def flicker_score(fields: tuple[Fields, ...]) -> Score[_Wave] | None:
     """A sinusoid from row to row proportional to the signal, of one frequency in all lit recordings, counted
     by their information."""
     powers, information, seen = [], [], []
@@ -82,10 +90,13 @@ def flicker_score(fields: tuple[Fields, ...]) -> Score[tuple[float, bool]] | Non
     trials = 2 * h  # every point of the padded grid
     fit = rician_fit(float(power[k]), own[:, k], weights)
     frequency, doubt = k / (4 * h), 0.3 / h
-    strong = _with_remainder(seen, frequency)
-    if strong is not None and strong.gain < fit.gain + _PLAIN:
-        strong = None
-    gain, amplitude, error = strong or (fit.gain, fit.amplitude, fit.error)
+    gain, amplitude, error, lamp = fit.gain, fit.amplitude, fit.error, None
+    remains = _with_remainder(seen, frequency)
+    if remains is not None and remains > gain + _PLAIN:
+        lamp = lamp_wave([field for field, _, _ in seen], frequency)
+        gain = max(remains, _with_remainder(seen, lamp.frequency) or 0.0)
+        amplitude, frequency = lamp.amplitude, lamp.frequency
+        error = amplitude / (2 * np.sqrt(lamp.frames))
     return Score(
         log_p=sidak(fit.log_p, trials),
         gain=gain,
@@ -96,7 +107,7 @@ def flicker_score(fields: tuple[Fields, ...]) -> Score[tuple[float, bool]] | Non
         power=2,
         parameters={"amplitude": (amplitude, "1", error), "frequency": (frequency, "1/row", doubt)},
         where={"axis": "frequency", "period_px": 1 / frequency if k else None, "direction": "row"},
-        payload=(frequency, strong is not None),
+        payload=_Wave(frequency, lamp),
         spot={"frequency": (frequency, 2.5 * doubt)},
     )
 
@@ -109,17 +120,9 @@ def _basis(frequency: float, h: int, harmonics: int) -> Float[np.ndarray, "k h"]
     return np.array([g(2 * np.pi * t) for t in turns for g in (np.cos, np.sin)])
 
 
-class _Strong(NamedTuple):
-    """A sinusoid far above the noise: nats that it gains, amplitude, its error."""
-
-    gain: float
-    amplitude: float
-    error: float
-
-
-def _with_remainder(seen: list[tuple[Fields, np.ndarray, LineSums]], frequency: float) -> _Strong | None:
-    """The sinusoid with its harmonic, both of each colour's own strength, and a white remainder, for rows of
-    which it explains nearly all; None for any others.
+def _with_remainder(seen: list[tuple[Fields, np.ndarray, LineSums]], frequency: float) -> float | None:
+    """Nats that a sinusoid far above the noise gains with its harmonic, both of each colour's own strength,
+    and a white remainder, where it explains nearly all of the rows; None for any others.
 
     Sums scaled to the noise of their own pixels bend a sinusoid that is far above it: both laws are compared
     on those that are not, and the difference is put on what white rows gain on those that are.
@@ -144,18 +147,7 @@ def _with_remainder(seen: list[tuple[Fields, np.ndarray, LineSums]], frequency: 
     if left_over > _NEARLY * excess:
         return None
     own = [(s.score / np.sqrt(np.maximum(s.information, 1e-30)), s.information) for _, _, s in seen]
-    gain = _white(own) + saved + _white(rest) - _white(whole)
-    power = np.concatenate([_squares(field, values, frequency) for field, values, _ in seen])
-    amplitude = float(np.sqrt(np.mean(power)))
-    return _Strong(gain, amplitude, amplitude / (2 * np.sqrt(power.size)))
-
-
-def _squares(field: Fields, values: np.ndarray, frequency: float) -> Float[np.ndarray, "n"]:
-    """Squared amplitude of the sinusoid in every frame: a contrast holds the difference of several."""
-    whole = values if field.static is None else frame_fields(field)
-    sums = line_sums(field, whole, "row", "signal", own=False)
-    turn = np.exp(-2j * np.pi * frequency * np.arange(sums.information.size))
-    return np.abs(2 * np.einsum("nh,h->n", sums.score, turn) / sums.information.sum()) ** 2
+    return _white(own) + saved + _white(rest) - _white(whole)
 
 
 def _white(rows: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -165,11 +157,11 @@ def _white(rows: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return variance_component(power, np.concatenate([i for _, i in rows]), freedom).gain
 
 
-def flicker_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, bool]]) -> tuple[Fields, ...]:
+def flicker_absorb(fields: tuple[Fields, ...], score: Score[_Wave]) -> tuple[Fields, ...]:
     """Projects the row sinusoid, times the signal, out of every lit field; with its harmonic, and out of each
     colour by itself, where it is far above the noise. What rows of light then still share is no noise of
     the camera: lamps flicker in no perfect sinusoid."""
-    frequency, strong = score.payload
+    frequency, strong = score.payload.frequency, score.payload.lamp is not None
 
     def taken_out(field: Fields) -> Fields:
         left = _with_level(field, _taken_out(field, frequency, strong), frequency, score.amplitude)
@@ -267,8 +259,17 @@ def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
 def mains(*, name: str, parameter: str) -> Signature:
     """A sinusoid of the light from row to row, its phase new in every frame."""
 
-    def beside(found: Found) -> dict[str, float]:
+    def frequency(found: Found) -> dict[str, float]:
         return {"frequency": abs(found.score.parameters["frequency"][0])}
+
+    def beside(found: Found) -> dict[str, float]:
+        """Each colour's own wave too, where it is told."""
+        lamp = found.score.payload.lamp
+        if lamp is None:
+            return frequency(found)
+        shares = {f"share_{c // 2}{c % 2}": float(v) for c, v in enumerate(lamp.share)}
+        late = {f"late_{c // 2}{c % 2}": float(v) for c, v in enumerate(lamp.late)}
+        return {**frequency(found), **shares, **late}
 
     return Signature(
         name=name,
@@ -281,7 +282,7 @@ def mains(*, name: str, parameter: str) -> Signature:
         pattern=NO_PATTERN,
         simulate=strength(parameter, beside=beside),
         place=placed(
-            Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"), beside=beside
+            Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"), beside=frequency
         ),
         detectable=BY_SHIFT,
         least=lambda sets: sinusoid(sets, signal),

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.compare.families import SHARED
 from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
+from cannoise_jax.discovery.compare.lamp import steadied, without_wave
 from cannoise_jax.discovery.compare.light import Light, light_for
 from cannoise_jax.discovery.compare.measure import (
     Measured,
@@ -158,9 +159,11 @@ def _one(
     dark = r.kind in DARK
     high = min(float(r.white_level), 65535.0)
     raw = reduce(frames, high, dark, step, before)
-    light = light_for(r, raw.mean, raw.usable, dark)
+    even = r.kind == "flat"  # of a scene rows differ anyway
+    steady = without_wave(raw.mean, raw.contrasts, r.black_level) if even else raw.mean
+    light = light_for(r, steady, raw.usable, dark)
     known = light if light is not None else _scene(raw)
-    fitted = known.fit(raw.mean, raw.usable)
+    fitted = known.fit(steady, raw.usable)
     clean = asked_signal(r, fitted, source, dark)
     settings = Settings(iso, r.exposure_s if r.exposure_s is not None else 0.01, r.temperature_c, len(frames))
     drawn = [source.frames(m, number, clean, settings) for m in range(sets)]
@@ -169,6 +172,8 @@ def _one(
     if len(drawn[0]) < len(frames):  # type: ignore[arg-type]
         raw = reduce(frames[: len(drawn[0])], high, dark, step, before)  # type: ignore[arg-type]
     raws = [reduce(d, high, dark, step, before) for d in drawn]  # type: ignore[arg-type]
+    if even:
+        raw, raws = steadied(raw, raws, fitted, r.black_level)
     means = [known.fit(d.mean, d.usable) for d in raws]
     noise = noise_of(raws, np.mean(means, 0), step)
     level = dark and light is not None

@@ -171,8 +171,11 @@ def lag(over: str, step: int, width: int) -> tuple[int, int]:
     return place(over).lag(step, width)
 
 
-def sinusoid(key: Key[Array, ""], frames: int, sites: tuple[int, ...], frequency, *, redrawn: bool):
-    """cos(2 pi f n + phase) along the sites, unit peak, with a random phase per frame (frozen: one phase)."""
+def sinusoid(
+    key: Key[Array, ""], frames: int, sites: tuple[int, ...], frequency, *, redrawn: bool, late: float = 0.0
+):
+    """cos(2 pi f n + phase - late) along the sites, unit peak, with a random phase per frame (frozen: one
+    phase), that of the key. late: radians."""
     phase = jax.random.uniform(key, (frames, 1)) * (2 * jnp.pi)
     steps = 1
     for s in sites:
@@ -181,4 +184,4 @@ def sinusoid(key: Key[Array, ""], frames: int, sites: tuple[int, ...], frequency
     index = jnp.arange(steps)
     high, low = index // 4096, index % 4096
     cycles = (frequency * 4096 % 1.0) * high % 1.0 + frequency * low % 1.0
-    return jnp.cos(2 * jnp.pi * cycles + phase).reshape(frames, *sites)
+    return jnp.cos(2 * jnp.pi * cycles + (phase - late)).reshape(frames, *sites)
