@@ -19,7 +19,7 @@ from cannoise_jax.signatures.least import (
 from cannoise_jax.signatures.line_sums import component_score
 from cannoise_jax.signatures.off_reference import drop_scenes, white_error
 from cannoise_jax.signatures.remembered import remembered
-from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.score import Score, variance_component
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
@@ -37,13 +37,16 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
+_UNLIKE = 1e-3
+"""Chance of so much more scatter of lit frames, of light that stays, below which they are left out."""
 _STANDS_OUT = 8.0
 """Standard deviations of a map and its noise from which on a pixel is no part of the map."""
 
 
 def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | None:
-    """One random offset (or gain) per frame."""
-    power, information, dof = [], [], []
+    """One random offset (or gain) per frame. Light that moves from frame to frame by more than offsets do in
+    darks says nothing of offsets."""
+    power, information, dof, lit = [], [], [], []
     for f in fields:
         if not len(f.contrasts) or (scaling == "signal" and not f.lit):
             continue
@@ -60,12 +63,25 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
             information.append(i)
             dof.append(len(f.contrasts))
+            lit.append(f.lit)
     # One recording alone cannot say how what its frames share scales: another has to lack it, or show less.
     if not power or sum(len(f.contrasts) > 0 for f in fields) < 2:
         return None
-    return component_score(
-        np.array(power), np.array(information), np.array(dof), scaling=scaling, where={"axis": "frame"}
-    )
+    powers, informations, dofs = np.array(power), np.array(information), np.array(dof)
+    if scaling == "additive":
+        told = ~np.array(lit) | (not _unlike(powers, informations, dofs, np.array(lit)))
+        powers, informations, dofs = powers[told], informations[told], dofs[told]
+    return component_score(powers, informations, dofs, scaling=scaling, where={"axis": "frame"})
+
+
+def _unlike(power: np.ndarray, information: np.ndarray, dof: np.ndarray, lit: np.ndarray) -> bool:
+    """Whether lit frames scatter by more than the offsets of darks explain, as light does that moves."""
+    if lit.all() or not lit.any():
+        return False
+    variance = variance_component(power[~lit], information[~lit], dof[~lit]).variance
+    scaled = power / (1 + variance * information)
+    ratio = (scaled[lit].sum() / dof[lit].sum()) / max(scaled[~lit].sum() / dof[~lit].sum(), 1e-30)
+    return bool(stats.f.sf(ratio, dof[lit].sum(), dof[~lit].sum()) < _UNLIKE)
 
 
 def frame_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: str) -> tuple[Fields, ...]:

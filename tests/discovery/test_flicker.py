@@ -1,5 +1,7 @@
 """Mains light through a rolling shutter, from just above the noise to a hundred times it."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -134,3 +136,22 @@ def test_each_colours_own_wave_is_in_the_model():
     phases = np.array([said[f"late_{s}"] for s in ("00", "01", "10", "11")], float)
     np.testing.assert_allclose(phases - phases[0], late, atol=0.01)
     assert float(said["frequency"]) == pytest.approx(1 / PERIOD, abs=2e-5)
+
+
+def test_light_that_moves_is_not_taken_for_offsets_of_frames():
+    """One flat, whose light moves by fifty times the offsets of darks: each by its own amount."""
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            lamp = 0.003 * rng.standard_normal() if kind == "flat" else 0.0
+            return dn + 0.6 * rng.standard_normal() + lamp * signal
+
+        return change
+
+    capture = capture_set(12, alter, kinds="df", size=SIZE, frames=8)
+    recordings = (*capture.recordings[:2], capture.recordings[-1])
+    _, fitted = looked_at(dataclasses.replace(capture, recordings=recordings))
+    found = {s.named.mechanism: s.named.score.amplitude for s in fitted.steps}
+    assert set(found) == {"offset_drift", "illumination_drift"}
+    assert found["offset_drift"] == pytest.approx(0.6, rel=0.35)
+    assert found["illumination_drift"] == pytest.approx(0.003, rel=0.45)
