@@ -232,8 +232,14 @@ def _diagnosis(content: dict[str, Any]) -> _Parts:
         strength = f"{value} ({interval})" if size["ci90"][0] < size["ci90"][1] else value
         shown = "not measured" if gain is None else nats(gain, finding["heldout_pixels"] or 0)
         sure = "yes" if finding.get("confirmed") else "no"
-        rows.append((finding["mechanism"].replace("_", " "), strength, shown, sure))
-    values = {"findings": str(len(rows))}
+        near = (finding.get("card") or {}).get("nearest")
+        name = finding["mechanism"] + (f", nearest to {near}" if near else "")
+        rows.append((name.replace("_", " "), strength, shown, sure))
+    values = {"findings": str(len(rows)), "verdict": str(content.get("verdict"))}
+    values["confirmed"] = str(sum(row[-1] == "yes" for row in rows))
+    values["minutes"] = f"{content['seconds'] / 60:.1f}"
+    if (content.get("remains") or {}).get("left") is not None:
+        values["left"] = f"{content['remains']['left']:.1%}"
     for side in ("before", "after"):
         if content[side]["two_sample_auc"] is not None:
             values[f"auc_{side}"] = f"{content[side]['two_sample_auc']:.3f}"
