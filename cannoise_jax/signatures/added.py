@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.signatures.coloured import draw_coloured, spectrum_of
 from cannoise_jax.signatures.signature import Addition, Found
 
 
@@ -101,12 +102,16 @@ def draw_pixels(
     variance: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "h w"]:
-    """As `draw`, of a map of pixels; those of one cell of 2 x 2 may be alike, as pixels are that share a
-    photodiode's lens, a transistor or an amplifier: the doubt is drawn as alike as they are."""
+    """As `draw`, of a map of pixels. Neighbours may be alike or unlike all over, or those of one cell of
+    2 x 2 alone, as pixels are that share a photodiode's lens, a transistor or an amplifier: the doubt is
+    drawn as alike as they are."""
     out = draw(score, information, variance, rng)
     h, w = (n // 2 * 2 for n in score.shape)
     if not variance > 0:
         return out
+    coloured = _coloured(out, score, information, variance, rng)
+    if coloured is not None:
+        return coloured
 
     def cells(values: np.ndarray) -> np.ndarray:
         return values[:h, :w].reshape(h // 2, 2, w // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
@@ -121,6 +126,29 @@ def draw_pixels(
     drawn += np.einsum("nkl,nl->nk", np.linalg.cholesky(doubt), rng.standard_normal(u.shape))
     out[:h, :w] = drawn.reshape(h // 2, w // 2, 2, 2).transpose(0, 2, 1, 3).reshape(h, w)
     return out
+
+
+def _coloured(
+    white: Float[np.ndarray, "h w"],
+    score: Float[np.ndarray, "h w"],
+    information: Float[np.ndarray, "h w"],
+    variance: float,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "h w"] | None:
+    """The draw with neighbours as alike as they are all over; pixels far out, and those of which little is
+    known, as in the white one. None where they are not alike."""
+    typical = float(np.median(information))
+    if not typical > 0:
+        return None
+    noise, known = 1 / typical, information > 0.25 * typical
+    estimate = np.where(known, score / np.maximum(information, 1e-30), 0.0)
+    limit = _OUTLYING * np.sqrt(variance + noise)
+    inside = known & (np.abs(estimate) < limit)
+    estimate = np.where(inside, estimate, 0.0)
+    power = spectrum_of(estimate, noise, variance)
+    if power is None:
+        return None
+    return np.where(inside, draw_coloured(estimate, noise, power, rng), white)
 
 
 def likeness(
