@@ -16,6 +16,7 @@ from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
+from cannoise_jax.discovery.proof.claims import empty
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Step
@@ -253,3 +254,22 @@ def test_columns_that_are_like_their_neighbours_are_no_single_columns(columns):
     assert (against is not None) == (columns in ("an edge", "a wave", "one place"))
     if against is not None:
         assert "neighbouring columns" in against.against[0]
+
+
+def rare_steps(height):
+    """One value in two hundred is too high, by as many DN in every exposure."""
+    return lambda rng: lambda dn, signal, kind, t: dn + height * (rng.random(dn.shape) < 0.005)
+
+
+def test_charge_of_the_clocking_whose_draws_leave_all_that_stands_out_is_none():
+    capture = capture_set(5, rare_steps(32), kinds="d", frames=10)
+    step = step_of(capture, "clocking", "clock_induced_charge", -50)
+    plain = SensorModel.poisson_gaussian([[GAIN] * 4], [[READ] * 4], (BLACK,) * 4, WHITE, "RGGB")
+    one = plain.with_mechanism("clock_induced_charge", charge_e=step.named.score.amplitude)
+    full, less = (compare_bank(capture, modelled(m, KEY), sets=2, alpha=0.002) for m in (one, plain))
+    found = empty(full, borne_by(full, less), step)
+    assert found is not None and found.left == 1.0 and any("one frame" in line for line in found.against)
+    # Where nothing differs, or the draws move it, nothing speaks against it.
+    clean = compare_bank(capture_set(5, kinds="d", frames=10), modelled(plain, KEY), sets=2, alpha=0.002)
+    assert empty(clean, borne_by(clean, clean), step) is None
+    assert empty(full, [borne([90], [2])], step) is None

@@ -15,7 +15,11 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import doubt
 from cannoise_jax.discovery.proof.check import frames_for_names
+from cannoise_jax.discovery.proof.claims import forgetful, lasting
+from cannoise_jax.discovery.proof.claims import two_levels as more_levels
 from cannoise_jax.discovery.proof.own_part import borne_by
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.carriers import carrier, refined
 from cannoise_jax.signatures.fields import helmert
@@ -25,15 +29,14 @@ KEY = jax.random.key(5)
 GAIN, READ, BLACK, WHITE, SIGMA, JUMP = 1.5, 3.0, 200.0, 16383.0, 1.5, 27.0
 
 
-def against(alter, name, blinking=False, **values):
-    """What speaks against a mechanism of these strengths in darks that were altered."""
+def drawn(alter, name, **values):
+    """Darks that were altered against a simulator with a mechanism of these strengths, and without."""
     capture = capture_set(8, alter, kinds="d", read=READ, frames=10)
     plain = SensorModel.poisson_gaussian([[GAIN] * 4], [[READ] * 4], (BLACK,) * 4, WHITE, "RGGB")
-    full, less = (
+    return [
         compare_bank(capture, modelled(m, KEY), sets=2, alpha=0.002)
         for m in (plain.with_mechanism(name, **values), plain)
-    )
-    return doubt(full, borne_by(full, less, blinking=blinking))
+    ]
 
 
 def remembering(memory):
@@ -55,7 +58,8 @@ def remembering(memory):
 
 @pytest.mark.parametrize(("alter", "doubted"), [(remembering(0.8), True), (row_offsets(SIGMA), False)])
 def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, doubted):
-    found = against(alter, "row_noise", sigma_dn=SIGMA)
+    full, less = drawn(alter, "row_noise", sigma_dn=SIGMA)
+    found = forgetful(full, borne_by(full, less))
     assert (found is not None) == doubted
     if found is not None:
         assert any("remember" in line for line in found.against)
@@ -76,10 +80,47 @@ def jumping(levels):
 
 @pytest.mark.parametrize(("levels", "doubted"), [(3, True), (2, False)])
 def test_pixels_of_three_levels_are_no_telegraph_pixels(levels, doubted):
-    found = against(jumping(levels), "rts", True, jump_dn=JUMP, fraction=0.01, rate=0.5)
+    found = two_levels_enough(jumping(levels))
     assert (found is not None) == doubted
     if found is not None:
-        assert "how pixels jump (frame to frame)" in found.against
+        assert found.left > 0.5 and "more than two levels" in found.against[0]
+
+
+def two_levels_enough(alter, fraction=0.01):
+    return more_levels(drawn(alter, "rts", jump_dn=JUMP, fraction=fraction, rate=0.5)[0])
+
+
+def test_how_many_pixels_jump_says_nothing_of_their_levels():
+    """Twice as many in the simulator, or half: pixels of two levels stay such."""
+    for fraction in (0.005, 0.02):
+        assert two_levels_enough(jumping(2), fraction) is None
+        assert two_levels_enough(jumping(3), fraction) is not None
+
+
+@pytest.mark.parametrize("stays", ["in all recordings", "in each by itself"])
+def test_rows_that_differ_from_recording_to_recording_are_no_fixed_pattern(stays):
+    """Means of rows of equal variance in every recording, the same ones or others."""
+    rng = np.random.default_rng(8)
+    rows = rng.standard_normal((96, 1))
+    own: dict[tuple, np.ndarray] = {}
+
+    def alter(rng):
+        def change(dn, signal, kind, t):
+            new = rows if stays == "in all recordings" else rng.standard_normal((96, 1))
+            return dn + 0.5 * SIGMA * own.setdefault((t, float(signal.mean())), new)
+
+        return change
+
+    capture = capture_set(3, alter, kinds="df", frames=6)
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == "row_additive_static")
+    score = signature.score(prepared.fields)
+    assert score is not None and score.log_p < -20
+    named = Named(score, signature, "row_fpn", (("row_fpn", 1.0),), False)
+    found = lasting(Step(named, prepared.fields, score.log_p))
+    assert (found is None) == (stays == "in all recordings")
+    if found is not None:
+        assert found.left > 0.6 and "in common" in found.against[0]
 
 
 def flips(rng):
@@ -94,7 +135,8 @@ def flips(rng):
 
 def test_steps_of_one_size_to_one_side_are_no_heavy_tails():
     """Of equal excess kurtosis: 0.2, that of a Tukey lambda of 0.1."""
-    found = against(flips, "heavy_tails", tukey_lambda=0.1)
+    full, less = drawn(flips, "heavy_tails", tukey_lambda=0.1)
+    found = doubt(full, borne_by(full, less))
     assert found is not None and any("tails" in line or "one frame" in line for line in found.against)
 
 
@@ -128,13 +170,13 @@ def test_values_that_lie_off_alone_are_counted_by_size_and_side():
 def test_lines_of_independent_frames_scatter_as_stated(spectrum):
     rng = np.random.default_rng(5)
 
-    def drawn():
+    def draw():
         rows = rng.standard_normal((6, 64))
         rows = np.cumsum(rows, 1) if spectrum == "red" else rows
         frames = rows[:, :, None] + 0.1 * rng.standard_normal((6, 64, 48))
         return lines_after(contrasts(frames), np.ones((64, 48), bool))
 
-    values, stated = (np.array(v) for v in zip(*(drawn() for _ in range(200)), strict=True))
+    values, stated = (np.array(v) for v in zip(*(draw() for _ in range(200)), strict=True))
     scatter = values.var(0) / stated.mean(0)
     assert (scatter > 0.3).all() and (scatter < 2.0).all()
 
@@ -194,11 +236,11 @@ def test_what_maps_share_by_chance_scatters_as_stated(lines):
         wave = 3 * np.sin(0.9 * at + rng.uniform(0, 2 * np.pi))
         return (rng.standard_normal(128) if lines == "white" else wave)[:, None]
 
-    def drawn():
+    def draw():
         maps = [profile() + rng.standard_normal((128, 48)) for _ in range(2)]
         return shared(*maps), shared_variance(*maps)
 
-    values, stated = (np.array(v) for v in zip(*(drawn() for _ in range(300)), strict=True))
+    values, stated = (np.array(v) for v in zip(*(draw() for _ in range(300)), strict=True))
     ratio = values.var(0) / stated.mean(0)
     # A frequency between two of the grid spreads over both.
     assert (ratio > 0.6).all() and (ratio < (2.5 if lines == "a wave" else 1.5)).all()

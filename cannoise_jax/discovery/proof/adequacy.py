@@ -21,6 +21,7 @@ from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
+from cannoise_jax.discovery.proof.claims import empty, forgetful, lasting, two_levels
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, drawn_structures, most_of, own_part, owned
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
@@ -135,10 +136,13 @@ def doubts(
         own = owned(each, most)
         out[n] = (
             doubt(one, own, claimed, steps[n].named.signature.form_free)
+            or empty(one, each, steps[n])
             or patterned(steps[n])
             or gathered(steps[n])
             or ranged(steps[n])
-            or (None if steps[n].named.signature.frozen else uneven(full, own))
+            or lasting(steps[n])
+            or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
+            or (None if steps[n].named.signature.frozen else forgetful(one, own) or uneven(full, own))
         )
     unknown = [n for n in every if n not in named or out[n] is not None]
     left = [n for n in borne if out[n] is None]

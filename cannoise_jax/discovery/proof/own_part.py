@@ -14,7 +14,6 @@ from cannoise_jax.discovery.compare.families import (
     IN_ONE_FRAME,
     LEVELS,
     MOMENTS,
-    NEXT_LINES,
     STATIC,
     STRUCTURE,
     TAILS,
@@ -24,7 +23,6 @@ from cannoise_jax.discovery.compare.families import (
 )
 from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.measure import Statistics
-from cannoise_jax.discovery.compare.moves import LINE_LAGS
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.signatures import bank
 
@@ -124,23 +122,7 @@ def borne_by(
         if full.recorded[j.where].families[j.family].law == "energy":
             own |= _broken(own, full.seen[j.where].size)
         out.append(Borne(j, one, two, own | claimed, claimed, share))
-    return _with_memory(out, full)
-
-
-def _with_memory(each: list[Borne], full: Compared) -> list[Borne]:
-    """A name for whole lines that are redrawn says that they have nothing of the frame before: it speaks for
-    that even where it does not move it."""
-    lines: dict[str, np.ndarray] = {}
-    for b, cells in drawn_structures(each):
-        moved = cells.reshape(bank.counts(full.seen[b.judged.where].size).shape)
-        whole = [moved[:, :-1, -1].any(), moved[:, -1, :-1].any()]
-        lines[b.judged.where] = np.repeat(whole, len(LINE_LAGS))
-    return [
-        b._replace(own=b.own | mine, weight=np.where(mine, 1.0, b.weight))
-        if b.judged.family == NEXT_LINES and (mine := lines.get(b.judged.where)) is not None
-        else b
-        for b in each
-    ]
+    return out
 
 
 def share_of(before: Float[np.ndarray, "k"], after: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:

@@ -1,0 +1,146 @@
+"""What a name says beside how strong it is: that a pattern is the same in every recording, that pixels have
+two levels, that lines have nothing of the frame before. Each is a statistic whose scale does not grow with
+the strength of the mechanism, and is held to its own effect size: however much of the mismatch a name takes
+away, in nats, it is not true of a pattern that other recordings have not got.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.discovery.compare.families import (
+    IN_ONE_FRAME,
+    LEVELS,
+    NEXT_LINES,
+    TAILS,
+    TEMPORAL,
+    UNSTEADY,
+    of,
+)
+from cannoise_jax.discovery.compare.moves import LINE_LAGS
+from cannoise_jax.discovery.compare.run import Compared
+from cannoise_jax.discovery.compare.table import lines_of
+from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_part
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.signatures import bank
+
+_SHARED = 0.5
+"""Share of a pattern's variance that recordings have in common, below which it is not the same in all."""
+_SURE = 4.0
+"""Standard deviations from which on that is no chance."""
+_FEWEST = 32
+"""Lines or pixels from which on that is told."""
+_MORE_LEVELS = 0.25
+"""Share of the pixels that jump which leave more than pixels of two levels do. Two levels 3 to 9 standard
+deviations apart, of any share of time, or apart by an exponential law, are within 0.1 of one size of jump (6
+to 12 frames); three levels, 3 to 6 standard deviations from one to the next, lie at 0.31 to 0.96."""
+_CHANCE = 1e-3
+"""Probability of that share by chance (Smirnov)."""
+_FEWEST_PIXELS = 20
+_REMEMBERED = 0.25
+"""Correlation of lines with those of the frame before, beyond what the simulator has."""
+FAR_OUT = (of(TEMPORAL, TAILS), UNSTEADY, IN_ONE_FRAME, LEVELS)
+"""Families that count values far out, of single frames and of pixels."""
+_OF_EVIDENCE = 0.02
+"""Share of the evidence for a name, in nats, from which on what differs of such values may be what it was
+found by. Of what passed for charge of the clocking, 17,000 nats of steps of one size, all was left."""
+
+
+def lasting(step: Step) -> Doubt | None:
+    """What speaks against a step that names a pattern that stays: that recordings share little of it.
+    Products of different recordings hold the pattern alone, squares whatever else is in their means."""
+    signature, score = step.named.signature, step.named.score
+    axes = signature.axes
+    if step.named.mechanism == UNKNOWN or (axes.time, axes.law) != ("frozen", "white"):
+        return None
+    if axes.scales not in ("additive", "signal") or axes.varies_over not in ("row", "column", "pixel"):
+        return None
+    claimed = score.amplitude**2
+    sums = []
+    for field in step.before:
+        found = signature.predict((field,), score) if field.static is not None else None
+        if found is None or found.pattern is None or claimed <= 0:
+            continue
+        doubt = np.broadcast_to(np.asarray(found.doubt, np.float64), np.shape(found.pattern)).ravel()
+        doubt = np.maximum(doubt, 1e-9 * claimed)
+        sums.append((np.ravel(found.pattern) / doubt, np.maximum(1 / doubt - 1 / claimed, 0.0)))
+    if len(sums) < 2:
+        return None
+    product, weight = _of_pairs(*(np.array(v) for v in zip(*sums, strict=True)))
+    used = weight > 0
+    if used.sum() < _FEWEST:
+        return None
+    common = float(product[used].sum() / weight[used].sum())
+    error = float(np.sqrt(np.sum((product - claimed * weight)[used] ** 2)) / weight[used].sum())
+    if common > _SHARED * claimed or claimed - common < _SURE * error:
+        return None
+    share = 1 - max(common, 0.0) / claimed
+    what = f"recordings have {100 * (1 - share):.0f} % of the pattern in common: it does not stay"
+    return Doubt(share, (what,), instead=True)
+
+
+def _of_pairs(
+    score: Float[np.ndarray, "r k"], information: Float[np.ndarray, "r k"]
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Products of the scores of different recordings, summed over the pairs, and of a pattern of
+    variance one."""
+    first, second = ((v.sum(0) ** 2 - (v**2).sum(0)) / 2 for v in (score, information))
+    return first, second
+
+
+def two_levels(whole: Compared) -> Doubt | None:
+    """What speaks against a name for pixels that jump between two levels: that many leave more than that."""
+    recorded, simulated = np.zeros(1), np.zeros(1)
+    for name, measured in whole.recorded.items():
+        if LEVELS in measured.families:
+            recorded = recorded + measured.families[LEVELS].values.sum(0)
+            simulated = simulated + np.sum([s.families[LEVELS].values for s in whole.simulated[name]], (0, 1))
+    number = [float(v.sum()) for v in (recorded, simulated)]
+    if min(number) < _FEWEST_PIXELS:
+        return None
+    more = float(np.max(np.cumsum(simulated) / number[1] - np.cumsum(recorded) / number[0]))
+    if more < _MORE_LEVELS or np.exp(-2 * more**2 / (1 / number[0] + 1 / number[1])) > _CHANCE:
+        return None
+    said = f"{100 * more:.0f} % of the pixels that jump have more than two levels"
+    return Doubt(more, (said,), instead=True)
+
+
+def empty(whole: Compared, each: list[Borne], step: Step) -> Doubt | None:
+    """What speaks against a name for rare values far out, of much evidence, whose draws move nothing of such
+    values, where they differ: what stands out is then of another size, or comes otherwise."""
+    signature = step.named.signature
+    if not signature.rare or signature.frozen or any(b.own.any() for b in each):
+        return None
+    left = [(j, j.found) for j in whole.judgements if j.family in FAR_OUT and j.where in whole.seen]
+    left = [(j, found) for j, found in left if found.size]
+    nats = sum(float(np.sum(j.z[found] ** 2)) / 2 for j, found in left)
+    if not left or nats < _OF_EVIDENCE * step.named.score.gain:
+        return None
+    return Doubt(1.0, tuple(lines_of(whole, left)[:3]))
+
+
+def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
+    """What speaks against a name for lines that are redrawn: that they have much of the frame before. each:
+    what the mechanism bears on."""
+    lines = [np.zeros(2, bool)]
+    where = []
+    for b, cells in drawn_structures(each):
+        moved = cells.reshape(bank.counts(whole.seen[b.judged.where].size).shape)
+        lines.append(np.array([moved[:, :-1, -1].any(), moved[:, -1, :-1].any()]))
+        where.append(b.judged.where)
+    mine = np.repeat(np.any(lines, 0), len(LINE_LAGS))
+    found = [j for j in whole.judgements if j.family == NEXT_LINES and j.where in where]
+    if not found or not mine.any():
+        return None
+    z = np.sum([j.z for j in found], 0) / np.sqrt(len(found))
+    more = np.mean([j.recorded - j.simulated for j in found], 0)
+    told = mine & (z > max(j.passing for j in found)) & (more > _REMEMBERED)
+    if not told.any():
+        return None
+    k = int(np.argmax(np.where(told, more, 0)))
+    part = own_part(each)
+    side = "rows" if k < len(LINE_LAGS) else "columns"
+    said = f"{side} remember the frame before: a correlation of {more[k]:.2f} beyond the simulator's"
+    return Doubt(part.after / max(part.before, 1e-9), (said,), instead=True)
