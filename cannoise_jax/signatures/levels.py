@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from jaxtyping import Bool
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK, mosaic_map
 from cannoise_jax.signatures.added import as_map, placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index
@@ -24,10 +26,12 @@ from cannoise_jax.signatures.score import (
 )
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
+    CONTRASTS,
     NO_CLOSED_FORM,
     NO_LAW,
     NO_PATTERN,
     NO_PLACE,
+    STATIC,
     Addition,
     Axes,
     Found,
@@ -36,16 +40,31 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
+_STANDS_OUT = 6.0
+"""Standard deviations of the map from which on a pixel is not of the level: as the level itself is fitted."""
+
 
 def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, float]]:
-    """Of every dark: its level per channel, DN, and the standard error of one."""
+    """Of every dark: its level per channel, DN, and the standard error of one. The level is that of the
+    pixels that are left: what those that were taken out lifted it by is no level."""
     out = []
     for f in fields:
         if f.kind in DARK:
             channel = channel_index(f.mean.shape)
-            level = np.array([float(f.mean[channel == c].mean()) for c in range(4)])
+            level = np.array([_level(f, channel == c) for c in range(4)])
             out.append((f, level, float(np.median(f.sigma)) / np.sqrt(f.frames * f.mean.size / 4)))
     return out
+
+
+def _level(field: Fields, chosen: Bool[np.ndarray, "h w"]) -> float:
+    """Mean of some pixels: the model's, and what is left about it of those that do not stand out."""
+    level, kept = float(field.mean[chosen].mean()), chosen & field.usable
+    if field.static is None or not kept.any():
+        return level
+    away = np.abs(field.static)
+    kept &= away < _STANDS_OUT * max(robust_std(field.static[kept], 0.0), 1.0)
+    rest = np.asarray(field.static, np.float64) * field.sigma / np.sqrt(field.frames)
+    return level + float(rest[kept].mean()) if kept.any() else level
 
 
 def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.0) -> tuple[float, float]:
@@ -165,7 +184,7 @@ def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: s
     )
 
 
-_READS = frozenset({"mean", "sigma", "contrasts"})
+_READS = frozenset({"mean"}) | STATIC | CONTRASTS
 
 
 def black(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signature:

@@ -10,6 +10,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from cannoise_jax.discovery.frames.battery import Prepared, prepare
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.fields import Fields, helmert, refit
 from cannoise_jax.signatures.score import Score
@@ -76,6 +77,14 @@ def counted(seed: int) -> Many:
     return kept(tuple(out))
 
 
+def about_its_mean(static: np.ndarray) -> np.ndarray:
+    """Every site of the mosaic less its own mean, which a measured mean has taken up."""
+    out = static.copy()
+    for at in SITES:
+        out[at] -= out[at].mean()
+    return out
+
+
 @lru_cache(maxsize=64)
 def measured(seed: int) -> Many:
     """Fields whose means are measured: with the noise that is left of the mean of their frames."""
@@ -83,7 +92,8 @@ def measured(seed: int) -> Many:
 
     def with_noise(f: Fields) -> Fields:
         noise = rng.standard_normal(f.mean.shape).astype(np.float32)
-        return f._replace(mean=f.mean + f.sigma * noise / np.float32(np.sqrt(f.frames)))
+        mean = f.mean + f.sigma * noise / np.float32(np.sqrt(f.frames))
+        return f._replace(mean=mean, static=None if f.static is None else about_its_mean(f.static))
 
     return kept(tuple(with_noise(f) for f in drawn(seed)))
 

@@ -273,3 +273,19 @@ def test_charge_of_the_clocking_whose_draws_leave_all_that_stands_out_is_none():
     clean = compare_bank(capture_set(5, kinds="d", frames=10), modelled(plain, KEY), sets=2, alpha=0.002)
     assert empty(clean, borne_by(clean, clean), step) is None
     assert empty(full, [borne([90], [2])], step) is None
+
+
+def test_what_rare_values_lift_the_darks_by_is_no_black_level():
+    capture = capture_set(5, rare_steps(32), kinds="d", frames=10, black=200.37)
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    black, spikes = (
+        next(s for s in prepared.signatures if s.name == name) for name in ("black_level", "clocking")
+    )
+    first, found = black.score(prepared.fields), spikes.score(prepared.fields)
+    assert first is not None and found is not None and first.gain > 20
+    left = black.score(spikes.absorb(prepared.fields, found))
+    assert left is not None and left.gain < 3
+    # Pixels that stand out for good are none of the level either.
+    hot = capture_set(5, lambda rng: lambda dn, *_: dn + 50 * (np.arange(128) == 9), kinds="d", black=200.37)
+    score = black.score(prepare(hot, all_frames(split_recordings(hot)), False).fields)
+    assert score is not None and score.gain < 5
