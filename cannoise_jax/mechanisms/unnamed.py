@@ -31,6 +31,8 @@ _ALWAYS: tuple[Signature, ...] = (
     ),
     # A lamp that drifts in colour.
     looks.groups.shared("site_relative_redrawn", "site", "redrawn", scaling="signal", covers=looks.SCALES),
+    # A scene whose rows follow their own light by another factor than the pixels within them.
+    looks.smear.streaked(name="row_light", covers=looks.SCALES),
     looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
     looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),

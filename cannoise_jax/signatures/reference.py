@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures import covariance
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, channel_index
@@ -43,9 +44,11 @@ def scale_score(
     (white level, units), what they differ in one of the references. rounded: how far the stated black level,
     from which the reference counts, may be rounded, DN."""
     values, errors, levels = [], [], []
+    parts: list[tuple[float, float]] = []
     for f in fields:
         if f.kind != "scene" or f.static is None or f.clean is None:
             continue
+        parts += _by_direction(f, span)
         channel = channel_index(f.mean.shape)
         u = i = 0.0
         for c in range(4):
@@ -69,9 +72,10 @@ def scale_score(
     error = float(1 / np.sqrt(np.sum(1 / e**2)))
     level = float(np.mean(levels))
     if common:
-        # The scatter between references bounds what is common to them.
+        # The scatter between references bounds what is common to them, and that between rows, columns and
+        # what is left of them what is common to a scene: a wrong scale is of all light.
         chi2 = float(np.sum(((v - mean) / e) ** 2))
-        error *= max(np.sqrt(chi2 / max(len(v) - 1, 1)), 1.0)
+        error *= max(np.sqrt(chi2 / max(len(v) - 1, 1)), _scatter(parts), 1.0)
         z = max(abs(mean) - rounded / span, 0.0) / error
         return Score(
             log_p=normal_log_p(z),
@@ -98,6 +102,44 @@ def scale_score(
         parameters={"scale": (float(v[k]), "1", float(e[k]))},
         where={"axis": "signal", "range": [0.0, 1.0]},
     )
+
+
+def _by_direction(field: Fields, span: float) -> list[tuple[float, float]]:
+    """Slope of a scene against its reference, less one, and its standard error: of the means of its rows, of
+    its columns, and of what is left."""
+    assert field.clean is not None and field.static is not None
+    mean = field.mean + field.static * field.sigma / np.float32(np.sqrt(field.frames))
+    sums = np.zeros((3, 3))
+    for at in SITES:
+        used = field.usable[at]
+        weight = np.where(used, field.weight[at].astype(np.float64) ** 2, 0.0)
+        if weight.sum() == 0:
+            continue
+        light = span * field.clean[at].astype(np.float64)
+        rest = mean[at] - light
+        light, rest = (np.where(used, v - np.average(v, weights=weight), 0.0) for v in (light, rest))
+        rows, columns = (
+            np.broadcast_to(
+                light.sum(a, keepdims=True) / np.maximum(used.sum(a, keepdims=True), 1), light.shape
+            )
+            for a in (1, 0)
+        )
+        for k, part in enumerate((rows, columns, light - rows - columns)):
+            sums[k] += [float(np.sum(weight * part * v)) for v in (rest, light, part)]
+    return [
+        (of_rest / of_light, float(np.sqrt(own / field.frames)) / of_light)
+        for of_rest, of_light, own in sums
+        if of_light > 0
+    ]
+
+
+def _scatter(parts: list[tuple[float, float]]) -> float:
+    """How much more slopes scatter about their mean than their errors say."""
+    if len(parts) < 2:
+        return 1.0
+    v, e = np.array(parts).T
+    chi2 = float(np.sum(((v - np.average(v, weights=e**-2)) / e) ** 2))
+    return float(np.sqrt(chi2 / (len(v) - 1)))
 
 
 def reference_templates(clean: np.ndarray, span: float, kind: str) -> list[np.ndarray]:

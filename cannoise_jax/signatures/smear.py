@@ -7,12 +7,14 @@ own, which do not follow the scene: the scatter of the columns about the templat
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
-from cannoise_jax.signatures.signature import COVERS_NOTHING, STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import COVERS_NOTHING, NOT_SIMULATED, STATIC, Axes, Signature
 
 
 def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -45,7 +47,8 @@ def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score[float] | None:
-    """Means of columns against the light of the column. Amplitude: share of the column's mean signal.
+    """Means of columns (axis 1: of rows) against their light. Amplitude: share of the column's mean signal.
+    Columns gain light that falls on them while they are shifted; rows may lose as well as gain.
 
     Of 300 draws of two scenes of 32 x 48 pixels without it p is below 0.1 in 7 %, 0.05 in 4 %, 0.01 in none.
     """
@@ -74,28 +77,29 @@ def smear_score(fields: tuple[Fields, ...], *, axis: int = 0) -> Score[float] | 
     if b.size > 1:
         error *= max(1.0, float(np.sqrt(np.sum(((b - share) / e) ** 2) / (b.size - 1))))
     z = share / error
+    found = share if axis else max(share, 0.0)
     return Score(
-        log_p=student_log_p(z, 20.0 * b.size, 1),
-        gain=0.5 * max(z, 0.0) ** 2,
+        log_p=student_log_p(z, 20.0 * b.size) if axis else student_log_p(z, 20.0 * b.size, 1),
+        gain=0.5 * (found / error) ** 2,
         penalty=ONE_PARAMETER,
-        amplitude=max(share, 0.0),
+        amplitude=abs(found),
         error=error,
         shift=error,
         power=1,
         parameters={"fraction": (share, "1", error)},
-        where={"axis": "column"},
-        payload=max(share, 0.0),
+        where={"axis": ("column", "row")[axis]},
+        payload=found,
     )
 
 
-def without_smear(fields: tuple[Fields, ...], score: Score[float]) -> tuple[Fields, ...]:
-    """Scenes without the share of each column that was found."""
+def without_smear(fields: tuple[Fields, ...], score: Score[float], *, axis: int = 0) -> tuple[Fields, ...]:
+    """Scenes without the share of each column (axis 1: of each row) that was found."""
     out = []
     for f in fields:
         if f.kind != "scene" or f.static is None:
             out.append(f)
             continue
-        column = f.signal.mean(0, keepdims=True)
+        column = f.signal.mean(axis, keepdims=True)
         load = score.payload * (column - column.mean()) * f.weight * np.sqrt(f.frames)
         out.append(f._replace(static=(f.static - load).astype(np.float32)))
     return tuple(out)
@@ -112,4 +116,17 @@ def smeared(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
         covers=COVERS_NOTHING,
         simulate=carried(lambda s: {"fraction": s.amplitude}),
         lifted_by=lifted_by,
+    )
+
+
+def streaked(*, name: str, covers: tuple[str, ...]) -> Signature:
+    """A share of each row's light in all of its pixels, or missing from them: no mechanism's."""
+    return plain(
+        name=name,
+        axes=Axes("readout", "row", "frozen", "signal", "share of its row"),
+        reads=STATIC | {"signal"},
+        score=partial(smear_score, axis=1),
+        absorb=partial(without_smear, axis=1),
+        covers=covers,
+        simulate=NOT_SIMULATED,
     )

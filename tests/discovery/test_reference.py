@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, prepare_split, split_recordings
 from cannoise_jax.discovery.report.document import finding
 from cannoise_jax.discovery.report.not_found import detectable
 from cannoise_jax.discovery.search.declare import registered
@@ -70,3 +71,39 @@ def test_a_bent_response_is_no_wrong_scale():
     first = prepare_split(capture, split_recordings(capture))
     fitted = stepwise(first.fields, first.signatures, frozenset(e.id for e in registered()), np.log(0.01))
     assert [s.named.mechanism for s in fitted.steps] == ["nonlinearity"]
+
+
+def rows_read_lower(share):
+    """Every pixel of a scene loses a share of the mean light of its row."""
+    return lambda rng: (
+        lambda dn, signal, kind, t: dn - share * signal.mean(1, keepdims=True) if kind == "scene" else dn
+    )
+
+
+@pytest.mark.parametrize("alter", [rows_read_lower(0.01), rows_read_lower(-0.01)], ids=["lower", "higher"])
+def test_rows_that_follow_their_light_are_told_from_a_wrong_scale(alter):
+    capture = capture_set(7, alter, kinds="sdf")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    rows, scale = (
+        next(s for s in prepared.signatures if s.name == n) for n in ("row_light", "description_scale")
+    )
+    score, wrong = rows.score(prepared.fields), scale.score(prepared.fields)
+    assert score is not None and score.log_p < -20 and score.gain > 2 * wrong.gain
+    assert rows.mechanism is None and scale.name in rows.covers
+    left = rows.score(rows.absorb(prepared.fields, score))
+    assert left is not None and left.log_p > -5
+
+
+def test_a_wrong_scale_is_of_rows_columns_and_all_else_alike():
+    def wrong(rng):
+        return lambda dn, signal, kind, t: dn + (0.01 * signal if kind == "scene" else 0)
+
+    capture = capture_set(7, wrong, kinds="sdf")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    rows, scale = (
+        next(s for s in prepared.signatures if s.name == n) for n in ("row_light", "description_scale")
+    )
+    score = scale.score(prepared.fields)
+    assert score is not None and score.log_p < -20
+    assert score.parameters["scale"][0] == pytest.approx(0.01, abs=0.001)
+    assert rows.score(prepared.fields).log_p > -5

@@ -182,7 +182,7 @@ def test_an_offset_of_all_codes_does_not_matter(name):
     assert one is not None and same(one, other, 1e-3)
 
 
-ONE_WAY = ("flicker", "row_slope", "row_turns_temporal", "smear", "raster_slope")
+ONE_WAY = ("flicker", "row_slope", "row_light", "row_turns_temporal", "smear", "raster_slope")
 """Signatures of the order in which a sensor is read, which have no counterpart along the other axis."""
 
 

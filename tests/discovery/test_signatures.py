@@ -138,7 +138,7 @@ def test_what_a_law_of_its_own_leaves_is_found_and_taken_out(name):
 
 
 UNPLANTED = {
-    "reference_shift, reference_blur": "discovery/test_reference.py",
+    "reference_shift, reference_blur, row_light": "discovery/test_reference.py",
     "reference_spread": "discovery/test_mde.py",
     "shading": "discovery/test_mde.py",
     "moving, clocking, warm, hits, lag_in_time, lattice, corrected": "discovery/test_beyond.py",
