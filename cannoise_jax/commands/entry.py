@@ -19,6 +19,8 @@ from cannoise_jax.commands.compiled import caches
 from cannoise_jax.recordings.recording import BadInput
 
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 10.0, 0.05
+_LONGEST = 200
+"""Characters of a name that a line shows."""
 
 Main = Callable[..., int]
 
@@ -40,10 +42,13 @@ def command(name: str) -> Callable[[Main], Main]:
                     sys.stdout.flush()
                     return status
                 except BaseException as error:
-                    if not _of_interrupt(error):
+                    if _of_interrupt(error):
+                        print(f"bin/{name}: interrupted", file=sys.stderr)
+                        return 130
+                    if (said := _of_the_machine(error)) is None:
                         raise
-                    print(f"bin/{name}: interrupted", file=sys.stderr)
-                    return 130
+                    print(f"bin/{name}: {said}", file=sys.stderr)
+                    return 2
                 finally:
                     sys.unraisablehook = hook
                     for later in waiting:  # the command has ended: nobody is left to interrupt
@@ -52,6 +57,18 @@ def command(name: str) -> Callable[[Main], Main]:
         return wrapped
 
     return around
+
+
+def _of_the_machine(error: BaseException) -> str | None:
+    """One line for what the system refuses at a place where nobody foresaw it; None for other errors."""
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)[:200]:  # of NumPy, of JAX
+        return "not enough memory for frames of this size and number: give fewer, or smaller ones"
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        name = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else error.filename
+        name = " ".join(str(name).split())
+        shown = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
+        return f"{shown}: cannot be used ({error.strerror}): name another one"
+    return None
 
 
 def _of_interrupt(error: BaseException | None) -> bool:

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import os
 import re
+import stat
 import sys
 from collections.abc import Callable, Sequence
 from itertools import takewhile
@@ -49,6 +51,7 @@ class OneLineParser(argparse.ArgumentParser):
         given = sys.argv[1:] if args is None else list(args)
         if not self._passes_on:
             self._check_names(given)
+        self._check_files(given)
         return super().parse_known_args(given, namespace)
 
     def _check_names(self, given: Sequence[str]) -> None:
@@ -61,6 +64,17 @@ class OneLineParser(argparse.ArgumentParser):
             if flag and not any(k.startswith(name) for k in known):
                 near = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
                 self.error(f"unknown flag {name}" + (f": did you mean {near[0]}?" if near else ""))
+
+    def _check_files(self, given: Sequence[str]) -> None:
+        """Whoever reads from a pipe waits until somebody writes into it, perhaps for ever."""
+        for word in given:
+            for name in {word, word.partition("=")[2]}:
+                try:
+                    mode = os.stat(name).st_mode if name else 0
+                except (OSError, ValueError):
+                    continue
+                if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+                    self.error(f"{name}: no plain file (a pipe or device): give a file")
 
     def error(self, message: str) -> NoReturn:
         for kind, words in (("int", "a whole number"), ("float", "a number")):

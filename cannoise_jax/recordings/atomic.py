@@ -164,7 +164,8 @@ def _texts_in_place(texts: Mapping[Path, str]) -> Iterator[None]:
     try:
         for path, temporary in beside.items():
             try:
-                temporary.write_text(texts[path], encoding="utf-8")
+                # Names of files need not be UTF-8: what cannot be written of them becomes a question mark.
+                temporary.write_text(texts[path], encoding="utf-8", errors="replace")
             except OSError as error:
                 raise BadInput(f"{path}: cannot be written ({error.strerror}): make room for it") from error
         yield

@@ -21,6 +21,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
+from cannoise_jax.recordings.fits_chain import check_headers
 from cannoise_jax.recordings.fits_header import about_of, known_of, section
 from cannoise_jax.recordings.fits_mosaic import assembled
 from cannoise_jax.recordings.lazy import LazyArray
@@ -57,6 +58,7 @@ def open_fits(path: str | Path) -> Opened:
     """The frames and keywords of a FITS file. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
+    check_headers(path)
     with reading(path, "not a readable FITS file"), _opened(path) as file:
         numbers = [n for n, hdu in enumerate(file) if hdu.is_image and hdu.shape]
         if not numbers:

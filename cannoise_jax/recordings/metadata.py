@@ -106,7 +106,9 @@ def make_recording(
         cfa=cfa,
         black_level=black,
         white_level=white,
-        camera=_camera(path, stated.get("camera")) or Path(path).absolute().parent.name or Recording.camera,
+        camera=_camera(path, stated.get("camera"))
+        or folder_name(Path(path).absolute().parent)
+        or Recording.camera,
         kind=_one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=_optional(path, stated, "iso", least=0),
@@ -127,6 +129,11 @@ def make_recording(
         plausible.warn_of_code_step(recording)
         plausible.warn_of_lights(recording)
     return recording
+
+
+def folder_name(folder: Path) -> str:
+    """The name of a folder as one of a camera: what no line can show of it is a question mark."""
+    return "".join(c if c.isprintable() else "?" for c in folder.absolute().name)[:_LONGEST]
 
 
 def checked(recording: Recording) -> Recording:
@@ -189,6 +196,8 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
         yield
     except BadInput:
         raise
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: {failure}: no text in UTF-8: save it as that") from error
     except Exception as error:
         texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
         reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__

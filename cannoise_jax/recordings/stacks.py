@@ -25,6 +25,8 @@ from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.tiff_chain import check_chain
 
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
+_NO_LEVELS = {0: "values count down from white (WhiteIsZero)", 3: "values are places in a palette of colours"}
+"""What numbers of a TIFF mean, by its PhotometricInterpretation, that are no light."""
 _log = logging.getLogger(__name__)
 
 
@@ -72,6 +74,7 @@ def open_tiff(path: str | Path) -> Opened:
         types = {page.dtype for page in pages}
         count = len(pages)
         whole = _is_whole(file, Path(path).stat().st_size)
+        meanings = {int(page.photometric) for page in pages if page.photometric is not None}
     if not whole:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
     size = next(iter(shapes))
@@ -82,6 +85,8 @@ def open_tiff(path: str | Path) -> Opened:
         )
     if len(shapes) > 1 or len(types) > 1 or len(size) != 2:
         raise BadInput(f"{path}: pages of shape {', '.join(sorted(map(str, shapes)))}: expected mosaics")
+    if meanings & set(_NO_LEVELS):
+        raise BadInput(f"{path}: {_NO_LEVELS[(meanings & set(_NO_LEVELS)).pop()]}: give the raw mosaics")
     shape = (count, *size)
     read = partial(read_stack, partial(_read_page, path=str(path)), shape)
     kind = next(iter(types))
@@ -102,10 +107,12 @@ def _opened(path: str | Path, frames: Any, known: dict[str, Any]) -> Opened:
 def side_car(path: str | Path) -> dict[str, Any]:
     """The fields of a recording that the .json beside a file states. Raises BadInput."""
     beside = Path(path).with_suffix(".json")
+    if beside.is_symlink() and not beside.exists():
+        raise BadInput(f"{beside}: a link to nothing: mend or remove it")
     if not beside.is_file():
         return {}
     with reading(beside, "not a readable JSON file"):
-        stated = json.loads(beside.read_text(encoding="utf-8"))
+        stated = json.loads(beside.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
     if not isinstance(stated, dict):
         raise BadInput(f"{beside}: expected an object with the fields of a recording")
     unknown = sorted(set(stated) - set(FIELDS))

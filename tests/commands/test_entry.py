@@ -196,3 +196,32 @@ def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
     now[0] += 60.0
     only(1, 1)  # nothing is left to wait for
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            OSError(36, "File name too long", "m" * 300),
+            f"{'m' * 200}...: cannot be used (File name too long)",
+        ),
+        (PermissionError(13, "Permission denied", "a\nb"), "a b: cannot be used (Permission denied)"),
+        (MemoryError(), "not enough memory"),
+    ],
+)
+def test_what_the_system_refuses_is_one_line(error, said, capsys):
+    @entry.command("x")
+    def main():
+        raise error
+
+    assert main() == 2
+    assert (line := capsys.readouterr().err).startswith(f"bin/x: {said}") and line.count("\n") == 1
+
+
+def test_other_errors_keep_their_traceback():
+    @entry.command("x")
+    def main():
+        raise OSError("of a library, about no file")
+
+    with pytest.raises(OSError):
+        main()

@@ -1,6 +1,7 @@
 """Flags that cannot be read: one line and exit status 2, the same for every command."""
 
 import argparse
+import os
 from pathlib import Path
 
 import pytest
@@ -82,3 +83,13 @@ def test_values():
     for read, text in ((numbers, "1,2"), (numbers, ""), (count, "-1"), (count, "1.5")):
         with pytest.raises(argparse.ArgumentTypeError, match=repr(text)):
             read(text)
+
+
+@pytest.mark.parametrize("flag", [("--sensor",), ("--clean",)])
+def test_pipes_are_refused_before_anybody_waits_for_them(flag, tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    for given in ([*flag, str(tmp_path / "pipe")], [f"{flag[0]}={tmp_path / 'pipe'}"]):
+        with pytest.raises(SystemExit) as caught:
+            simulate.main([*given, "--out", str(tmp_path / "x")])
+        error = capsys.readouterr().err
+        assert caught.value.code == 2 and "pipe: no plain file" in error and error.count("\n") == 1

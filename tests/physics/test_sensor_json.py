@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import jax
@@ -230,6 +231,19 @@ def test_files_that_are_no_sensor_model(tmp_path):
     (tmp_path / "text.json").write_text("hello")
     with pytest.raises(BadInput, match="not JSON"):
         SensorModel.load(tmp_path / "text.json")
+    (tmp_path / "wide.json").write_text("{}", encoding="utf-16")
+    with pytest.raises(BadInput, match="no text in UTF-8"):
+        SensorModel.load(tmp_path / "wide.json")
+    os.mkfifo(tmp_path / "pipe.json")
+    with pytest.raises(BadInput, match="is no plain file"):
+        SensorModel.load(tmp_path / "pipe.json")
+
+
+def test_a_mark_of_windows_before_the_text_is_passed_over(tmp_path):
+    path = tmp_path / "sensor.json"
+    write_sensor(path, camera())
+    path.write_text(path.read_text(), encoding="utf-8-sig", newline="\r\n")
+    assert SensorModel.load(path).cfa == camera().cfa
 
 
 def test_pickled_maps_are_refused(tmp_path):

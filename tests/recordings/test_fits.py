@@ -1,3 +1,6 @@
+import bz2
+import gzip
+
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -252,3 +255,20 @@ def test_accents_in_a_header_do_no_harm(tmp_path):
     recording = load_recording(path, cfa="MONO", black_level=0, white_level=65535)
     np.testing.assert_array_equal(recording.frames[:], FRAMES)
     assert recording.camera == "Camera"
+
+
+@pytest.mark.parametrize("name", ["a.fits", "a.fits.gz"])
+def test_a_header_that_never_ends_is_not_read_to_the_end_of_the_file(tmp_path, name):
+    """Zeros behind an image are a header to its reader: of a gigabyte of them, packed into one megabyte."""
+    sound = write(tmp_path / "sound.fits", FRAMES[0], BAYERPAT="RGGB").read_bytes()
+    content = sound + bytes(2880 * 1001)
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith("gz") else content)
+    with pytest.raises(BadInput, match="a header without an end"):
+        open_fits(tmp_path / name)
+
+
+def test_packings_that_nobody_asked_for_are_named(tmp_path):
+    path = write(tmp_path / "a.fits", FRAMES[0])
+    path.write_bytes(bz2.compress(path.read_bytes()))
+    with pytest.raises(BadInput, match="packed with bzip2: unpack it"):
+        open_fits(path)

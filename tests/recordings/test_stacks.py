@@ -233,3 +233,31 @@ def test_pipes_and_links_to_nothing_are_no_files(tmp_path):
     for call in (lambda: load_recording(tmp_path / "b.tif"), lambda: load_capture_set(tmp_path)):
         with pytest.raises(BadInput, match="b.tif: a link to nothing"):
             call()
+
+
+@pytest.mark.parametrize(
+    ("photometric", "said"), [("miniswhite", "count down from white"), ("palette", "palette")]
+)
+def test_numbers_that_are_no_light_are_refused(tmp_path, photometric, said):
+    colours = {"colormap": np.zeros((3, 256), np.uint16)} if photometric == "palette" else {}
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, FRAMES[0].astype(np.uint8), photometric=photometric, **colours)
+    with pytest.raises(BadInput, match=said):
+        load_recording(path, cfa="RGGB", black_level=0, white_level=255)
+
+
+def test_side_cars_as_other_systems_write_them(tmp_path):
+    path = write(tmp_path / "a.npy")
+    beside, text = path.with_suffix(".json"), json.dumps(SIDE_CAR, indent=1)
+    for content in (text.replace("\n", "\r\n").encode(), text.encode("utf-8-sig")):
+        beside.write_bytes(content)
+        assert load_recording(path).cfa == "RGGB"
+    beside.write_bytes(text.encode("utf-16"))
+    with pytest.raises(
+        BadInput, match=r"a\.json: not a readable JSON file: no text in UTF-8: save it as that$"
+    ):
+        load_recording(path)
+    beside.unlink()
+    beside.symlink_to("nowhere.json")
+    with pytest.raises(BadInput, match=r"a\.json: a link to nothing"):
+        load_recording(path)

@@ -178,10 +178,15 @@ def read_model(
 ) -> SensorModel:
     """What `SensorModel.load` returns. baseline: see `model_of`."""
     path = Path(path)
+    if path.exists() and not path.is_file():
+        what = "is a folder" if path.is_dir() else "is no plain file"
+        raise BadInput(f"{path}: {what}: name a sensor.json")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}): name a sensor.json") from error
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: is no text in UTF-8: save it as that, or write it anew") from error
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is not JSON ({error}): write it anew with bin/calibrate") from error
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
@@ -204,6 +209,8 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
     # Beside the JSON file, wherever both were moved.
     npz = path.with_name(Path(entry_of(entry, "file", str, "maps: ")).name or path.stem)
     wanted = entry_of(entry, "sha256", str, "maps: ")
+    if npz.exists() and not npz.is_file():
+        raise BadInput(f"{npz}: is no plain file: keep the maps of {path.name} there")
     try:
         content = npz.read_bytes()
     except OSError as error:

@@ -15,6 +15,7 @@ from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
 from cannoise_jax.recordings.load import UNREAD
+from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
 
 
@@ -70,7 +71,7 @@ def plan_folder(
     notes, problems = notes + more_notes, problems + more_problems
     usable = [s for s in found.shots if s.name in kinds]
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
-    camera = next(iter(named)) if len(named) == 1 else Path(folder).absolute().name
+    camera = next(iter(named)) if len(named) == 1 else folder_name(Path(folder))
     if usable and not named and "camera" not in overrides:
         notes.append(
             f"no file names its camera: all are called {camera}, after the folder; --camera NAME does"
@@ -82,6 +83,8 @@ def plan_folder(
         notes += _lacks(one)
         problems += one.levels.missing
         problems += _apart(sets) if one.levels.missing else []
+    notes += [words for one in sets[1:] for words in _borrowed(one, sets[0])]
+    problems += [words for one in sets[1:] for words in _of_another_camera(one, sets[0])]
     cameras = dict.fromkeys(one.groups[0].mode[0] for one in sets)
     if len(cameras) > 1:
         notes.append(f"{len(cameras)} cameras ({', '.join(cameras)}): if they are one, name it with --camera")
@@ -201,7 +204,7 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
     rest = []
     for name, own, reason in out:
         known = levels(own, overrides)
-        if own[0].mode == order[0] or known.missing:
+        if own[0].mode == order[0] or (known.missing and own[0].mode[0] == order[0][0]):
             known = known._replace(values={**first.levels.values, **known.values})
         rest.append(CaptureGroups(_as_folder(name), _labelled(own), known, reason))
     return [first, *rest]
@@ -231,6 +234,27 @@ def _apart(sets: Sequence[CaptureGroups]) -> list[str]:
         for one in others
         if any(g.kind in DARK for g in one.groups)
     ]
+
+
+_LEVELS = {"cfa": "colour order", "black_level": "black level", "white_level": "white level"}
+
+
+def _borrowed(one: CaptureGroups, main: CaptureGroups) -> list[str]:
+    """Levels that nothing in a set of its own shows, so that they are those of the main one."""
+    if one.groups[0].mode[0] != main.groups[0].mode[0] or one.groups[0].mode == main.groups[0].mode:
+        return []
+    found = "\n".join(one.levels.missing)
+    names = [what for field, what in _LEVELS.items() if f"the {what}" in found and field in one.levels.values]
+    return [f"{one.folder}/: {', '.join(names)} as in the first set"] if names else []
+
+
+def _of_another_camera(one: CaptureGroups, main: CaptureGroups) -> list[str]:
+    """What a set of another camera lacks: levels of one camera are none of another."""
+    camera = one.groups[0].mode[0]
+    if camera == main.groups[0].mode[0] or not one.levels.missing:
+        return []
+    names = listed([s.name for g in one.groups for s in g.shots])
+    return [f"{names}, of {camera}: {words}; or leave out with --leave-out" for words in one.levels.missing]
 
 
 def _lacks(one: CaptureGroups) -> list[str]:

@@ -70,13 +70,13 @@ def capture_of(
     plan = plan_folder(
         folder, options.overrides, assign=options.assign, leave_out=options.leave_out, tell=tell
     )
-    check(plan)
     cameras = dict.fromkeys(one.groups[0].mode[0] for one in plan.sets)
     if len(cameras) > 1:
         raise BadInput(
             f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): give one of its folders, or "
             "name them --camera NAME if they are one"
         )
+    check(plan)
     _into_cache(plan, entry)
     return _from_cache(entry, folder, scan=False)
 
@@ -213,7 +213,7 @@ def _into_cache(plan: Plan, entry: Path) -> None:
             pass
         sources = {f"{g.label}.h5": [s.name for s in g.shots] for one in main.sets for g in one.groups}
         (temporary / _SOURCES).write_text(json.dumps(sources), encoding="utf-8")
-        (temporary / "plan.txt").write_text(text(plan) + "\n", encoding="utf-8")
+        (temporary / "plan.txt").write_text(text(plan) + "\n", encoding="utf-8", errors="replace")
         try:
             os.replace(temporary, entry)
         except OSError:  # another process was faster

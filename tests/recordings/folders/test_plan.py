@@ -402,3 +402,38 @@ def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
     closed = folder
     with pytest.raises(BadInput, match="/in: cannot be read .Permission denied.: make it readable$"):
         plan_folder(folder)
+
+
+def test_levels_of_one_camera_are_none_of_another(tmp_path):
+    night(tmp_path)
+    for n in (1, 2):
+        shot(tmp_path / f"other/flat_{n}.fits", "flat", IMAGETYP="Flat", EXPTIME=2.0, INSTRUME="Other 5")
+    plan = plan_folder(tmp_path)
+    (problem,) = plan.problems
+    assert problem.startswith("other/flat_1.fits, other/flat_2.fits, of Other 5: the black level: add bias")
+    with pytest.raises(BadInput, match="holds 2 cameras"):
+        capture_of(tmp_path, Options({}), tmp_path.parent / "cache")
+    assert not plan_folder(tmp_path, {"black_level": (990.0,)}).problems
+    assert not plan_folder(tmp_path, {"camera": "one"}).problems
+    assert not plan_folder(tmp_path, leave_out=["other"]).problems
+
+
+def test_levels_that_a_set_apart_takes_from_the_first_are_said(tmp_path):
+    night(tmp_path)
+    for n in (1, 2):
+        shot(
+            tmp_path / f"b{n}.fits", "flat", size=(12, 16), IMAGETYP="Flat", EXPTIME=2.0, INSTRUME="Acme 100"
+        )
+    plan = plan_folder(tmp_path)
+    assert not plan.problems and "size_12x16/: black level as in the first set" in plan.notes
+
+
+def test_names_that_are_no_text_reach_the_cache_and_its_plan(tmp_path):
+    folder = tmp_path / os.fsdecode(b"in\xff")
+    night(folder, INSTRUME="")
+    os.rename(folder / "flat_1.fits", folder / os.fsdecode(b"flat_\xff.fits"))
+    capture, said = capture_of(folder, Options({}), tmp_path / "cache")
+    assert capture.camera == "in?" and "flat_" in said
+    again, _ = capture_of(folder, Options({}), tmp_path / "cache")
+    assert [r.count for r in again.recordings] == [2, 2, 2]
+    assert any("\udcff" in "".join(r.sources) for r in again.recordings)
