@@ -95,11 +95,16 @@ def _check(arguments: argparse.Namespace) -> None:
     """Raises BadInput, before minutes are spent on the recordings, for what can be told from the flags."""
     if not 0 < arguments.alpha < 1:
         raise BadInput(f"--alpha: must lie between 0 and 1, got {arguments.alpha:g}")
-    if arguments.simulator not in _BUILT_IN and not Path(arguments.simulator).exists():
+    named = arguments.simulator in _BUILT_IN or _is_function(arguments.simulator)
+    if not named and not Path(arguments.simulator).exists():
         raise BadInput(
-            f"{arguments.simulator}: no such file or folder: name {', '.join(_BUILT_IN)}, a sensor.json or a "
-            "training folder"
+            f"{arguments.simulator}: no such file or folder: name {', '.join(_BUILT_IN)}, a sensor.json, a "
+            "training folder, or module:function"
         )
+
+
+def _is_function(simulator: str) -> bool:
+    return ":" in simulator and not Path(simulator).exists()
 
 
 def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
@@ -121,11 +126,12 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     from cannoise_jax.discovery.diagnose import diagnose
     from cannoise_jax.discovery.report.save import save
     from cannoise_jax.mechanisms import ENTRIES
-    from cannoise_jax.mechanisms.outside import entries_of
+    from cannoise_jax.mechanisms.outside import entries_of, function_at
 
+    named = arguments.simulator
     found = diagnose(
         capture,
-        arguments.simulator,
+        function_at(named) if _is_function(named) else named,
         jax.random.key(arguments.key),
         alpha=arguments.alpha,
         without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
@@ -170,7 +176,7 @@ def _parser() -> argparse.ArgumentParser:
         "--simulator",
         default="poisson-gaussian",
         help="poisson-gaussian (calibrated from the recordings), nlf (shot and read of the files), a "
-        "sensor.json, or a training folder",
+        "sensor.json, a training folder, or module:function",
     )
     add("--out", type=folder, required=True, metavar="DIR", help="for report.html, report.json, sensor.json")
     add("--alpha", type=float, default=0.01, help="false-alarm rate of the whole run")

@@ -28,7 +28,8 @@ class _Defaults(argparse.HelpFormatter):
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, value = action.help or "", action.default
-        said = value in (None, False, (), [], "", argparse.SUPPRESS) or "default" in text
+        nothing = value is None or value is False or value in ((), [], "", argparse.SUPPRESS)
+        said = nothing or "default" in text
         if said or action.option_strings == [] or not text and action.nargs == 0:
             return text
         shown = ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
@@ -43,6 +44,10 @@ class OneLineParser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, passes_on: bool = False, **more: Any) -> None:
         more.setdefault("formatter_class", _Defaults)
+        # Module docstrings begin with the command, which the usage has just said.
+        words = (more.get("description") or "").partition(f"{more.get('prog')}: ")
+        if words[1] and not words[0]:
+            more["description"] = words[2][:1].upper() + words[2][1:]
         self._passes_on = passes_on
         super().__init__(*args, **more)
 

@@ -47,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         "--reference", required=True, metavar="FILE|CAMERA", help="a recording, or a camera of the model"
     )
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
-    parser.add_argument("--out", required=True, type=place, metavar="DIR")
+    parser.add_argument("--out", required=True, type=place, metavar="DIR", help="for the recordings")
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
     parser.add_argument("--seed", type=_seed, default=0, help="of the noise")
     add = parser.add_argument

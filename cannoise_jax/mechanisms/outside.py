@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,14 @@ def imported(place: str) -> Any:
     if not hasattr(module, name):
         raise BadInput(f"{place}: {where} has no {name}: give the name that it has there")
     return getattr(module, name)
+
+
+def function_at(place: str) -> Callable[..., Any]:
+    """The function at "module:NAME", a simulator. Raises BadInput with one line where there is none."""
+    found = imported(place)
+    if not callable(found):
+        raise BadInput(f"{place}: is no function of key, clean mosaic and settings: see docs/python.md")
+    return found
 
 
 def entries_at(place: str) -> tuple[Entry, ...]:

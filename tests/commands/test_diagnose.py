@@ -8,6 +8,7 @@ import importlib
 import json
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,31 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
     sys.modules.pop("droop", None)
     assert main([*arguments[:-1], "droop", "--force"]) == 2
     assert "names nothing" in capsys.readouterr().err
+
+
+def test_a_function_of_ones_own_is_judged_by_its_name(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.py").write_text(
+        "import jax, numpy as np\n"
+        "def draw(key, clean, settings):\n"
+        "    noise = jax.random.normal(key, (settings.frames, *clean.shape))\n"
+        "    return np.clip(np.rint(64 + 2 * noise), 0, 1023)\n"
+        "LEVEL = 64\n"
+    )
+    folder = write(tmp_path / "in", capture_set(1, kinds="d"))
+    start = ["--recordings", str(folder), "--out", str(tmp_path / "out"), "--simulator"]
+    for name, said in (("mine:nothing", "cannot be imported"), (f"{tmp_path}/mine.py:LEVEL", "no function")):
+        assert main([*start, name]) == 2
+        error = capsys.readouterr().err.splitlines()
+        assert said in error[-1] and error[-1].startswith("bin/diagnose: ")
+    seen = []
+
+    def found(capture, simulator, *given, **more):
+        seen.append(simulator)
+        raise BadInput("enough")
+
+    monkeypatch.setattr(import_module("cannoise_jax.discovery.diagnose"), "diagnose", found)
+    assert main([*start, f"{tmp_path}/mine.py:draw"]) == 2
+    assert seen[0].__name__ == "draw"
 
 
 def never(*given, **more):

@@ -20,7 +20,7 @@ from cannoise_jax.discovery.frames.draws import drawing
 from cannoise_jax.discovery.frames.simulate import Draw, codes_of, open_simulator
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
-from cannoise_jax.mechanisms.outside import imported
+from cannoise_jax.mechanisms.outside import function_at
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -62,7 +62,7 @@ def open_source(
         prepared = prepare(capture, all_frames(split_recordings(capture)), False)
         return modelled(baseline_model(capture, prepared), key)._replace(label=simulator)
     if isinstance(simulator, str) and ":" in simulator and not Path(simulator).exists():
-        draw: Draw = imported(simulator)
+        draw: Draw = function_at(simulator)
         simulator = draw
     elif isinstance(simulator, (str, Path)) and Path(simulator).is_dir() and _holds_frames(Path(simulator)):
         return _recorded(load_capture_set(simulator), capture)._replace(label=str(simulator))
