@@ -92,6 +92,7 @@ def test_what_cannot_be_recorded_is_refused_in_one_line(clean, settings, message
         ({"frames": 1.5}, "frames must be a whole number from 1"),
         ({"iso": 0.0}, "iso must be above 0"),
         ({"iso": "800"}, "iso must be above 0, got '800'"),
+        ({"iso": [100, 200]}, "iso must be above 0"),
         ({"exposure_s": -1.0}, "exposure_s must be 0 or more"),
         ({"temperature_c": float("nan")}, "temperature_c must be"),
         ({"temperature_c": -400.0}, "temperature_c must be -273.15 or more, got -400"),

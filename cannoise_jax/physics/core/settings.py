@@ -25,7 +25,7 @@ Numbers = Array | np.ndarray | np.floating | float
 
 
 def _check(value: Any, words: str, holds: Callable[[float], bool]) -> None:
-    if isinstance(value, (str, bytes)):
+    if isinstance(value, (str, bytes, list)):
         raise ValueError(f"{words}, got {value!r}")
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
     if plain and not (math.isfinite(value) and holds(value)):
