@@ -61,6 +61,9 @@ def main(argv: list[str] | None = None) -> int:
     left = (report["remains"] or {}).get("left")
     if left is not None and left > 1:
         print(f"the mismatch of what is handed back is {left:.3g} times that of what was judged, in nats")
+    entered = [finding["in_simulator"] for finding in report["findings"]]
+    if entered and not any(entered):
+        print("sensor.json has none of it: it would be no nearer to the recordings, see the report")
     print(f"{arguments.out / 'report.html'}")
     return 0
 

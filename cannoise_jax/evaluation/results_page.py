@@ -13,6 +13,8 @@ _SHADES = (
 )
 """On light pages and on dark ones."""
 _COLOURS = tuple(f"var(--c{n})" for n in range(len(_SHADES)))
+_WIDE = 10
+"""Columns from which a table is set tighter, so that a page of usual width holds it."""
 _STYLE = (
     ":root { "
     + " ".join(f"--c{n}: light-dark({light}, {dark});" for n, (light, dark) in enumerate(_SHADES))
@@ -25,6 +27,7 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size
 th, td { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #8884; vertical-align: top; }
 th:first-child, td.text { text-align: left; } td.text { min-width: 9rem; max-width: 16rem; }
 small { color: var(--dim); display: block; white-space: nowrap; }
+.many th, .many td { padding: .25rem .3rem; font-size: 12px; } .many small { white-space: normal; }
 img { max-width: 100%; }
 svg { width: 100%; min-width: 36rem; max-width: 44rem; height: auto; }
 svg text { font: 12px system-ui, sans-serif; fill: currentColor; }
@@ -71,8 +74,9 @@ def _table(table: Mapping[str, Any]) -> str:
         for name, row in table["rows"].items()
     )
     note = f"<p class=note>{escape(table['note'])}</p>" if table["note"] else ""
+    kind = " class=many" if len(table["columns"]) > _WIDE else ""
     return (
-        f"<h3>{escape(table['title'])}</h3>{note}<div class=wide><table><thead><tr>{head}</tr></thead>"
+        f"<h3>{escape(table['title'])}</h3>{note}<div class=wide><table{kind}><thead><tr>{head}</tr></thead>"
         f"<tbody>{body}</tbody></table></div>"
     )
 

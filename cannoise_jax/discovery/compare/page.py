@@ -86,7 +86,8 @@ def picture(found: Comparison) -> str:
         for k in range(len(columns)):
             strength = float(np.clip(abs(ratio[i, k]) / 4, 0, 1))
             colour = "var(--less)" if ratio[i, k] > 0 else "var(--more)"
-            text = f"{2 ** ratio[i, k]:.2g}"
+            times = 2 ** ratio[i, k]
+            text = f"{times:.0f}" if times >= 100 else f"{times:.2g}"
             parts.append(
                 f'<rect x="{left + cell * k}" y="{y}" width="{cell - 2}" height="{cell - 2}" fill="{colour}" '
                 f'fill-opacity="{0.05 + 0.8 * strength:.2f}"/>'
