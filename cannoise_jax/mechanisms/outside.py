@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import sys
@@ -42,11 +43,23 @@ def imported(place: str) -> Any:
 
 
 def function_at(place: str) -> Callable[..., Any]:
-    """The function at "module:NAME", a simulator. Raises BadInput with one line where there is none."""
+    """The function at "module:NAME", a simulator. Raises BadInput with one line where there is none; what it
+    returns does so where its code fails."""
     found = imported(place)
     if not callable(found):
         raise BadInput(f"{place}: is no function of key, clean mosaic and settings: see docs/python.md")
-    return found
+
+    @functools.wraps(found)
+    def called(*given: Any) -> Any:
+        try:
+            return found(*given)
+        except Exception as error:  # whatever the user's code raises
+            words = " ".join(f"{type(error).__name__}: {error}".split())
+            raise BadInput(
+                f"{place}: fails ({words[:300]}): it is called with key, clean, settings"
+            ) from error
+
+    return called
 
 
 def entries_at(place: str) -> tuple[Entry, ...]:

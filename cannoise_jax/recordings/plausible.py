@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,8 @@ _log = logging.getLogger(__name__)
 
 _FEW = 4
 """Frames that are looked at."""
+_DARKER_DN = 10.0
+"""Black levels move by some DN; flats below the darks by more are none."""
 _SAME_LIGHT = 1.2
 """Ratio of levels up to which frames count as repeats of each other: lamps and skies drift by less."""
 
@@ -79,3 +82,21 @@ def warn_of_lights(recording: Recording) -> None:
             "repeats under one light, or its changes count as noise: make a recording of each light",
             recording.path, looked[dim] + 1, above[dim], looked[bright] + 1, above[bright],
         )  # fmt: skip
+
+
+def warn_of_kinds(recordings: Sequence[Recording]) -> None:
+    """Logs one warning for every gain setting whose flats are all darker than all of its darks."""
+    levels: dict[tuple, dict[bool, list[tuple[float, str]]]] = {}
+    for r in recordings:
+        if r.kind == "flat" or r.kind in DARK:
+            own = levels.setdefault((r.size, r.iso, r.gain_db), {True: [], False: []})
+            own[r.kind in DARK].append((float(np.median(np.asarray(r.frames[0]))), str(r.path)))
+    for own in levels.values():
+        if not (own[True] and own[False]):
+            continue
+        (bright, flat), (dim, dark) = max(own[False]), min(own[True])
+        if bright < dim - _DARKER_DN:
+            _log.warning(
+                "%s: the brightest flat, %g DN, is darker than %s, %g DN: are the kinds the wrong way round?",
+                flat, bright, dark, dim,
+            )  # fmt: skip

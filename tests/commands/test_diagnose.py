@@ -134,6 +134,8 @@ def test_a_function_of_ones_own_is_judged_by_its_name(tmp_path, monkeypatch, cap
     monkeypatch.setattr(import_module("cannoise_jax.discovery.diagnose"), "diagnose", found)
     assert main([*start, f"{tmp_path}/mine.py:draw"]) == 2
     assert seen[0].__name__ == "draw"
+    with pytest.raises(BadInput, match="mine.py:draw: fails .*TypeError.* called with key, clean, settings"):
+        seen[0](1)
 
 
 def never(*given, **more):

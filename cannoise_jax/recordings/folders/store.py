@@ -26,6 +26,7 @@ from cannoise_jax.recordings.metadata import count_above, make_recording, warn_s
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.native import open_native, write_recording
 from cannoise_jax.recordings.opened import stated
+from cannoise_jax.recordings.plausible import warn_of_kinds
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.sidd import is_instance
 from cannoise_jax.recordings.unfinished import is_finished
@@ -59,7 +60,9 @@ def capture_of(
     if not folder.is_dir():
         raise BadInput(f"{folder}: {'is a file: name its folder' if folder.is_file() else 'no such folder'}")
     if _is_prepared(folder) and not options.assign and not options.leave_out:
-        return load_capture_set(folder, **options.overrides), ""
+        capture = load_capture_set(folder, **options.overrides)
+        warn_of_kinds(capture.recordings)
+        return capture, ""
     entry = cache / _key(folder, options)
     if (entry / "plan.txt").is_file():
         try:

@@ -1,10 +1,13 @@
 """What a plan leaves where it is carried out: files in place or nothing, and a cache that is sound."""
 
+import dataclasses
+
 import pytest
 
 from cannoise_jax.recordings.folders import store
 from cannoise_jax.recordings.folders.plan import plan_folder
 from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
+from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
 from tests.recordings.folders.night import night, shot
 
@@ -107,3 +110,17 @@ def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_pa
     with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
         capture_of(folder, Options({"camera": "X"}), cache)
     assert len(list(cache.iterdir())) == 1
+
+
+def test_flats_below_the_darks_are_said(tmp_path, caplog):
+    for _ in write_plan(plan_folder(night(tmp_path / "in")), tmp_path / "out"):
+        pass
+    flat, dark = (tmp_path / "out" / name for name in ("flat_2s.h5", "dark_60s.h5"))
+    capture_of(tmp_path / "out", Options({}), tmp_path / "unused")
+    assert not caplog.records
+    for path, kind in ((flat, "dark"), (dark, "flat")):
+        write_recording(path, dataclasses.replace(read_recording(path), kind=kind))
+    (tmp_path / "out" / "bias.h5").unlink()
+    capture_of(tmp_path / "out", Options({}), tmp_path / "unused")
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert line.startswith(f"{dark}: the brightest flat") and "wrong way round?" in line
