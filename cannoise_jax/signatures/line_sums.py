@@ -107,7 +107,14 @@ def component_score(
         parameters={"sigma": (float(sigma), unit, float(error))},
         where=where,
         payload=fit.variance,
+        drawn=_draws(information, dof, fit.variance),
     )
+
+
+def _draws(information: np.ndarray, dof: np.ndarray, variance: float) -> float:
+    """Number of draws of equal weight that tell as much of a variance: each weighs by what it tells."""
+    weight = (information / (1 + variance * information)) ** 2
+    return float(np.sum(dof * weight) ** 2 / max(float(np.sum(dof * weight**2)), 1e-300))
 
 
 def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fields:

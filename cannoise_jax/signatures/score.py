@@ -12,6 +12,7 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from cannoise_jax.physics.core.places import place
+from cannoise_jax.physics.transfer.estimate import Z90
 
 P = TypeVar("P")
 
@@ -42,6 +43,7 @@ class Score(Generic[P]):
     by one null standard deviation; power: the statistic grows as amplitude ** power. spot: what it says of
     where in the frames it is (a frequency, a boundary), and how far two fits of one effect may lie apart.
     payload: what the functions of its own family need again, of a type that they alone know.
+    drawn: number of independent draws whose scatter the amplitude is; infinite: of a fixed value or of many.
     too_much: whether the simulator has too much of it, not too little. where: the place (`axis`, of
     `physics.core.places`) and what is known of it. Raises ValueError for a place that there is not.
     """
@@ -58,6 +60,7 @@ class Score(Generic[P]):
     payload: P = None  # type: ignore[assignment]
     spot: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     too_much: bool = False
+    drawn: float = float("inf")
 
     def __post_init__(self):
         place(self.where.get("axis"))
@@ -70,6 +73,22 @@ class Score(Generic[P]):
     def evidence(self) -> float:
         """Penalised log-likelihood gain, nats."""
         return self.gain - self.penalty
+
+    @property
+    def interval90(self) -> tuple[float, float]:
+        """90 % interval of the amplitude. That of few draws is chi-squared, of their variance with the noise
+        in it, from which the noise is taken: three frames may by chance lie far closer together than their
+        law says, and hardly farther apart."""
+        value, error, n = self.amplitude, self.error, self.drawn
+        low, high = value - Z90 * error, value + Z90 * error
+        if self.power != 2:
+            return low, high
+        total = 2 * value * error * np.sqrt(n / 2) if np.isfinite(n) else np.inf
+        if not 0 < total < np.inf:
+            return max(low, 0.0), high
+        noise = max(total - value**2, 0.0)
+        least, most = (total * n / stats.chi2.isf(p, n) - noise for p in (0.05, 0.95))
+        return float(np.sqrt(max(least, 0.0))), float(np.sqrt(max(most, value**2)))
 
     def same_spot(self, other: Score) -> bool:
         """Whether both put the effect at the same frequency, boundary or period."""

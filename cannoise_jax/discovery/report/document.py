@@ -229,10 +229,7 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     )
     unit = term.unit if mechanism != UNKNOWN else _unit(score)
     value = score.amplitude
-    interval = [
-        max(value - Z90 * score.error, 0.0) if score.power == 2 else value - Z90 * score.error,
-        value + Z90 * score.error,
-    ]
+    interval = list(score.interval90)
     per_pixel = None
     if proof.gain is not None and proof.pixels:
         per_pixel = {

@@ -1,0 +1,34 @@
+"""Intervals of what few draws scatter by hold the truth as often as they say."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.signatures.line_sums import component_score
+
+REPLICATES = 2000
+
+
+@pytest.mark.parametrize("draws, signal", [(2, 30.0), (5, 30.0), (5, 1.5), (24, 30.0), (400, 0.4)])
+def test_nine_in_ten_intervals_of_a_scatter_hold_it(draws, signal):
+    """signal: variance of the offsets in units of the noise of one."""
+    rng = np.random.default_rng(draws)
+    information, truth = 7.0, np.sqrt(signal / 7.0)
+    held = 0
+    for _ in range(REPLICATES):
+        power = np.sum((1 + signal) * rng.standard_normal(draws) ** 2)
+        score = component_score(
+            np.array([power]),
+            np.array([information]),
+            np.array([draws]),
+            scaling="additive",
+            where={"axis": "frame"},
+        )
+        low, high = score.interval90
+        held += low <= truth <= high
+    assert 0.87 < held / REPLICATES < 0.96
+
+
+def test_draws_that_tell_nothing_do_not_count():
+    power, information = np.array([40.0, 5.0]), np.array([10.0, 1e-6])
+    score = component_score(power, information, np.array([5, 5]), scaling="additive", where={"axis": "frame"})
+    assert score.drawn == pytest.approx(5, rel=1e-3)
