@@ -23,7 +23,15 @@ from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.claims import empty, forgetful, lasting, two_levels
 from cannoise_jax.discovery.proof.gate import Gated
-from cannoise_jax.discovery.proof.own_part import Borne, borne_by, drawn_structures, most_of, own_part, owned
+from cannoise_jax.discovery.proof.own_part import (
+    Borne,
+    at_home,
+    borne_by,
+    drawn_structures,
+    most_of,
+    own_part,
+    owned,
+)
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -131,9 +139,10 @@ def doubts(
 
     borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])
+    others = [owned(each, most) for _, each, _ in borne.values()]
     for n, (one, each, claimed) in borne.items():
         # How a structure is spread was fitted on no frame.
-        own = owned(each, most)
+        own = at_home(owned(each, most), others)
         out[n] = (
             doubt(one, own, claimed, steps[n].named.signature.form_free)
             or empty(one, each, steps[n])
@@ -252,7 +261,7 @@ def doubt(
     if speaks_for:
         most = LEFT_OF_SCENES * part.before + _SLACK_OF_SCENES
     elif not part.left:
-        most = LEFT_TOGETHER * part.before
+        most = LEFT_TOGETHER * part.before + _SLACK
     else:
         share = LEFT_OF_WEAK if free else LEFT + (LEFT_STATIC - LEFT) * part.static
         most = min(share * part.before + _SLACK, LEFT_OF_WEAK * part.before)

@@ -33,6 +33,8 @@ _CLEAR = 0.1
 _OWNED = 1 / 3
 """Share of the largest change that any accepted mechanism makes to a statistic, from which on it is of
 the part of another one too."""
+_MUCH = 100.0
+"""Nats that a mechanism moves in recordings that are its own, from which on these alone tell."""
 _CHANCE = 1e-4
 """Probability that all statistics of the part leave as much by chance."""
 
@@ -149,6 +151,38 @@ def owned(each: list[Borne], most: dict[tuple[str, str], Float[np.ndarray, "k"]]
         else b
         for b in each
     ]
+
+
+def at_home(each: list[Borne], every: Sequence[list[Borne]]) -> list[Borne]:
+    """Only the recordings in which no other mechanism moves more, of what stays and of what is redrawn each;
+    all, where there are none in which it moves much.
+
+    What differs where another one is far stronger speaks of that: hot pixels and dark current fill the maps
+    of long darks, offsets of pixels are told by the short ones."""
+    mine = _moved_at(each)
+    largest: dict[tuple[str, str], float] = {}
+    for other in every:
+        for at, nats in _moved_at(other).items():
+            largest[at] = max(largest.get(at, 0.0), nats)
+    home = {at for at, nats in mine.items() if nats >= largest.get(at, 0.0)}
+    told = {
+        part for _, part in home if sum(n for at, n in mine.items() if at in home and at[1] == part) > _MUCH
+    }
+
+    def kept(b: Borne) -> bool:
+        part = FAMILIES[b.judged.family].part
+        return part not in told or (b.judged.where, part) in home
+
+    return [b if kept(b) else b._replace(own=b.own & b.claimed) for b in each]
+
+
+def _moved_at(each: list[Borne]) -> dict[tuple[str, str], float]:
+    """Nats that a mechanism moves in every recording, of what stays and of what is redrawn."""
+    out: dict[tuple[str, str], float] = {}
+    for b in each:
+        at = b.judged.where, FAMILIES[b.judged.family].part
+        out[at] = out.get(at, 0.0) + float(b.change[b.own].sum())
+    return out
 
 
 def own_part(each: list[Borne]) -> Part:
