@@ -36,7 +36,8 @@ def _denoise_effect(values, maps, context: Context):
 
 IN_CAMERA_DENOISING = Mechanism(
     id="in_camera_denoising",
-    point=Point("digital", "code", "pixel", "redrawn", "multiply"),
+    # Before the values are stored: of codes that are rounded anew a weak blend would leave nothing.
+    point=Point("digital", "signal", "pixel", "redrawn", "multiply"),
     parameters=(Parameter("weight", "1", 0.15, 0.0, 1.0, "weight of the four neighbours' mean"),),
     equation=r"y \to (1-w)\,y + \frac{w}{4}\sum_{\mathrm{nn,\ same\ colour}} y",
     sentence="The camera smoothed its raw data: noise is lower than physics allows, and pixels of one colour "

@@ -99,7 +99,7 @@ def closed_form(model, context: Context, values) -> tuple[Array, Array]:
         if not analogue and record.acts_on in ("signal", "code"):
             analogue, variance = True, variance + read
         maps = maps_of(model, i, values[i], inner)
-        shared = sum(lines.values()) if record.acts_on == "code" else jnp.zeros(shape)
+        shared = sum(lines.values()) if _digital(record) else jnp.zeros(shape)
         own = jnp.maximum(variance - shared, 1e-12) if analogue else None
 
         def effect_at(mean, record=record, value=values[i], maps=maps, own=own):
@@ -117,7 +117,7 @@ def closed_form(model, context: Context, values) -> tuple[Array, Array]:
             lines = {name: slope**2 * v for name, v in lines.items()}
         else:
             passed = {name: _passed(along, slope, v, name, record) for name, v in lines.items()}
-            variance = (own + change + sum(passed.values())) if record.acts_on == "code" else own + change
+            variance = (own + change + sum(passed.values())) if _digital(record) else own + change
             lines = passed
         for name in _LINES:
             more = getattr(effect, name)
@@ -126,10 +126,15 @@ def closed_form(model, context: Context, values) -> tuple[Array, Array]:
     return context.black_level + mean, variance if analogue else variance + read
 
 
+def _digital(record) -> bool:
+    """Whether a mechanism is of what the camera makes of its values: it may mix those of neighbours."""
+    return record.acts_on == "code" or record.stage == "digital"
+
+
 def _passed(along, slope: Array, shared: Array, name: str, record) -> Array:
     """What is left of a shared variance behind a mechanism, of whose mean `along` is the derivative: times
     its slope squared, but where it mixes the codes of neighbouring lines, which differ."""
-    if record.acts_on != "code" or name == "frame":
+    if not _digital(record) or name == "frame":
         return slope**2 * shared
     place = jnp.arange(slope.shape[1])[:, None] if name == "row" else jnp.arange(slope.shape[2])
     # Lines further apart than this never meet in one pixel.
