@@ -57,7 +57,9 @@ def test_without_learning_the_model_is_the_estimate(request_):
     gap, own = rows["all"]["model - pg_estimated"], rows["all"]["model"]
     assert gap.low <= 0.02 * abs(own.value) and abs(gap.value) < 0.2 * abs(own.value)
     told, fitted = rows["all"]["model, level given"], rows["all"]["pg_recalibrated"]
-    assert abs(told.value - fitted.value) < 0.2 * abs(fitted.value)
+    # Of ten patches a divergence near its floor is known to its own size: it is held against that of levels
+    # that are off.
+    assert abs(told.value - fitted.value) < min(fitted.high - fitted.low, 0.1 * rows["all"]["pg"].value)
     assert sum(rows[n]["pg"].patches for n in rows if n != "all") == request_.bench.size
 
 
