@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -121,6 +123,25 @@ def test_rows_that_differ_from_recording_to_recording_are_no_fixed_pattern(stays
     assert (found is None) == (stays == "in all recordings")
     if found is not None:
         assert found.left > 0.6 and "in common" in found.against[0]
+
+
+def test_darks_say_nothing_of_sensitivities():
+    """One flat, and darks whose level grows, more in pixels that are less sensitive."""
+    rng = np.random.default_rng(9)
+    shape = rng.standard_normal((96, 128))
+    gains, offsets = 0.01 * shape, SIGMA * (8 - 2 * shape)
+
+    def alter(rng):
+        return lambda dn, signal, kind, t: dn + gains * signal + offsets * t / 0.1 * (kind == "dark")
+
+    capture = capture_set(4, alter, kinds="df", frames=6, size=(96, 128))
+    capture = dataclasses.replace(capture, recordings=(*capture.recordings[:2], capture.recordings[-1]))
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == "pixel_relative_static")
+    score = signature.score(prepared.fields)
+    assert score is not None and score.log_p < -20
+    named = Named(score, signature, "prnu", (("prnu", 1.0),), False)
+    assert lasting(Step(named, prepared.fields, score.log_p)) is None
 
 
 def flips(rng):

@@ -59,8 +59,10 @@ def lasting(step: Step) -> Doubt | None:
         return None
     claimed = score.amplitude**2
     sums = []
-    for field in step.before:
-        found = signature.predict((field,), score) if field.static is not None else None
+    # Of a pattern that multiplies the light darks hold nothing.
+    told = [f for f in step.before if f.static is not None and (f.lit or axes.scales != "signal")]
+    for field in told:
+        found = signature.predict((field,), score)
         if found is None or found.pattern is None or claimed <= 0:
             continue
         doubt = np.broadcast_to(np.asarray(found.doubt, np.float64), np.shape(found.pattern)).ravel()
