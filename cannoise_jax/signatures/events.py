@@ -182,7 +182,9 @@ def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
     gain = sum(s.gain for s in found if s.up.any()) if seen.up else 0.0
     size = found[0].noisy.size
     if kind == "hits":
-        volume = sum(s.frames * s.exposure_s for s in found) * size / 1e6
+        # Where no exposure is known or all are zero a frame counts as one second.
+        known = any(s.exposure_s > 0 for s in found)
+        volume = sum(s.frames * (s.exposure_s if known else 1.0) for s in found) * size / 1e6
     else:
         volume = sum(s.frames for s in found) * float(size)
     unit = 1 / volume if volume > 0 else float("inf")

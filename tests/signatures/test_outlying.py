@@ -8,6 +8,7 @@ from scipy import stats
 
 from cannoise_jax.signatures.added import draw_pixels, likeness
 from cannoise_jax.signatures.code_spacing import _wider
+from cannoise_jax.signatures.events import spike_score
 from cannoise_jax.signatures.fields import helmert
 from cannoise_jax.signatures.group_sums import grouped, outlying, shared_sums
 from cannoise_jax.signatures.shape import kurtosis_score
@@ -160,3 +161,15 @@ def test_codes_far_apart_are_told_to_grow_farther_apart(growth, told):
         [np.arange(low, low + width) for low, width in ((700, 150), (1400, 250), (2500, 350))]
     )
     assert (_wider(code, ~np.isin(code, there)) < -10) == told
+
+
+@pytest.mark.parametrize("exposure", [None, 0.0])
+def test_hits_of_frames_of_unknown_exposure_are_counted_by_the_frame(exposure):
+    rng = _RNG(10)
+    fields = white(rng, kinds=("scene", "scene"), frames=8, size=SIZE)
+    fields = tuple(f._replace(exposure_s=exposure) for f in fields)
+    fields[0].contrasts[2, 30, 40] += 40.0
+    score = spike_score(fields, kind="hits")
+    assert score is not None and np.isfinite([score.amplitude, score.error, score.shift]).all()
+    megapixels = sum(f.frames for f in fields) * fields[0].mean.size / 1e6
+    assert score.amplitude * megapixels == pytest.approx(round(score.amplitude * megapixels), abs=1e-6)
