@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
-from cannoise_jax.signatures.coloured import draw_coloured, spectrum_of
+from cannoise_jax.signatures.coloured import OUTLYING, draw_coloured, spectrum_of
 from cannoise_jax.signatures.signature import Addition, Found
 
 
@@ -92,8 +92,6 @@ def draw(
 
 _SHARED = 4.0
 """Standard errors from which on pixels of a cell count as alike."""
-_OUTLYING = 4.0
-"""Standard deviations at which values are cut off where their correlation is measured."""
 
 
 def draw_pixels(
@@ -142,7 +140,7 @@ def _coloured(
         return None
     noise, known = 1 / typical, information > 0.25 * typical
     estimate = np.where(known, score / np.maximum(information, 1e-30), 0.0)
-    limit = _OUTLYING * np.sqrt(variance + noise)
+    limit = OUTLYING * np.sqrt(variance + noise)
     inside = known & (np.abs(estimate) < limit)
     estimate = np.where(inside, estimate, 0.0)
     power = spectrum_of(estimate, noise, variance)
@@ -156,7 +154,7 @@ def likeness(
 ) -> Float[np.ndarray, "4 4"]:
     """Correlation of the pattern's values at the four sites of a cell, those that stand out of chance."""
     mean = posterior(score, information, variance)[0]
-    limit = _OUTLYING * np.sqrt(variance)
+    limit = OUTLYING * np.sqrt(variance)
     mean = np.clip(mean, -limit, limit)
     share = variance * information / (1 + variance * information)
     out = np.eye(4)

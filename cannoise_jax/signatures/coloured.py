@@ -17,8 +17,9 @@ _SURE = 5.0
 """Standard errors from which on a correlation counts: of 24 lags by chance one in 70,000 maps."""
 _LEAST = 0.05
 """Share of the variance that every frequency keeps."""
-_OUTLYING = 4.0
-"""Standard deviations from which on a pixel is drawn by itself: it says nothing of those beside it."""
+OUTLYING = 4.0
+"""Standard deviations from which on a pixel says nothing of those beside it: it is cut off where correlations
+are measured."""
 
 
 def spectrum_of(
@@ -28,7 +29,7 @@ def spectrum_of(
     has white noise of variance `noise` beside it; None for a map that is white, or alike in cells of 2 x 2
     only."""
     total = variance + noise
-    limit = _OUTLYING * np.sqrt(total)
+    limit = OUTLYING * np.sqrt(total)
     values = np.clip(estimate, -limit, limit)
     values = values - values.mean()
     h, w = values.shape

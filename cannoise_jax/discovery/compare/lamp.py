@@ -42,14 +42,15 @@ def steadied(
     """Recording and draws without the waves of a lamp, where all have them; as they are where one has none.
 
     light: the fitted mean of the recording, DN; black: level of every site, DN."""
-    if not len(real.contrasts):
-        return real, list(drawn)
+    as_they_are = real, list(drawn)
     signal = _above(light, black)
-    powers = [_rows_over_pixels(raw.contrasts, signal) for raw in (real, *drawn)]
-    ratio = float(np.mean(powers[1:])) / max(powers[0], 1e-30)
-    alike = len(real.contrasts) < _FEWEST or 1 / _LIKE < ratio < _LIKE
+    own = _rows_over_pixels(real.contrasts, signal) if len(real.contrasts) else 0.0
+    if own < FAR_ABOVE:  # under steady light the draws are not looked at
+        return as_they_are
+    powers = [_rows_over_pixels(raw.contrasts, signal) for raw in drawn]
+    alike = len(real.contrasts) < _FEWEST or 1 / _LIKE < float(np.mean(powers)) / own < _LIKE
     if min(powers) < FAR_ABOVE or not alike:
-        return real, list(drawn)
+        return as_they_are
 
     def steady(raw: Raw) -> Raw:
         contrasts = raw.contrasts.copy()

@@ -28,6 +28,7 @@ from cannoise_jax.discovery.proof.own_part import (
     at_home,
     borne_by,
     drawn_structures,
+    most_at,
     most_of,
     own_part,
     owned,
@@ -139,10 +140,11 @@ def doubts(
 
     borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])
-    others = [owned(each, most) for _, each, _ in borne.values()]
+    mine = {n: owned(each, most) for n, (_, each, _) in borne.items()}
+    largest = most_at(mine.values())
     for n, (one, each, claimed) in borne.items():
         # How a structure is spread was fitted on no frame.
-        own = at_home(owned(each, most), others)
+        own = at_home(mine[n], largest)
         out[n] = (
             doubt(one, own, claimed, steps[n].named.signature.form_free)
             or empty(one, each, steps[n])
@@ -163,7 +165,7 @@ def doubts(
             larger = [k for k in unknown if _outweighs(steps[k], steps[n])]
             moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
             of_its_own = confirmed[n] and not larger
-            out[n] = shadowed(owned(borne[n][1], most), every_one, of_its_own, _TRACE * moved)
+            out[n] = shadowed(mine[n], every_one, of_its_own, _TRACE * moved)
     return tuple(out)
 
 

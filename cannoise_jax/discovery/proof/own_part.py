@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -153,17 +153,22 @@ def owned(each: list[Borne], most: dict[tuple[str, str], Float[np.ndarray, "k"]]
     ]
 
 
-def at_home(each: list[Borne], every: Sequence[list[Borne]]) -> list[Borne]:
+def most_at(every: Iterable[list[Borne]]) -> dict[tuple[str, str], float]:
+    """The most nats that any mechanism moves in every recording, of what stays and of what is redrawn."""
+    out: dict[tuple[str, str], float] = {}
+    for each in every:
+        for at, nats in _moved_at(each).items():
+            out[at] = max(out.get(at, 0.0), nats)
+    return out
+
+
+def at_home(each: list[Borne], largest: dict[tuple[str, str], float]) -> list[Borne]:
     """Only the recordings in which no other mechanism moves more, of what stays and of what is redrawn each;
-    all, where there are none in which it moves much.
+    all, where there are none in which it moves much. largest: see `most_at`.
 
     What differs where another one is far stronger speaks of that: hot pixels and dark current fill the maps
     of long darks, offsets of pixels are told by the short ones."""
     mine = _moved_at(each)
-    largest: dict[tuple[str, str], float] = {}
-    for other in every:
-        for at, nats in _moved_at(other).items():
-            largest[at] = max(largest.get(at, 0.0), nats)
     home = {at for at, nats in mine.items() if nats >= largest.get(at, 0.0)}
     told = {
         part for _, part in home if sum(n for at, n in mine.items() if at in home and at[1] == part) > _MUCH
