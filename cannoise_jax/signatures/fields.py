@@ -10,8 +10,9 @@ independent of every contrast among those. So one frame held back shows what is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +22,35 @@ from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import KINDS, LIT
 
 
+class Answers(NamedTuple):
+    """What the static part answers to frozen patterns where others were taken out of it, see
+    `signatures.answers`.
+
+    maps: by place and scaling, per root of the frames, where it is another than the baseline's. apart: by
+    scaling, pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of
+    lines that were taken out `[H, W]` and the variance of those of each beside its offset [lines].
+    """
+
+    maps: Mapping[tuple[str, str], Float[np.ndarray, "h w"]] = MappingProxyType({})
+    apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
+    lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})
+
+    def times(self, factor: np.ndarray) -> Answers:
+        """The answers where the static part is multiplied by a factor of every pixel."""
+        if not self.maps:
+            return self
+        return self._replace(maps={k: (v * factor).astype(np.float32) for k, v in self.maps.items()})
+
+
 class Fields(NamedTuple):
     """One recording, reduced.
 
     mean, sigma: model mean and temporal standard deviation, DN; signal: mean above black, DN;
     shot: share of shot noise in sigma^2; usable: pixels that are never at a rail.
     contrasts: standardised differences between frames; static: standardised mean residual over the frames
-    (None when its mean cannot be modelled); step: code step, DN; number: place of the recording in its
-    set; group: index of the gain setting. before: frames whose mean the last contrast is taken from, 0: none.
+    (None when its mean cannot be modelled); answers: of the static part to what else stays. step: code step,
+    DN; number: place of the recording in its set; group: index of the gain setting. before: frames whose
+    mean the last contrast is taken from, 0: none.
     """
 
     name: str
@@ -49,6 +71,7 @@ class Fields(NamedTuple):
     gain: Float[np.ndarray, "4"]
     black: Float[np.ndarray, "4"]
     before: int = 0
+    answers: Answers = Answers()
 
     @property
     def lit(self) -> bool:
@@ -164,6 +187,7 @@ def without_pixels(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields,
             usable=f.usable & keep,
             contrasts=f.contrasts * keep,
             static=None if f.static is None else f.static * keep,
+            answers=f.answers.times(keep),
         )
         for f in fields
     )
@@ -194,6 +218,7 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
                 contrasts=f.contrasts * factor,
                 sigma=f.sigma / factor,
                 static=None if f.static is None else f.static * factor,
+                answers=f.answers.times(factor),
             )
         )
     return tuple(out)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.signatures.answers import stays
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import LineSums
 
@@ -66,6 +67,7 @@ def folded(field: Fields, together: Together) -> Fields:
         usable=fold(field.usable) & inside.reshape(-1, count * columns),
         contrasts=fold(field.contrasts),
         static=None if field.static is None else fold(field.static),
+        answers=field.answers._replace(maps={k: fold(v) for k, v in field.answers.maps.items()}),
     )
 
 
@@ -79,9 +81,18 @@ def unfolded(field: Fields, together: Together, like: Fields) -> Fields:
     def unfold(x: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(x.reshape(*x.shape[:-2], -1, columns)[..., kept, :])
 
+    def answers(key: tuple[str, str], after: np.ndarray) -> np.ndarray:
+        """What a row of its own has in common with its group is whitened, no more."""
+        if key[0] != "row":
+            return unfold(after)
+        before = stays(like, *key) * like.sigma / unfold(field.sigma)
+        share = np.divide(unfold(after), before, out=np.ones_like(before), where=before != 0) ** 2
+        return (before * np.sqrt(np.maximum(1 - (1 - share) / together.rows, 0))).astype(np.float32)
+
     return like._replace(
         sigma=unfold(field.sigma),
         shot=unfold(field.shot),
         contrasts=unfold(field.contrasts),
         static=None if field.static is None else unfold(field.static),
+        answers=like.answers._replace(maps={k: answers(k, v) for k, v in field.answers.maps.items()}),
     )
