@@ -44,13 +44,18 @@ def shows(field: Fields, scaling: str) -> bool:
 def stays(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
     """What the static part, per root of the frames, answers to a unit of a frozen pattern of pixels, rows or
     columns."""
+    return field.weight * in_dn(field, axis, scaling)
+
+
+def in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
+    """The same in DN, whatever the noise is taken to be."""
     maps = field.answers.maps
     for key in ((axis, scaling), ("pixel", scaling)):
         if key in maps:
             return maps[key]
-    if scaling == "signal" and not field.lit:
-        return np.zeros(field.mean.shape, np.float32)
-    return response(field, scaling)
+    if scaling == "signal":
+        return field.signal if field.lit else np.zeros((1, 1), np.float32)
+    return np.full((1, 1), 1.0 if scaling == "additive" else field.exposure_s or 0.0, np.float32)
 
 
 def as_it_stays(field: Fields) -> Fields:
@@ -89,9 +94,8 @@ def less_map(
             whitened[f.number] += part[f.number] - b * fall
         for key in ((axis, s) for s in SCALINGS):
             along = share * along_fields(fields, axis, scaling)(key)
-            maps[key] = [
-                (stays(f, *key) - b * along).astype(np.float32) for f, b in zip(shown, answers, strict=True)
-            ]
+            units = [(in_dn(f, *key), in_dn(f, axis, scaling)) for f in shown]
+            maps[key] = [(unit - own * along).astype(np.float32) for unit, own in units]
     out = []
     for f in fields:
         if f.static is None:
@@ -127,7 +131,6 @@ def less_lines(
     keys = [(axis, s) for s in SCALINGS]
     falls = {key: taken(along(key)) for key in keys}
     spread = taken(score)
-    pixels = [key for key in _keys(fields) if key[0] != axis]
     out = []
     for f in fields:
         if f.static is None:
@@ -135,9 +138,9 @@ def less_lines(
             continue
         b = stays(f, axis, scaling)
         static = (f.static - np.sqrt(f.frames) * spread * b).astype(np.float32)
-        maps = {key: (stays(f, *key) - b * falls[key]).astype(np.float32) for key in keys}
-        maps |= {key: stays(f, *key) for key in pixels}
-        answers = f.answers._replace(maps=maps, lines={**f.answers.lines, axis: told})
+        unit = in_dn(f, axis, scaling)
+        maps = {key: (in_dn(f, *key) - unit * falls[key]).astype(np.float32) for key in keys}
+        answers = f.answers._replace(maps={**f.answers.maps, **maps}, lines={**f.answers.lines, axis: told})
         out.append(f._replace(static=static, answers=answers))
     return tuple(out)
 
@@ -157,17 +160,11 @@ def along_fields(
     return along
 
 
-def _keys(fields: tuple[Fields, ...]) -> list[tuple[str, str]]:
-    """The kinds of patterns whose answers differ, those of single pixels always."""
-    known = {key for f in fields for key in f.answers.maps}
-    return sorted(known | {("pixel", s) for s in SCALINGS})
-
-
 def through(field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]) -> Answers:
     """The answers where what lines of this axis share in the static part went through `function`."""
     if field.static is None:
         return field.answers
     keys = [(axis, s) for s in SCALINGS if s != "exposure" or field.exposure_s]
-    changed = {key: cast(np.ndarray, function(stays(field, *key)[None])[0]) for key in keys}
-    pixels = {key: v for key, v in field.answers.maps.items() if key not in changed}
-    return field.answers._replace(maps={**pixels, **changed})
+    weight = np.where(field.usable, field.weight, 1.0).astype(np.float32)
+    changed = {key: cast(np.ndarray, function(stays(field, *key)[None])[0] / weight) for key in keys}
+    return field.answers._replace(maps={**field.answers.maps, **changed})

@@ -26,7 +26,7 @@ class Answers(NamedTuple):
     """What the static part answers to frozen patterns where others were taken out of it, see
     `signatures.answers`.
 
-    maps: by place and scaling, per root of the frames, where it is another than the baseline's. apart: by
+    maps: by place and scaling, DN per unit of the pattern, where it is another than at first. apart: by
     scaling, pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of
     lines that were taken out `[H, W]` and the variance of those of each beside its offset [lines].
     """
@@ -34,12 +34,6 @@ class Answers(NamedTuple):
     maps: Mapping[tuple[str, str], Float[np.ndarray, "h w"]] = MappingProxyType({})
     apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
     lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})
-
-    def times(self, factor: np.ndarray) -> Answers:
-        """The answers where the static part is multiplied by a factor of every pixel."""
-        if not self.maps:
-            return self
-        return self._replace(maps={k: (v * factor).astype(np.float32) for k, v in self.maps.items()})
 
 
 class Fields(NamedTuple):
@@ -187,7 +181,6 @@ def without_pixels(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields,
             usable=f.usable & keep,
             contrasts=f.contrasts * keep,
             static=None if f.static is None else f.static * keep,
-            answers=f.answers.times(keep),
         )
         for f in fields
     )
@@ -218,7 +211,6 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
                 contrasts=f.contrasts * factor,
                 sigma=f.sigma / factor,
                 static=None if f.static is None else f.static * factor,
-                answers=f.answers.times(factor),
             )
         )
     return tuple(out)

@@ -284,7 +284,6 @@ def _louder(field: Fields, variance: np.ndarray) -> Fields:
         sigma=field.sigma * root,
         shot=shot,
         static=static,
-        answers=field.answers.times(1 / root),
     )
     return field if static is None else _level_out(field, static)
 

@@ -54,7 +54,6 @@ def alone(field: Fields, held: np.ndarray, variance: float, scaling: str) -> Fie
         shot=np.minimum(field.shot / root**2, 1.0).astype(np.float32),
         contrasts=field.contrasts / root,
         static=None if field.static is None else field.static / root,
-        answers=field.answers.times(1 / root),
     )
 
 

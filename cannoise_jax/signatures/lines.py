@@ -233,10 +233,7 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature
         turned = tuple(_turned(f) for f in fields)
         left = temporal_absorb(turned, found, axis="row", scaling="additive")
         # Whatever rows share elsewhere turns with its columns: of that nothing was taken out.
-        return tuple(
-            _turned(g)._replace(answers=f.answers.times(f.sigma / g.sigma))
-            for f, g in zip(fields, left, strict=True)
-        )
+        return tuple(_turned(g)._replace(answers=f.answers) for f, g in zip(fields, left, strict=True))
 
     return Signature(
         name=name,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.signatures.answers import stays
+from cannoise_jax.signatures.answers import in_dn
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import LineSums
 
@@ -85,7 +85,7 @@ def unfolded(field: Fields, together: Together, like: Fields) -> Fields:
         """What a row of its own has in common with its group is whitened, no more."""
         if key[0] != "row":
             return unfold(after)
-        before = stays(like, *key) * like.sigma / unfold(field.sigma)
+        before = np.broadcast_to(in_dn(like, *key), like.mean.shape)
         share = np.divide(unfold(after), before, out=np.ones_like(before), where=before != 0) ** 2
         return (before * np.sqrt(np.maximum(1 - (1 - share) / together.rows, 0))).astype(np.float32)
 
