@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.signatures.fields import Answers, Fields
+from cannoise_jax.signatures.fields import Fields
 
 SCALINGS = ("additive", "signal", "exposure")
 """How a pattern grows: not, with the light, with the exposure."""
@@ -36,7 +36,7 @@ def shows(field: Fields, scaling: str) -> bool:
     """Whether what stays in a recording tells of an effect that scales so."""
     if field.static is None:
         return False
-    if field.answers.maps:  # what others share with it was taken out of all
+    if field.answers.mixed:  # what others share with it was taken out of all
         return True
     return {"signal": field.lit, "exposure": bool(field.exposure_s)}.get(scaling, True)
 
@@ -44,23 +44,36 @@ def shows(field: Fields, scaling: str) -> bool:
 def stays(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
     """What the static part, per root of the frames, answers to a unit of a frozen pattern of pixels, rows or
     columns."""
-    return field.weight * in_dn(field, axis, scaling)
+    return field.weight * _in_dn(field, axis, scaling)
 
 
-def in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
+def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]:
     """The same in DN, whatever the noise is taken to be."""
-    maps = field.answers.maps
-    for key in ((axis, scaling), ("pixel", scaling)):
-        if key in maps:
-            return maps[key]
+    answers = field.answers
+    mixed = answers.mixed.get(axis, answers.mixed.get("pixel"))
+    if mixed is None:
+        out = _at_first(field, scaling)
+    else:
+        shares = mixed[SCALINGS.index(scaling)]
+        out = sum(
+            (share * _at_first(field, s) for share, s in zip(shares, SCALINGS, strict=True)), np.float32(0)
+        )
+    return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
+
+
+def _at_first(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
     if scaling == "signal":
         return field.signal if field.lit else np.zeros((1, 1), np.float32)
     return np.full((1, 1), 1.0 if scaling == "additive" else field.exposure_s or 0.0, np.float32)
 
 
+def _as_lines(values: np.ndarray, axis: str) -> np.ndarray:
+    return values[:, None] if axis == "row" else values[None, :]
+
+
 def as_it_stays(field: Fields) -> Fields:
     """The field with the weights that an offset has in its static part."""
-    if not field.answers.maps:
+    if not field.answers.mixed:
         return field
     weight = stays(field, "pixel", "additive")
     seen = field.usable & (weight > 0)
@@ -75,10 +88,10 @@ def less_map(
     The means of lines of which something was taken out before answer less to the map than single pixels do:
     they are whitened by their own answers."""
     shown = [f for f in fields if f.static is not None]
-    axes = {axis for f in shown for axis, s in f.answers.maps if s == scaling and axis != "pixel"}
+    axes = {axis for f in shown for axis in (*f.answers.mixed, *f.answers.kept)} - {"pixel"}
     static = {f.number: cast(np.ndarray, f.static) for f in shown}
     whitened = {n: np.zeros(values.shape) for n, values in static.items()}
-    maps: dict[tuple[str, str], list[np.ndarray]] = {}
+    mixed = {}
     for axis in (*sorted(axes), "pixel"):
         answers = [stays(f, axis, scaling).astype(np.float64) for f in shown]
         information = sum((f.frames * b**2 for f, b in zip(shown, answers, strict=True)), np.float64(0))
@@ -92,20 +105,16 @@ def less_map(
         fall = share * sum((b * part[f.number] for f, b in zip(shown, roots, strict=True)), np.float64(0))
         for f, b in zip(shown, roots, strict=True):
             whitened[f.number] += part[f.number] - b * fall
-        for key in ((axis, s) for s in SCALINGS):
-            along = share * along_fields(fields, axis, scaling)(key)
-            units = [(in_dn(f, *key), in_dn(f, axis, scaling)) for f in shown]
-            maps[key] = [(unit - own * along).astype(np.float32) for unit, own in units]
-    out = []
-    for f in fields:
-        if f.static is None:
-            out.append(f)
-            continue
-        n = len([g for g in out if g.static is not None])
-        own = {**f.answers.maps, **{key: values[n] for key, values in maps.items()}}
-        answers = f.answers._replace(maps=own, apart={**f.answers.apart, scaling: apart})
-        out.append(f._replace(static=whitened[f.number].astype(np.float32), answers=answers))
-    return tuple(out)
+        mixed[axis] = _mixed(fields, axis, scaling, lambda products, share=share: share * products)
+    return tuple(
+        f
+        if f.static is None
+        else f._replace(
+            static=whitened[f.number].astype(np.float32),
+            answers=f.answers._replace(mixed=mixed, apart={**f.answers.apart, scaling: apart}),
+        )
+        for f in fields
+    )
 
 
 def _by_lines(values: np.ndarray, response: np.ndarray, axis: str) -> Float[np.ndarray, "h w"]:
@@ -127,10 +136,7 @@ def less_lines(
     """The fields with a pattern of lines whitened. taken: of sums over the pixels of every line, or of
     products of two responses of pixels, what is taken out of each pixel; score: sums of response times static
     part; told: see `Answers.lines`."""
-    along = along_fields(fields, axis, scaling)
-    keys = [(axis, s) for s in SCALINGS]
-    falls = {key: taken(along(key)) for key in keys}
-    spread = taken(score)
+    mixed, spread = _mixed(fields, axis, scaling, taken), taken(score)
     out = []
     for f in fields:
         if f.static is None:
@@ -138,11 +144,27 @@ def less_lines(
             continue
         b = stays(f, axis, scaling)
         static = (f.static - np.sqrt(f.frames) * spread * b).astype(np.float32)
-        unit = in_dn(f, axis, scaling)
-        maps = {key: (in_dn(f, *key) - unit * falls[key]).astype(np.float32) for key in keys}
-        answers = f.answers._replace(maps={**f.answers.maps, **maps}, lines={**f.answers.lines, axis: told})
+        answers = f.answers._replace(
+            mixed={**f.answers.mixed, axis: mixed}, lines={**f.answers.lines, axis: told}
+        )
         out.append(f._replace(static=static, answers=answers))
     return tuple(out)
+
+
+def _mixed(
+    fields: tuple[Fields, ...], axis: str, scaling: str, taken: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "3 3 h w"]:
+    """What patterns look like once one that scales so is whitened. taken: of the sums over recordings of its
+    response times another, the share of it that goes."""
+    size = fields[0].mean.shape
+    known = next((f.answers.mixed for f in fields if f.answers.mixed), {})
+    before = known.get(axis, known.get("pixel"))
+    if before is None:
+        before = np.broadcast_to(np.eye(3, dtype=np.float32)[:, :, None, None], (3, 3, *size))
+    along = along_fields(fields, axis, scaling)
+    own = before[SCALINGS.index(scaling)]
+    falls = np.stack([taken(along((axis, s))) for s in SCALINGS])
+    return (before - falls[:, None] * own).astype(np.float32)
 
 
 def along_fields(
@@ -160,11 +182,19 @@ def along_fields(
     return along
 
 
-def through(field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]) -> Answers:
-    """The answers where what lines of this axis share in the static part went through `function`."""
-    if field.static is None:
-        return field.answers
-    keys = [(axis, s) for s in SCALINGS if s != "exposure" or field.exposure_s]
-    weight = np.where(field.usable, field.weight, 1.0).astype(np.float32)
-    changed = {key: cast(np.ndarray, function(stays(field, *key)[None])[0] / weight) for key in keys}
-    return field.answers._replace(maps={**field.answers.maps, **changed})
+def through(
+    field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "lines"]:
+    """What is left of what lines share in the static part once it went through `function`."""
+    before = field.weight
+    along = 1 if axis == "row" else 0
+    square = np.sum(before.astype(np.float64) ** 2, along)
+    after = np.sum(function(before[None])[0] * before.astype(np.float64), along)
+    return np.where(square > 0, after / np.maximum(square, 1e-30), 1.0).astype(np.float32)
+
+
+def less_shared(field: Fields, axis: str, left: Float[np.ndarray, "lines"]) -> Fields:
+    """The field of which so much of what lines share is left in the static part."""
+    kept = field.answers.kept
+    left = kept[axis] * left if axis in kept else left
+    return field._replace(answers=field.answers._replace(kept={**kept, axis: left}))

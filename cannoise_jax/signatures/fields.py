@@ -26,14 +26,16 @@ class Answers(NamedTuple):
     """What the static part answers to frozen patterns where others were taken out of it, see
     `signatures.answers`.
 
-    maps: by place and scaling, DN per unit of the pattern, where it is another than at first. apart: by
-    scaling, pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of
-    lines that were taken out `[H, W]` and the variance of those of each beside its offset [lines].
+    mixed: by place, what a pattern of each scaling looks like as the three that there are, the same in all
+    recordings. kept: by axis, what is left of what lines share in this recording [lines]. apart: by scaling,
+    pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of lines that
+    were taken out and the variance of those of each beside its offset [lines].
     """
 
-    maps: Mapping[tuple[str, str], Float[np.ndarray, "h w"]] = MappingProxyType({})
+    mixed: Mapping[str, Float[np.ndarray, "3 3 h w"]] = MappingProxyType({})
+    kept: Mapping[str, Float[np.ndarray, "lines"]] = MappingProxyType({})
     apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
-    lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})
+    lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "lines"]]] = MappingProxyType({})
 
 
 class Fields(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.signatures.answers import response, through
+from cannoise_jax.signatures.answers import less_shared, response, through
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import (
     Groups,
@@ -134,7 +134,7 @@ def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fie
         score = np.einsum(to_lines, x, r) * shrink
         return x - np.einsum(to_pixels, score.astype(np.float32), r)
 
-    return map_contrasts(field, function)._replace(answers=through(field, axis, function))
+    return less_shared(map_contrasts(field, function), axis, through(field, axis, function))
 
 
 @lru_cache(maxsize=8)

@@ -247,11 +247,15 @@ class Signature:
         """Share of the common error rate that it takes, against 1 of most."""
         return SHARED.rare if self.rare else 1.0
 
-    @property
-    def before_maps(self) -> bool:
-        """Whether pixels share it in each frame, and so by less in their mean, of which frozen maps are told:
-        it is taken out before them, while the recordings' means are still independent."""
-        return self.axes.time == "redrawn" and self.axes.varies_over not in ("pixel", "frame")
+    def precedes(self, other: Signature) -> bool:
+        """Whether it is taken out before a map that was found earlier: what pixels share in each frame is in
+        their mean by less, and independent from recording to recording only until a map is taken out of all
+        of them; what a map of pixels leaves of lines is known exactly, but not what lines leave of a map."""
+        if other.map_of is None:
+            return False
+        if self.axes.time == "redrawn":
+            return self.axes.varies_over not in ("pixel", "frame")
+        return self.map_of is not None and self.map_of[0] == "pixel" and other.map_of[0] != "pixel"
 
     @property
     def frozen(self) -> bool:

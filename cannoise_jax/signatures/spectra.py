@@ -14,7 +14,7 @@ from scipy import fft, optimize
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.signatures.added import placed, strength
-from cannoise_jax.signatures.answers import through
+from cannoise_jax.signatures.answers import less_shared
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import held_variance
 from cannoise_jax.signatures.least import (
@@ -232,7 +232,7 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
         return out
     mean = 1 / (1 + v * float(information_rows.mean()) * _shape(len(root), exponent))
     left = np.float32(np.sqrt(np.average(mean, weights=mode_weights(len(root)))))
-    return out._replace(answers=through(field, "row", lambda x: x * left))
+    return less_shared(out, "row", np.full(len(root), left))
 
 
 def _shape(size: int, exponent: float) -> np.ndarray:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.signatures.answers import in_dn
-from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.answers import less_shared
+from cannoise_jax.signatures.fields import Answers, Fields
 from cannoise_jax.signatures.group_sums import LineSums
 
 _MOST = 4
@@ -67,7 +67,7 @@ def folded(field: Fields, together: Together) -> Fields:
         usable=fold(field.usable) & inside.reshape(-1, count * columns),
         contrasts=fold(field.contrasts),
         static=None if field.static is None else fold(field.static),
-        answers=field.answers._replace(maps={k: fold(v) for k, v in field.answers.maps.items()}),
+        answers=Answers(),
     )
 
 
@@ -81,18 +81,12 @@ def unfolded(field: Fields, together: Together, like: Fields) -> Fields:
     def unfold(x: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(x.reshape(*x.shape[:-2], -1, columns)[..., kept, :])
 
-    def answers(key: tuple[str, str], after: np.ndarray) -> np.ndarray:
-        """What a row of its own has in common with its group is whitened, no more."""
-        if key[0] != "row":
-            return unfold(after)
-        before = np.broadcast_to(in_dn(like, *key), like.mean.shape)
-        share = np.divide(unfold(after), before, out=np.ones_like(before), where=before != 0) ** 2
-        return (before * np.sqrt(np.maximum(1 - (1 - share) / together.rows, 0))).astype(np.float32)
-
-    return like._replace(
+    out = like._replace(
         sigma=unfold(field.sigma),
         shot=unfold(field.shot),
         contrasts=unfold(field.contrasts),
         static=None if field.static is None else unfold(field.static),
-        answers=like.answers._replace(maps={k: answers(k, v) for k, v in field.answers.maps.items()}),
     )
+    # What a row of its own has in common with its group is gone as well, no more.
+    left = field.answers.kept["row"][together.of(rows)]
+    return less_shared(out, "row", np.sqrt(1 - (1 - left**2) / together.rows).astype(np.float32))

@@ -187,8 +187,8 @@ def _forward(
 
 def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, ...]]:
     """The steps with one more, and what is left of the fields."""
-    maps = [n for n, step in enumerate(steps) if step.named.signature.map_of]
-    at = maps[0] if maps and new.named.signature.before_maps else len(steps)
+    after = (n for n, step in enumerate(steps) if new.named.signature.precedes(step.named.signature))
+    at = next(after, len(steps))
     out, fields = steps[:at], steps[at].before if at < len(steps) else new.before
     for step in (new, *steps[at:]):
         named = step.named
