@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels
@@ -33,6 +34,7 @@ from cannoise_jax.signatures.signature import Predicted
 
 _LEAST = 1e-5
 """Share of a map's variance that its doubt keeps, whatever the frames say: what single precision tells."""
+_MEDIAN_OF_ONE = float(stats.chi2.median(1))
 _STEPS = 50
 """Steps of Fisher scoring at most."""
 _SHAPES = {"row": (-1, 1), "column": (1, -1)}
@@ -224,7 +226,10 @@ def _fit(fields: tuple[Fields, ...], maps: Sequence[FrozenMap], place: _Place) -
         u = mean / variance
         m = (variance * np.eye(len(variance)) - covariance) / (variance[:, None] * variance)
         power, own = u**2, np.maximum(np.einsum("nii->ni", m), 1e-30)
-        far = ((power > STANDS_OUT * own) | place.apart).any(1)
+        # A few pixels far out are no part of a map, by the scale of most: by that of all they would be.
+        ratio = power / own
+        bulk = np.median(ratio[told], 0) / _MEDIAN_OF_ONE if told.any() else 1.0
+        far = ((ratio > STANDS_OUT * bulk) | place.apart).any(1)
         used = told & ~far
         if not used.any():
             return {}

@@ -180,6 +180,8 @@ def prove(
             if not np.isfinite(low) and score is not None and signature is not None:
                 own = held_out_gain(step.named.score, score)  # one frame has no scatter: parts of it do
                 shown = own > 0 and jackknife_interval(signature, fields, step.named.score, own)[0] > 0
+            elif low <= 0 < gain:
+                shown = frame_interval(*at_most_twice(reference, less[n]))[1] > 0
             log_e = gain - _NUISANCES / 2
             out.append(Proof(score, gain, low, high, number, "likelihood", log_e, shown))
         elif score is None or signature is None or not pixels:
@@ -296,6 +298,19 @@ def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, floa
     freedom = variances.sum() ** 2 / max(np.sum(variances**2 / [g.size - 1 for g in groups]), 1e-300)
     half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(variances.sum()))
     return total, total - half, total + half
+
+
+def at_most_twice(with_it: Scored, without: Scored) -> tuple[Scored, Scored]:
+    """Both with no part of a recording's frames counting for more than twice the typical one of that
+    recording: a few pixels far out may gain more than all others, and their scatter then says nothing."""
+    if with_it.parts is None or without.parts is None:
+        return with_it, without
+    values = with_it.parts - without.parts
+    for r in np.unique(with_it.recording):
+        own = with_it.recording == r
+        values[own] = np.minimum(values[own], 2 * max(float(np.median(values[own])), 0.0))
+    kept = without._replace(log_prob=np.zeros(len(values)), parts=np.zeros(values.shape))
+    return with_it._replace(log_prob=values.sum(1), parts=values), kept
 
 
 def held_out_gain(found: Score, again: Score) -> float:
