@@ -87,6 +87,8 @@ def unfolded(field: Fields, together: Together, like: Fields) -> Fields:
         contrasts=unfold(field.contrasts),
         static=None if field.static is None else unfold(field.static),
     )
+    if "row" not in field.answers.kept:
+        return out
     # What a row of its own has in common with its group is gone as well, no more.
     left = field.answers.kept["row"][together.of(rows)]
     return less_shared(out, "row", np.sqrt(1 - (1 - left**2) / together.rows).astype(np.float32))
