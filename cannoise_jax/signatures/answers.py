@@ -13,6 +13,7 @@ were taken out (the best linear unbiased prediction; Robinson 1991, Statistical 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -54,10 +55,8 @@ def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]
     if mixed is None:
         out = _at_first(field, scaling)
     else:
-        shares = mixed[SCALINGS.index(scaling)]
-        out = sum(
-            (share * _at_first(field, s) for share, s in zip(shares, SCALINGS, strict=True)), np.float32(0)
-        )
+        first = zip(mixed[SCALINGS.index(scaling)], SCALINGS, strict=True)
+        out = np.sum([share * _at_first(field, s) for share, s in first], 0)
     return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
 
 
@@ -105,7 +104,7 @@ def less_map(
         fall = share * sum((b * part[f.number] for f, b in zip(shown, roots, strict=True)), np.float64(0))
         for f, b in zip(shown, roots, strict=True):
             whitened[f.number] += part[f.number] - b * fall
-        mixed[axis] = _mixed(fields, axis, scaling, lambda products, share=share: share * products)
+        mixed[axis] = _mixed(fields, axis, scaling, partial(np.multiply, share))
     return tuple(
         f
         if f.static is None
