@@ -30,6 +30,7 @@ from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search import declare
 from cannoise_jax.discovery.search.fit import Fitted, stepwise
 from cannoise_jax.discovery.search.locate import locate
+from cannoise_jax.discovery.search.maps import beside_others
 from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -97,6 +98,7 @@ def diagnose(
     every = (lambda: splits.together.fields) if splits.can_prove else None
     fitted = stepwise(first.fields, first.signatures, allowed, log_alpha, tell, every, located)
 
+    fitted = fitted._replace(steps=beside_others(fitted.steps))
     proven = unproven(fitted.steps)
     if splits.can_prove:
         tell("prove: on the frames held back")

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, stats
 
-from cannoise_jax.signatures.fields import Fields, each_frame
+from cannoise_jax.signatures.fields import Fields, each_frame, without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score
@@ -238,9 +238,7 @@ def without_spikes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ..
         if mask is None or not mask.any():
             out.append(f)
             continue
-        keep = ~mask
-        static = None if f.static is None else f.static * keep
-        out.append(f._replace(usable=f.usable & keep, contrasts=f.contrasts * keep, static=static))
+        out += without_pixels((f,), mask)
     return tuple(out)
 
 

@@ -10,8 +10,9 @@ independent of every contrast among those. So one frame held back shows what is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +22,31 @@ from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import KINDS, LIT
 
 
+class Answers(NamedTuple):
+    """What the static part answers to frozen patterns where others were taken out of it, see
+    `signatures.answers`.
+
+    mixed: by place, what a pattern of each scaling looks like as the three that there are, the same in all
+    recordings. kept: by axis, what is left of what lines share in this recording [lines]. apart: by scaling,
+    pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of lines that
+    were taken out and the variance of those of each beside its offset [lines].
+    """
+
+    mixed: Mapping[str, Float[np.ndarray, "3 3 h w"]] = MappingProxyType({})
+    kept: Mapping[str, Float[np.ndarray, "lines"]] = MappingProxyType({})
+    apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
+    lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "lines"]]] = MappingProxyType({})
+
+
 class Fields(NamedTuple):
     """One recording, reduced.
 
     mean, sigma: model mean and temporal standard deviation, DN; signal: mean above black, DN;
     shot: share of shot noise in sigma^2; usable: pixels that are never at a rail.
     contrasts: standardised differences between frames; static: standardised mean residual over the frames
-    (None when its mean cannot be modelled); step: code step, DN; number: place of the recording in its
-    set; group: index of the gain setting. before: frames whose mean the last contrast is taken from, 0: none.
+    (None when its mean cannot be modelled); answers: of the static part to what else stays. step: code step,
+    DN; number: place of the recording in its set; group: index of the gain setting. before: frames whose
+    mean the last contrast is taken from, 0: none.
     """
 
     name: str
@@ -49,6 +67,7 @@ class Fields(NamedTuple):
     gain: Float[np.ndarray, "4"]
     black: Float[np.ndarray, "4"]
     before: int = 0
+    answers: Answers = Answers()
 
     @property
     def lit(self) -> bool:

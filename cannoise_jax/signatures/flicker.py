@@ -17,8 +17,9 @@ from scipy import fft, ndimage
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import placed, strength
+from cannoise_jax.signatures.answers import response
 from cannoise_jax.signatures.fields import Fields, map_contrasts
-from cannoise_jax.signatures.group_sums import LineSums, response
+from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.lamp_wave import Lamp, lamp_wave
 from cannoise_jax.signatures.least import (
     signal,

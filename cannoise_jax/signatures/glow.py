@@ -17,6 +17,7 @@ from scipy import optimize, special
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
+from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.least import (
     Law,
@@ -145,7 +146,7 @@ def _along(fields: tuple[Fields, ...], falls: np.ndarray, other: np.ndarray) -> 
 
 def _darks(fields: tuple[Fields, ...]) -> tuple[list[Fields], float | None]:
     """The darks, and the longest exposure where all are known."""
-    dark = [f for f in fields if f.kind in DARK and f.static is not None]
+    dark = [as_it_stays(f) for f in fields if f.kind in DARK and f.static is not None]
     known = [f.exposure_s for f in dark if f.exposure_s]
     return dark, max(known) if known and len(known) == len(dark) else None
 
@@ -255,7 +256,7 @@ def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields,
             out.append(f)
             continue
         scale = _scale(f, glow.longest)
-        fall = project(f, glow.template * glow.strength * scale)
+        fall = project(as_it_stays(f), glow.template * glow.strength * scale)
         f = minus(f, fall)._replace(mean=f.mean - np.float32(level * scale))
         if glow.formed:
             gain = f.gain[channel_index(f.mean.shape)]
@@ -279,7 +280,10 @@ def _louder(field: Fields, variance: np.ndarray) -> Fields:
     shot = ((field.shot * rest * before + variance) / after).astype(np.float32)
     static = None if field.static is None else field.static / root
     field = field._replace(
-        contrasts=field.contrasts / root, sigma=field.sigma * root, shot=shot, static=static
+        contrasts=field.contrasts / root,
+        sigma=field.sigma * root,
+        shot=shot,
+        static=static,
     )
     return field if static is None else _level_out(field, static)
 

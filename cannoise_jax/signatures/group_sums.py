@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.signatures.answers import shows, stays
 from cannoise_jax.signatures.fields import Fields
 
 _FAR = 4.0
@@ -27,6 +28,16 @@ class LineSums(NamedTuple):
 
     score: np.ndarray
     information: np.ndarray
+
+
+class SharedSums(NamedTuple):
+    """Scores and information [groups] of a pattern of groups that stays, the pixels that tell of it `[H, W]`,
+    and the variance of pixels beside the groups over the modelled one [groups]."""
+
+    score: np.ndarray
+    information: np.ndarray
+    kept: np.ndarray
+    noise: np.ndarray
 
 
 class Groups(NamedTuple):
@@ -52,20 +63,6 @@ def grouped(of: Int[np.ndarray, "h w"]) -> Groups:
     kinds = sorted(set(held.tolist()), key=int.bit_count, reverse=True)
     widest = {kind: next(other for other in kinds if kind & ~other == 0) for kind in kinds}
     return Groups(of, np.array([widest[kind] for kind in held.tolist()]))
-
-
-def response(field: Fields, scaling: str) -> np.ndarray:
-    """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s) or
-    signal/sigma (fraction)."""
-    if scaling == "exposure":
-        return field.weight * np.float32(field.exposure_s or 0.0)
-    return field.weight if scaling == "additive" else field.relative
-
-
-def shows(field: Fields, scaling: str) -> bool:
-    """Whether what stays in a recording tells of an effect that scales so."""
-    told = {"signal": field.lit, "exposure": bool(field.exposure_s)}.get(scaling, True)
-    return told and field.static is not None
 
 
 class Pixels(NamedTuple):
@@ -153,9 +150,11 @@ def _medians(
     return (ranked[low] + ranked[high]) / 2
 
 
-def shared_sums(fields: tuple[Fields, ...], groups: Groups, scaling: str) -> LineSums | None:
-    """Scores and information [groups] of a pattern of groups that stays and that all recordings share, the
-    mean of each taken out; None where none tells of it.
+def shared_sums(
+    fields: tuple[Fields, ...], groups: Groups, scaling: str, axis: str = "pixel"
+) -> SharedSums | None:
+    """Sums of a pattern of groups that stays and that all recordings share, the mean of each taken out; None
+    where none tells of it. axis: whose answers of the static part it has.
 
     Pixels that stand out are left out, and the noise is what the pixels of a group show: patterns of single
     pixels, such as hot ones, are none of groups.
@@ -167,18 +166,23 @@ def shared_sums(fields: tuple[Fields, ...], groups: Groups, scaling: str) -> Lin
     def together(kept: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         score, information = np.zeros(groups.of.shape), np.zeros(groups.of.shape)
         for f, static in shown:
-            r = response(f, scaling).astype(np.float64) * kept
+            r = stays(f, axis, scaling).astype(np.float64) * kept
             rest = static - float(np.sum(static * r)) / max(float(np.sum(r**2)), 1e-30) * r
             score += np.sqrt(f.frames) * rest * r
             information += f.frames * r**2
         root = np.sqrt(information)
         return score / np.maximum(root, 1e-15), root
 
-    values, root = together(1.0)
-    values, root = together(~outlying(values, root, groups))
+    told = shown[0][0].answers.lines.get(axis)
+    if told is None:
+        values, root = together(1.0)
+        kept = ~outlying(values, root, groups)
+    else:  # as it was when others of these lines were taken out
+        kept, noise = told
+    values, root = together(kept)
     pixels = group_pixels(values[None], root, groups)
-    noise = _own_noise(pixels)
-    return LineSums(groups.sums(values * root) / noise, pixels.information / noise)
+    noise = _own_noise(pixels) if told is None else noise
+    return SharedSums(groups.sums(values * root) / noise, pixels.information / noise, kept, noise)
 
 
 def _own_noise(pixels: Pixels) -> np.ndarray:

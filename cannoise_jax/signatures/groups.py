@@ -14,15 +14,15 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.places import PlaceName
 from cannoise_jax.signatures.added import placed, strength
+from cannoise_jax.signatures.answers import response, stays
 from cannoise_jax.signatures.fields import Fields, channel_index, map_contrasts
 from cannoise_jax.signatures.group_sums import (
     Groups,
-    LineSums,
+    SharedSums,
     by_own_noise,
     group_pixels,
     grouped,
     held_variance,
-    response,
     shared_sums,
 )
 from cannoise_jax.signatures.line_sums import alone, component_score
@@ -78,13 +78,13 @@ def _sums(field: Fields, values: np.ndarray, groups: Groups, scaling: str, own: 
     return score, information, left
 
 
-def _shared(fields: tuple[Fields, ...], groups: Groups) -> LineSums | None:
+def _shared(fields: tuple[Fields, ...], groups: Groups) -> SharedSums | None:
     """Sums of a pattern that stays. The smooth mean of a flat takes large tiles away, so only darks and
     scenes show it."""
     return shared_sums(tuple(f for f in fields if f.kind != "flat"), groups, "additive")
 
 
-def _left(sums: LineSums) -> np.ndarray:
+def _left(sums: SharedSums) -> np.ndarray:
     """Share of a degree of freedom that each group keeps beside the mean."""
     return 1 - sums.information / max(float(sums.information.sum()), 1e-30)
 
@@ -129,15 +129,17 @@ def group_absorb(
         return tuple(
             _apart(f, groups, score.payload, scaling) if f.lit or scaling == "additive" else f for f in fields
         )
-    stays = _shared(fields, groups)
-    if stays is None:
+    sums = _shared(fields, groups)
+    if sums is None:
         return fields
-    u, i = stays
+    u, i = sums.score, sums.information
     spread = (u * (1 - 1 / np.sqrt(1 + score.payload * i)) / np.maximum(i, 1e-30))[groups.of]
     return tuple(
         f
         if f.static is None or f.kind == "flat"
-        else f._replace(static=(f.static - np.sqrt(f.frames) * spread * f.weight).astype(np.float32))
+        else f._replace(
+            static=(f.static - np.sqrt(f.frames) * spread * stays(f, "pixel", "additive")).astype(np.float32)
+        )
         for f in fields
     )
 

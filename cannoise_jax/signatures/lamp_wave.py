@@ -14,8 +14,8 @@ from jaxtyping import Complex, Float
 from scipy import optimize
 
 from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.signatures.answers import response
 from cannoise_jax.signatures.fields import Fields, frame_fields
-from cannoise_jax.signatures.group_sums import response
 
 _REACH = 0.5
 """Of the search for the frequency, cycles in the frame: as far apart as two are told."""

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.signatures.answers import less_shared, response, through
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import (
     Groups,
     LineSums,
     Pixels,
+    SharedSums,
     by_own_noise,
     grouped,
     held_variance,
-    response,
     shared_sums,
 )
 from cannoise_jax.signatures.score import Score, variance_component
@@ -133,20 +134,20 @@ def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fie
         score = np.einsum(to_lines, x, r) * shrink
         return x - np.einsum(to_pixels, score.astype(np.float32), r)
 
-    return map_contrasts(field, function)
+    return less_shared(map_contrasts(field, function), axis, through(field, axis, function))
 
 
 @lru_cache(maxsize=8)
-def _lines(axis: str, size: tuple[int, int]) -> Groups:
+def lines(axis: str, size: tuple[int, int]) -> Groups:
     return grouped(np.indices(size)[0 if axis == "row" else 1])
 
 
-def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> LineSums | None:
+def static_sums(fields: tuple[Fields, ...], axis: str, scaling: str) -> SharedSums | None:
     """Scores of a frozen line pattern shared by all recordings."""
     if not fields:
         return None
-    sums = shared_sums(fields, _lines(axis, fields[0].mean.shape), scaling)
+    sums = shared_sums(fields, lines(axis, fields[0].mean.shape), scaling, axis)
     if sums is None:
         return None
     total = max(float(np.sum(sums.information)), 1e-30)
-    return LineSums(sums.score, sums.information * (1 - sums.information / total))
+    return sums._replace(information=sums.information * (1 - sums.information / total))

@@ -12,12 +12,13 @@ from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import draw, placed, posterior, strength
+from cannoise_jax.signatures.answers import along_fields, less_lines
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.group_sums import LineSums, response, shows
+from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.least import (
     random_offsets,
 )
-from cannoise_jax.signatures.line_sums import component_score, line_sums, static_sums, whiten_lines
+from cannoise_jax.signatures.line_sums import component_score, line_sums, lines, static_sums, whiten_lines
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -148,15 +149,16 @@ def static_absorb(
     sums = static_sums(fields, axis, scaling)
     if sums is None:  # no recording of the kind that shows it
         return fields
-    tau = score.payload * sums.information
-    pattern = sums.score * (1 - 1 / np.sqrt(1 + tau)) / np.maximum(sums.information, 1e-30)
-    spread = pattern[:, None] if axis == "row" else pattern[None, :]
-    return tuple(
-        f._replace(static=(f.static - np.sqrt(f.frames) * spread * response(f, scaling)).astype(np.float32))
-        if f.static is not None and shows(f, scaling)
-        else f
-        for f in fields
-    )
+    groups = lines(axis, fields[0].mean.shape)
+    kept, noise = sums.kept, sums.noise
+    information = groups.sums(along_fields(fields, axis, scaling)((axis, scaling)) * kept) / noise
+    share = (1 - 1 / np.sqrt(1 + score.payload * information)) / np.maximum(information, 1e-30)
+
+    def taken(values: np.ndarray) -> np.ndarray:
+        of_lines = values if values.ndim == 1 else groups.sums(values * kept) / noise
+        return (of_lines * share)[groups.of]
+
+    return less_lines(fields, axis, scaling, taken, sums.score, (kept, noise))
 
 
 def _light(scaling: str) -> frozenset[str]:
@@ -229,7 +231,9 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature
 
     def absorb(fields: Many, found: Score) -> Many:
         turned = tuple(_turned(f) for f in fields)
-        return tuple(_turned(f) for f in temporal_absorb(turned, found, axis="row", scaling="additive"))
+        left = temporal_absorb(turned, found, axis="row", scaling="additive")
+        # Whatever rows share elsewhere turns with its columns: of that nothing was taken out.
+        return tuple(_turned(g)._replace(answers=f.answers) for f, g in zip(fields, left, strict=True))
 
     return Signature(
         name=name,
@@ -319,4 +323,5 @@ def frozen(
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM if growing else random_offsets(axis, scaling, frozen=True),
         drawn_once=True,
+        map_of=(axis, scaling),
     )

@@ -10,8 +10,9 @@ from scipy import stats
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
+from cannoise_jax.signatures.answers import less_map, response, shows, stays
 from cannoise_jax.signatures.fields import Fields, helmert
-from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise, response
+from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.least import (
     frame_offsets,
     random_offsets,
@@ -39,6 +40,9 @@ from cannoise_jax.signatures.signature import (
 
 _UNLIKE = 1e-3
 """Chance of so much more scatter of lit frames, of light that stays, below which they are left out."""
+STANDS_OUT = 30.0
+"""Chi-square of a pixel from which on it is hot or dead and no part of the variance of a map: one of 20
+million normal values."""
 _STANDS_OUT = 8.0
 """Standard deviations of a map and its noise from which on a pixel is no part of the map."""
 
@@ -105,10 +109,9 @@ def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...])
     score: np.ndarray | float = 0.0
     information: np.ndarray | float = 0.0
     for f in fields:
-        if f.static is None or f.kind not in kinds or (scaling == "exposure" and not f.exposure_s):
+        if f.static is None or f.kind not in kinds or not shows(f, scaling):
             continue
-        r = response(f, "signal" if scaling == "signal" else "additive")
-        r = r * np.float32(f.exposure_s) if scaling == "exposure" else r
+        r = stays(f, "pixel", scaling)
         score = score + np.sqrt(f.frames) * f.static * r
         information = information + f.frames * r.astype(np.float64) ** 2
     return LineSums(np.asarray(score), np.asarray(information)) if np.ndim(score) else None
@@ -124,7 +127,7 @@ def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     # map far above the noise puts every pixel out.
     seen = power[np.ravel(sums.information) > 0]
     bulk = float(np.median(seen)) / stats.chi2.median(1) if seen.size else 1.0
-    limit = 30.0 * (bulk if bulk > 2 else 1.0)
+    limit = STANDS_OUT * (bulk if bulk > 2 else 1.0)
     information = np.where(power < limit, np.ravel(sums.information), 0.0)
     score = component_score(
         power,
@@ -150,10 +153,9 @@ def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, .
     code is rare steps)."""
     shares, errors = [], []
     for f in fields:
-        if f.static is None or f.kind not in kinds or (scaling == "exposure" and not f.exposure_s):
+        if f.static is None or f.kind not in kinds or not shows(f, scaling):
             continue
-        r = response(f, "signal" if scaling == "signal" else "additive").astype(np.float64)
-        r = r * f.exposure_s if scaling == "exposure" and f.exposure_s else r
+        r = stays(f, "pixel", scaling).astype(np.float64)
         shares.append(f.frames * float(np.sum(r**2)))
         tails, shared = noise_tails(f)
         contrasts = max(len(f.contrasts), 1)
@@ -183,18 +185,8 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
     if sums is None:  # no recording of the kind that shows it
         return fields
     tau = score.payload * sums.information
-    pattern = sums.score * (1 - 1 / np.sqrt(1 + tau)) / np.maximum(sums.information, 1e-30)
-    of_it = sums.score**2 < _STANDS_OUT**2 * sums.information * (1 + tau)
-    pattern = np.where(of_it, pattern, 0.0)
-    out = []
-    for f in fields:
-        if f.static is None or (scaling == "exposure" and not f.exposure_s):
-            out.append(f)
-            continue
-        r = response(f, "signal" if scaling == "signal" else "additive")
-        r = r * np.float32(f.exposure_s) if scaling == "exposure" else r
-        out.append(f._replace(static=(f.static - np.sqrt(f.frames) * pattern * r).astype(np.float32)))
-    return tuple(out)
+    apart = sums.score**2 >= _STANDS_OUT**2 * sums.information * (1 + tau)
+    return less_map(fields, scaling, score.payload, apart)
 
 
 def own_score(fields: tuple[Fields, ...]) -> Score | None:
@@ -277,6 +269,7 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM if growing else random_offsets("pixel", scaling, frozen=True),
         drawn_once=True,
+        map_of=("pixel", scaling),
     )
 
 

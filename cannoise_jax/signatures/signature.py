@@ -52,7 +52,7 @@ class Axes:
 
 CONTRASTS = frozenset({"contrasts", "usable", "sigma"})
 """What a statistic of differences between frames reads of a field."""
-STATIC = frozenset({"static", "usable", "sigma"})
+STATIC = frozenset({"static", "answers", "usable", "sigma"})
 """What a statistic of what stays reads of a field."""
 FILES = frozenset[str]()
 """Of statistics of what the files hold, whatever was taken out: codes, levels, statements."""
@@ -188,7 +188,9 @@ class Signature:
       that much of what it bears on may be left.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
-      no mean. speaks_for: kinds of recordings in which all that stays and differs is then of its part.
+      no mean. map_of: place and scaling of the map of independent values that it is, of variance
+      `score.payload`, which is told together with other such maps. speaks_for: kinds of recordings in which
+      all that stays and differs is then of its part.
 
     Raises ValueError where it reads as several mechanisms and is quoted in the unit of none.
     """
@@ -230,6 +232,7 @@ class Signature:
     restates: Literal["gain", "read", None] = None
     off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
     speaks_for: frozenset[str] = frozenset()
+    map_of: tuple[str, Scales] | None = None
     approximate: bool = False
     form_free: bool = False
 
@@ -243,6 +246,16 @@ class Signature:
     def weight(self) -> float:
         """Share of the common error rate that it takes, against 1 of most."""
         return SHARED.rare if self.rare else 1.0
+
+    def precedes(self, other: Signature) -> bool:
+        """Whether it is taken out before a map that was found earlier: what pixels share in each frame is in
+        their mean by less, and independent from recording to recording only until a map is taken out of all
+        of them; what a map of pixels leaves of lines is known exactly, but not what lines leave of a map."""
+        if other.map_of is None:
+            return False
+        if self.axes.time == "redrawn":
+            return self.axes.varies_over not in ("pixel", "frame")
+        return self.map_of is not None and self.map_of[0] == "pixel" and other.map_of[0] != "pixel"
 
     @property
     def frozen(self) -> bool:

@@ -14,6 +14,7 @@ from scipy import fft, optimize
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.signatures.added import placed, strength
+from cannoise_jax.signatures.answers import less_shared
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import held_variance
 from cannoise_jax.signatures.least import (
@@ -226,7 +227,12 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
             return (x - (removed.reshape(x.shape) / safe) * (w > 0)).astype(np.float32)
         return x - (removed / root)[:, :, None].astype(np.float32) * w
 
-    return map_contrasts(field, function)
+    out = map_contrasts(field, function)
+    if scan == "raster":
+        return out
+    mean = 1 / (1 + v * float(information_rows.mean()) * _shape(len(root), exponent))
+    left = np.float32(np.sqrt(np.average(mean, weights=mode_weights(len(root)))))
+    return less_shared(out, "row", np.full(len(root), left))
 
 
 def _shape(size: int, exponent: float) -> np.ndarray:

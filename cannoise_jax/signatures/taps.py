@@ -12,6 +12,7 @@ import numpy as np
 
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed, strength
+from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
@@ -67,7 +68,7 @@ def _explained(score: np.ndarray, information: np.ndarray, shapes: np.ndarray) -
 
 def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
     """Offsets of regions of equal size in the darks, where they explain more than as many smooth shapes."""
-    dark = [f for f in fields if f.kind in DARK and f.static is not None]
+    dark = [as_it_stays(f) for f in fields if f.kind in DARK and f.static is not None]
     if not dark:
         return None
     size = dark[0].mean.shape
@@ -128,7 +129,7 @@ def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
 def tap_absorb(fields: tuple[Fields, ...], score: Score[Taps]) -> tuple[Fields, ...]:
     """Subtracts the offsets of the regions from every static field."""
     image = score.payload.image(fields[0].mean.shape)
-    return tuple(f if f.static is None else minus(f, project(f, image)) for f in fields)
+    return tuple(f if f.static is None else minus(f, project(as_it_stays(f), image)) for f in fields)
 
 
 def regions(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:

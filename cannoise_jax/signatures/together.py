@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.answers import less_shared
+from cannoise_jax.signatures.fields import Answers, Fields
 from cannoise_jax.signatures.group_sums import LineSums
 
 _MOST = 4
@@ -66,6 +67,7 @@ def folded(field: Fields, together: Together) -> Fields:
         usable=fold(field.usable) & inside.reshape(-1, count * columns),
         contrasts=fold(field.contrasts),
         static=None if field.static is None else fold(field.static),
+        answers=Answers(),
     )
 
 
@@ -79,9 +81,14 @@ def unfolded(field: Fields, together: Together, like: Fields) -> Fields:
     def unfold(x: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(x.reshape(*x.shape[:-2], -1, columns)[..., kept, :])
 
-    return like._replace(
+    out = like._replace(
         sigma=unfold(field.sigma),
         shot=unfold(field.shot),
         contrasts=unfold(field.contrasts),
         static=None if field.static is None else unfold(field.static),
     )
+    if "row" not in field.answers.kept:
+        return out
+    # What a row of its own has in common with its group is gone as well, no more.
+    left = field.answers.kept["row"][together.of(rows)]
+    return less_shared(out, "row", np.sqrt(1 - (1 - left**2) / together.rows).astype(np.float32))

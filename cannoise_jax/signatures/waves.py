@@ -11,6 +11,7 @@ from scipy import fft, ndimage, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.added import as_map
+from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.carriers import carrier, raster_frequency, refined
 from cannoise_jax.signatures.fields import Fields, frame_fields
 from cannoise_jax.signatures.least import (
@@ -83,7 +84,7 @@ def wave_score(
     (frozen). Fields count by their information, which is the score for a small amplitude. near: frequency
     that other frames tell, as well as they resolve it."""
     chosen = []
-    for f in fields:
+    for f in fields if time == "redrawn" else map(as_it_stays, fields):
         values = redrawn(f) if time == "redrawn" else None if f.static is None or f.lit else f.static[None]
         information = float(np.sum(f.weight.astype(np.float64) ** 2))
         if values is not None and len(values) and information > 0:
@@ -203,7 +204,7 @@ def _neighbours(fy: float, fx: float, size: tuple[int, int]) -> Float[np.ndarray
 
 def wave_map(fields: Many, fy: float, fx: float) -> np.ndarray | None:
     """The frozen plane wave of cycles per pixel (fy, fx) in the darks, of peak 1, with its phase `[H, W]`."""
-    dark = [f for f in fields if f.static is not None and not f.lit]
+    dark = [as_it_stays(f) for f in fields if f.static is not None and not f.lit]
     if not dark:
         return None
     y, x = np.indices(dark[0].mean.shape)

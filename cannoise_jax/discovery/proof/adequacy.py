@@ -181,8 +181,11 @@ def shadowed(
     """What speaks against a name beside something unknown: that it accounts for less than half of its part,
     or for less than `least` nats, that it bears on little but what the unknown bears on far more, or on
     nothing at all where its evidence is not of its own: not shown by the frames held back, or less than that
-    of an unknown finding of its kind."""
+    of an unknown finding of its kind. What moves no more than chance does is nothing: the frames held back
+    decide."""
     part = own_part(each)
+    if of_its_own and max(part.before, part.after) < _SLACK:
+        return None
     whole = sum(float(b.change[b.own].sum()) for b in each)
     against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
     if part.after > LEFT_TOGETHER * part.before or part.before < least:

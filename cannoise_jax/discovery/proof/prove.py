@@ -24,6 +24,7 @@ from cannoise_jax.discovery.frames.splits import Splits
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
 from cannoise_jax.discovery.search.fit import Fitted, Step
+from cannoise_jax.discovery.search.maps import beside_others, predictions
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields, refit, without_pixels
 from cannoise_jax.signatures.score import Score
@@ -132,7 +133,7 @@ def prove(
     """
     steps, first, second, chosen = fitted.steps, splits.looking, splits.held_back, splits.chosen
     signatures = {p.name: p for p in second.signatures}
-    laws = [s.named.signature.predict(s.before, s.named.score) for s in steps]
+    laws = predictions(steps)
     known = [p for p in laws if p is not None]
     base, full = each(lambda model: score_frames(first, second, chosen, model), ([], known))
     pixels = int(base.pixels.sum())
@@ -163,7 +164,8 @@ def prove(
         fields = again(n)
         signature = signatures.get(step.named.signature.name)
         score = signature.score_again(fields, step.named.score) if signature is not None else None
-        if together is not None and score is not None and step.named.signature.drawn_once:
+        of_map = step.named.signature.map_of and step.left
+        if together is not None and score is not None and step.named.signature.drawn_once and not of_map:
             looked, both = each(partial(_score_of, step.named.signature, n), (looking, together))
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
@@ -178,6 +180,8 @@ def prove(
             if not np.isfinite(low) and score is not None and signature is not None:
                 own = held_out_gain(step.named.score, score)  # one frame has no scatter: parts of it do
                 shown = own > 0 and jackknife_interval(signature, fields, step.named.score, own)[0] > 0
+            elif low <= 0 < gain:
+                shown = frame_interval(*at_most_twice(reference, less[n]))[1] > 0
             log_e = gain - _NUISANCES / 2
             out.append(Proof(score, gain, low, high, number, "likelihood", log_e, shown))
         elif score is None or signature is None or not pixels:
@@ -186,6 +190,8 @@ def prove(
             gain = held_out_gain(step.named.score, score)
             low, high = jackknife_interval(signature, fields, step.named.score, gain)
             out.append(Proof(score, gain, low, high, pixels))
+    if together is not None:
+        out = _maps_beside(steps, out, again(len(steps)), together(len(steps)))
     complete = len(known) == len(steps)
     return Proofs(
         tuple(out),
@@ -194,16 +200,38 @@ def prove(
     )
 
 
+def _maps_beside(
+    steps: tuple[Step, ...], proofs: list[Proof], held: tuple[Fields, ...], both: tuple[Fields, ...]
+) -> list[Proof]:
+    """The proofs with the strengths of maps beside all other maps, on the frames held back and on all."""
+    out = list(proofs)
+    for n, (step, there, whole) in enumerate(
+        zip(steps, beside_others(steps, held), beside_others(steps, both), strict=True)
+    ):
+        score = proofs[n].score
+        if score is not None and step.named.signature.map_of and step.left:
+            again, every = there.named.score, whole.named.score
+            again = score.replace(
+                amplitude=again.amplitude, error=again.error, shift=again.shift, parameters=again.parameters
+            )
+            out[n] = proofs[n]._replace(score=strength_beyond(step.named.score, every, again))
+    return out
+
+
 def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[[int], tuple[Fields, ...]]:
     """Fields by number of a finding, asked for in order, with every other finding taken out; of many, and for
-    hot pixels that stand out from a map found after them, those accepted before it."""
+    hot pixels that stand out from a map found after them, those accepted before it. Of one more than there
+    are: with all taken out."""
     done = 0
 
     def without(n: int) -> tuple[Fields, ...]:
         nonlocal fields, done
         for step in steps[done:n]:
             fields = _without(step, fields)
-        done, out, found = n, fields, steps[n].named
+        done, out = n, fields
+        if n == len(steps):
+            return out
+        found = steps[n].named
         if len(steps) <= MOST_JOINT and not found.signature.before(found.score):
             for step in steps[n + 1 :]:
                 out = _without(step, out)
@@ -270,6 +298,19 @@ def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, floa
     freedom = variances.sum() ** 2 / max(np.sum(variances**2 / [g.size - 1 for g in groups]), 1e-300)
     half = float(stats.t.isf(0.05, max(freedom, 1.0)) * np.sqrt(variances.sum()))
     return total, total - half, total + half
+
+
+def at_most_twice(with_it: Scored, without: Scored) -> tuple[Scored, Scored]:
+    """Both with no part of a recording's frames counting for more than twice the typical one of that
+    recording: a few pixels far out may gain more than all others, and their scatter then says nothing."""
+    if with_it.parts is None or without.parts is None:
+        return with_it, without
+    values = with_it.parts - without.parts
+    for r in np.unique(with_it.recording):
+        own = with_it.recording == r
+        values[own] = np.minimum(values[own], 2 * max(float(np.median(values[own])), 0.0))
+    kept = without._replace(log_prob=np.zeros(len(values)), parts=np.zeros(values.shape))
+    return with_it._replace(log_prob=values.sum(1), parts=values), kept
 
 
 def held_out_gain(found: Score, again: Score) -> float:

@@ -27,12 +27,14 @@ MOST_STEPS = 25
 
 class Step(NamedTuple):
     """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
-    with all other accepted mechanisms in the model. late: it took all frames together to see it."""
+    with all other accepted mechanisms in the model. late: it took all frames together to see it. left: the
+    fields with everything taken out that was accepted."""
 
     named: Named
     before: tuple[Fields, ...]
     log_p: float
     late: bool = False
+    left: tuple[Fields, ...] = ()
 
 
 class Search(NamedTuple):
@@ -100,7 +102,7 @@ def stepwise(
                 late = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
             if late is None:
                 charged = (s if s.late else s._replace(log_p=charge(s.log_p, share)) for s in final)
-                return Fitted(tuple(charged), fields, last, first)
+                return Fitted(tuple(s._replace(left=fields) for s in charged), fields, last, first)
             named, log_p = late
             tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.signature.name})")
             steps.append(Step(named, fields, log_p, late=True))
@@ -168,8 +170,10 @@ def _forward(
             old = set()
             continue
         search.tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
-        steps.append(Step(named, fields, located.log_p[named.signature.name]))
-        previous, fields = fields, refit(named.signature.absorb(fields, named.score), fields)
+        previous, (steps, fields) = (
+            fields,
+            _accepted(steps, Step(named, fields, located.log_p[named.signature.name])),
+        )
         active = _active(search.signatures, steps, given_up)
         same = known(located, previous, fields, active)
         put_off = {
@@ -179,6 +183,20 @@ def _forward(
         }
         old = {s.name for s in active if s.name in old} | put_off.keys()
         located = locate(fields, active, search.tests, {**same, **put_off})
+
+
+def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, ...]]:
+    """The steps with one more, and what is left of the fields."""
+    after = (n for n, step in enumerate(steps) if new.named.signature.precedes(step.named.signature))
+    at = next(after, len(steps))
+    out, fields = steps[:at], steps[at].before if at < len(steps) else new.before
+    for step in (new, *steps[at:]):
+        named = step.named
+        if step is not new and named.signature.map_of:
+            named = named._replace(score=named.signature.score(fields) or named.score)
+        out.append(step._replace(named=named, before=fields))
+        fields = refit(named.signature.absorb(fields, named.score), fields)
+    return out, fields
 
 
 def _active(

@@ -14,6 +14,7 @@ import numpy as np
 from cannoise_jax.discovery.frames.balance import balanced
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.maps import patterns
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
@@ -69,7 +70,8 @@ def extended_model(
     if not steps:
         return model
     rng = np.random.default_rng(seed)
-    added = [(step, addition(step, prepared, rng)) for step in steps]
+    shown = zip(steps, patterns(steps, rng), strict=True)
+    added = [(step, addition(step, prepared, pattern)) for step, pattern in shown]
     if any(a is not None and a.fitted_black for _, a in added):
         model = dataclasses.replace(model, black_level=bare.black_level)
     temperature = measured_at(capture.recordings)
@@ -84,16 +86,16 @@ def extended_model(
     return balanced(bare, model, prepared) if matched else model
 
 
-def addition(step: Step, prepared: Prepared, rng: np.random.Generator) -> Addition | None:
-    """What a finding adds to a camera model, by its name or else by its place in the grammar; None:
-    nothing."""
+def addition(step: Step, prepared: Prepared, pattern: np.ndarray | None) -> Addition | None:
+    """What a finding with this frozen map adds to a camera model, by its name or else by its place in the
+    grammar; None: nothing."""
     signature, score = step.named.signature, step.named.score
     exposures = [f.exposure_s for f in prepared.fields]
     found = Found(
         mechanism=step.named.mechanism,
         score=score,
         fields=step.before,
-        pattern=signature.pattern(step.before, score, rng),
+        pattern=pattern,
         gain=float(np.mean(prepared.baselines[0].gain)) or 1.0,
         read_dn=float(np.mean(prepared.baselines[0].read_noise)),
         seconds=max(e or 1.0 for e in exposures),

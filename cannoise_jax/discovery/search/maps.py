@@ -1,0 +1,84 @@
+"""Frozen maps of accepted findings, told together by what is left once all of them are taken out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.signatures import joint
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.signature import Predicted
+
+
+def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarray | None]:
+    """A draw of the frozen map of every step, None for one that has none: of maps of independent values all
+    together, at the longest exposure where they grow with it, and of others each by itself."""
+    out: dict[int, np.ndarray | None] = {}
+    for fields, places in _together(steps):
+        seconds = max(f.exposure_s or 0.0 for f in fields)
+        maps = [_map_of(steps[n]) for n in places]
+        for n, one, values in zip(
+            places, maps, joint.drawn(fields, maps, _sigmas(steps, fields, places), rng), strict=True
+        ):
+            out[n] = values * seconds if one.scaling == "exposure" and values is not None else values
+    return [
+        out[n] if n in out else s.named.signature.pattern(s.before, s.named.score, rng)
+        for n, s in enumerate(steps)
+    ]
+
+
+def predictions(steps: tuple[Step, ...]) -> list[Predicted | None]:
+    """What every step predicts for new frames, maps of independent values with the others beside them."""
+    out: dict[int, Predicted | None] = {}
+    for fields, places in _together(steps):
+        maps = [_map_of(steps[n]) for n in places]
+        out |= dict(zip(places, joint.predicted(fields, maps, _sigmas(steps, fields, places)), strict=True))
+    return [
+        out[n] if n in out else s.named.signature.predict(s.before, s.named.score)
+        for n, s in enumerate(steps)
+    ]
+
+
+def beside_others(steps: tuple[Step, ...], left: tuple[Fields, ...] = ()) -> tuple[Step, ...]:
+    """The steps with the strengths of their maps as the fields tell them with all others in the model. left:
+    fields of other frames with all of them taken out."""
+    out = list(steps)
+    for fields, places in _together(steps):
+        maps = [_map_of(steps[n]) for n in places]
+        for n, one, told in zip(places, maps, joint.strengths(left or fields, maps), strict=True):
+            if told is not None:
+                out[n] = steps[n]._replace(named=_at(steps[n].named, one, told, fields))
+    return tuple(out)
+
+
+def _at(named: Named, one: joint.FrozenMap, told: joint.Strength, fields: tuple[Fields, ...]) -> Named:
+    """The finding at a strength in the unit of its map; per second, it is quoted at the longest exposure."""
+    score = named.score
+    unit = max(f.exposure_s or 0.0 for f in fields) if one.scaling == "exposure" else 1.0
+    sigma, error, shift = (x * unit for x in told)
+    name, (_, text, _) = next(iter(score.parameters.items()))
+    parameters = {**score.parameters, name: (sigma, text, error)}
+    changed = score.replace(amplitude=sigma, error=error, shift=shift, parameters=parameters)
+    return named._replace(score=changed)
+
+
+def _sigmas(steps: tuple[Step, ...], fields: tuple[Fields, ...], places: list[int]) -> list[float]:
+    """Strengths in the units of the maps; per second, they are quoted at the longest exposure."""
+    seconds = max(f.exposure_s or 0.0 for f in fields) or 1.0
+    found = [(_map_of(steps[n]), steps[n].named.score.amplitude) for n in places]
+    return [value / (seconds if one.scaling == "exposure" else 1.0) for one, value in found]
+
+
+def _together(steps: tuple[Step, ...]) -> list[tuple[tuple[Fields, ...], list[int]]]:
+    """The steps that are such maps, with the fields that are left of the search that found them."""
+    out: dict[int, tuple[tuple[Fields, ...], list[int]]] = {}
+    for n, step in enumerate(steps):
+        if step.left and step.named.signature.map_of:
+            out.setdefault(id(step.left), (step.left, []))[1].append(n)
+    return list(out.values())
+
+
+def _map_of(step: Step) -> joint.FrozenMap:
+    assert step.named.signature.map_of
+    return joint.FrozenMap(*step.named.signature.map_of, float(step.named.score.payload))

@@ -1,0 +1,199 @@
+"""What the static part of a recording answers to frozen patterns, once others were taken out of it.
+
+A map of random values of variance v, one for every pixel (or line), with responses b in the recordings, is
+whitened in their static parts s by the symmetric root of its covariance:
+
+    s -> s - b (b.s / b.b) (1 - (1 + v b.b)^-1/2)
+
+The noise of s has variance one again, and whatever else stays answers less: its responses go through the same
+map. In these terms v b.s is the expectation of the map, given all that is seen, beside all other maps that
+were taken out (the best linear unbiased prediction; Robinson 1991, Statistical Science 6, 15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import cast
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.signatures.fields import Fields
+
+SCALINGS = ("additive", "signal", "exposure")
+"""How a pattern grows: not, with the light, with the exposure."""
+
+
+def response(field: Fields, scaling: str) -> np.ndarray:
+    """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s) or
+    signal/sigma (fraction)."""
+    if scaling == "exposure":
+        return field.weight * np.float32(field.exposure_s or 0.0)
+    return field.weight if scaling == "additive" else field.relative
+
+
+def shows(field: Fields, scaling: str) -> bool:
+    """Whether what stays in a recording tells of an effect that scales so."""
+    if field.static is None:
+        return False
+    if field.answers.mixed:  # what others share with it was taken out of all
+        return True
+    return {"signal": field.lit, "exposure": bool(field.exposure_s)}.get(scaling, True)
+
+
+def stays(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
+    """What the static part, per root of the frames, answers to a unit of a frozen pattern of pixels, rows or
+    columns."""
+    return field.weight * _in_dn(field, axis, scaling)
+
+
+def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]:
+    """The same in DN, whatever the noise is taken to be."""
+    answers = field.answers
+    mixed = answers.mixed.get(axis, answers.mixed.get("pixel"))
+    if mixed is None:
+        out = _at_first(field, scaling)
+    else:
+        first = zip(mixed[SCALINGS.index(scaling)], SCALINGS, strict=True)
+        out = np.sum([share * _at_first(field, s) for share, s in first], 0)
+    return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
+
+
+def _at_first(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
+    if scaling == "signal":
+        return field.signal if field.lit else np.zeros((1, 1), np.float32)
+    return np.full((1, 1), 1.0 if scaling == "additive" else field.exposure_s or 0.0, np.float32)
+
+
+def _as_lines(values: np.ndarray, axis: str) -> np.ndarray:
+    return values[:, None] if axis == "row" else values[None, :]
+
+
+def as_it_stays(field: Fields) -> Fields:
+    """The field with the weights that an offset has in its static part."""
+    if not field.answers.mixed:
+        return field
+    weight = stays(field, "pixel", "additive")
+    seen = field.usable & (weight > 0)
+    return field._replace(usable=seen, sigma=np.where(seen, 1 / np.where(seen, weight, 1.0), field.sigma))
+
+
+def less_map(
+    fields: tuple[Fields, ...], scaling: str, variance: float, apart: Bool[np.ndarray, "h w"]
+) -> tuple[Fields, ...]:
+    """The fields with a map of pixels of this variance whitened. apart: pixels that are no part of it.
+
+    The means of lines of which something was taken out before answer less to the map than single pixels do:
+    they are whitened by their own answers."""
+    shown = [f for f in fields if f.static is not None]
+    axes = {axis for f in shown for axis in (*f.answers.mixed, *f.answers.kept)} - {"pixel"}
+    static = {f.number: cast(np.ndarray, f.static) for f in shown}
+    whitened = {n: np.zeros(values.shape) for n, values in static.items()}
+    mixed = {}
+    for axis in (*sorted(axes), "pixel"):
+        answers = [stays(f, axis, scaling).astype(np.float64) for f in shown]
+        information = sum((f.frames * b**2 for f, b in zip(shown, answers, strict=True)), np.float64(0))
+        share = (1 - 1 / np.sqrt(1 + variance * information)) / np.maximum(information, 1e-30)
+        share = np.where(apart, 0.0, share) if axis == "pixel" else share
+        part = static
+        if axis != "pixel":
+            part = {f.number: _by_lines(static[f.number], stays(f, "pixel", scaling), axis) for f in shown}
+            static = {n: static[n] - part[n] for n in static}
+        roots = [np.sqrt(f.frames) * b for f, b in zip(shown, answers, strict=True)]
+        fall = share * sum((b * part[f.number] for f, b in zip(shown, roots, strict=True)), np.float64(0))
+        for f, b in zip(shown, roots, strict=True):
+            whitened[f.number] += part[f.number] - b * fall
+        mixed[axis] = _mixed(fields, axis, scaling, partial(np.multiply, share))
+    return tuple(
+        f
+        if f.static is None
+        else f._replace(
+            static=whitened[f.number].astype(np.float32),
+            answers=f.answers._replace(mixed=mixed, apart={**f.answers.apart, scaling: apart}),
+        )
+        for f in fields
+    )
+
+
+def _by_lines(values: np.ndarray, response: np.ndarray, axis: str) -> Float[np.ndarray, "h w"]:
+    """The part of the values that the pixels of a line share."""
+    along = 1 if axis == "row" else 0
+    r = response.astype(np.float64)
+    mean = np.sum(values * r, along, keepdims=True) / np.maximum(np.sum(r**2, along, keepdims=True), 1e-30)
+    return mean * r
+
+
+def less_lines(
+    fields: tuple[Fields, ...],
+    axis: str,
+    scaling: str,
+    taken: Callable[[np.ndarray], Float[np.ndarray, "h w"]],
+    score: Float[np.ndarray, "g"],
+    told: tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]],
+) -> tuple[Fields, ...]:
+    """The fields with a pattern of lines whitened. taken: of sums over the pixels of every line, or of
+    products of two responses of pixels, what is taken out of each pixel; score: sums of response times static
+    part; told: see `Answers.lines`."""
+    mixed, spread = _mixed(fields, axis, scaling, taken), taken(score)
+    out = []
+    for f in fields:
+        if f.static is None:
+            out.append(f)
+            continue
+        b = stays(f, axis, scaling)
+        static = (f.static - np.sqrt(f.frames) * spread * b).astype(np.float32)
+        answers = f.answers._replace(
+            mixed={**f.answers.mixed, axis: mixed}, lines={**f.answers.lines, axis: told}
+        )
+        out.append(f._replace(static=static, answers=answers))
+    return tuple(out)
+
+
+def _mixed(
+    fields: tuple[Fields, ...], axis: str, scaling: str, taken: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "3 3 h w"]:
+    """What patterns look like once one that scales so is whitened. taken: of the sums over recordings of its
+    response times another, the share of it that goes."""
+    size = fields[0].mean.shape
+    known = next((f.answers.mixed for f in fields if f.answers.mixed), {})
+    before = known.get(axis, known.get("pixel"))
+    if before is None:
+        before = np.broadcast_to(np.eye(3, dtype=np.float32)[:, :, None, None], (3, 3, *size))
+    along = along_fields(fields, axis, scaling)
+    own = before[SCALINGS.index(scaling)]
+    falls = np.stack([taken(along((axis, s))) for s in SCALINGS])
+    return (before - falls[:, None] * own).astype(np.float32)
+
+
+def along_fields(
+    fields: tuple[Fields, ...], axis: str, scaling: str
+) -> Callable[[tuple[str, str]], np.ndarray]:
+    """By kind of pattern: the sum over recordings of its responses times those of this one."""
+    shown = [f for f in fields if f.static is not None]
+
+    def along(key: tuple[str, str]) -> np.ndarray:
+        return sum(
+            (f.frames * stays(f, axis, scaling).astype(np.float64) * stays(f, *key) for f in shown),
+            np.zeros(shown[0].mean.shape),
+        )
+
+    return along
+
+
+def through(
+    field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "lines"]:
+    """What is left of what lines share in the static part once it went through `function`."""
+    before = field.weight
+    along = 1 if axis == "row" else 0
+    square = np.sum(before.astype(np.float64) ** 2, along)
+    after = np.sum(function(before[None])[0] * before.astype(np.float64), along)
+    return np.where(square > 0, after / np.maximum(square, 1e-30), 1.0).astype(np.float32)
+
+
+def less_shared(field: Fields, axis: str, left: Float[np.ndarray, "lines"]) -> Fields:
+    """The field of which so much of what lines share is left in the static part."""
+    kept = field.answers.kept
+    left = kept[axis] * left if axis in kept else left
+    return field._replace(answers=field.answers._replace(kept={**kept, axis: left}))
