@@ -105,7 +105,7 @@ def test_page_counts_names_and_tells_what_is_not_confirmed():
         "findings": [found("dsnu", True), found("dsnu", True), found("prnu", True), found("unknown", False)],
     }
     assert verdict(report) == (
-        "Partly explained: dsnu (2 times) and prnu. "
+        "Partly explained: DSNU (2 times) and PRNU. "
         "Found, but not confirmed on frames held back: a structure without a name."
     )
     report = {"verdict": "explained", "findings": [found("banding", False)]}

@@ -170,9 +170,12 @@ def test_page_says_it_all_and_loads_nothing(found, report):
     for f in report["findings"]:
         assert f["sentence"] in html
     for n in report["not_found"]:
-        assert n["mechanism"].replace("_", " ") in html
+        assert n["mechanism"].replace("_", " ") in html.lower()
     for needs, which in advice(report):
         assert needs in html and which in html
+    listed = html[html.index('id="found"') : html.index('id="baseline"')].partition("<details")
+    for n, f in enumerate(report["findings"]):
+        assert f'"#finding-{n + 1}"' in listed[0 if f["confirmed"] else 2]
     shown = re.sub(r"base64,[^\"]*", "", html)
     assert not re.search(r"\b(None|nan|inf)\b", shown)
 

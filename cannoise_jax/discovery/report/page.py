@@ -24,6 +24,8 @@ from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term
 
+_ABBREVIATIONS = frozenset(["DSNU", "PRNU", "FPN", "RTS"])
+"""Parts of names that are read letter by letter."""
 _MEASURES = (
     ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),
     ("two_sample_auc_ci90", "its 90 % interval, frames resampled"),
@@ -137,7 +139,7 @@ def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any
             "sign": f["sign"],
             "share": share(f["share"]),
             "part": f["share"] or 0.0,
-            "confirmed": "yes" if f["confirmed"] else "no",
+            "confirmed": bool(f["confirmed"]),
             "in_simulator": f["in_simulator"],
         }
         for n, f in enumerate(report["findings"])
@@ -146,7 +148,7 @@ def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any
     if rest is not None:
         name = "remainder: no name explains it"
         kept = {"name": name, "anchor": "remains", "size": "", "sign": "too little", "part": rest}
-        out.append({**kept, "share": percent(rest), "confirmed": "yes", "in_simulator": True})
+        out.append({**kept, "share": percent(rest), "confirmed": True, "in_simulator": True})
     return sorted(out, key=lambda r: -r["part"])
 
 
@@ -158,7 +160,9 @@ def _counted(findings: list[dict[str, Any]]) -> str:
 
 
 def _name(id: str) -> str:
-    return "a structure without a name" if id == UNKNOWN else id.replace("_", " ")
+    if id == UNKNOWN:
+        return "a structure without a name"
+    return " ".join(w.upper() if w.upper() in _ABBREVIATIONS else w for w in id.split("_"))
 
 
 def _place(finding: dict[str, Any]) -> str:
