@@ -76,7 +76,9 @@ def _header(path: str | Path, file: IO[bytes], number: int) -> dict[str, str] | 
         if n == 0:
             begun = block.startswith(b"XTENSION" if number else b"SIMPLE  =")
         if not begun and not number:
-            begins = f"it begins with {block[:9]!r}, not with SIMPLE" if block else "it is empty"
+            begins = (
+                f"it begins with {block[:9].decode('latin-1')!r}, not with SIMPLE" if block else "it is empty"
+            )
             raise BadInput(f"{path}: {_FAILURE}: {begins}")
         for at in range(0, len(block), _CARD):
             card = block[at : at + _CARD]
