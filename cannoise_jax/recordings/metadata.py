@@ -142,10 +142,22 @@ def checked(recording: Recording) -> Recording:
     One black level, and one `shot` or `read`, become four. Raises BadInput.
     """
     known = {name: getattr(recording, name) for name in (*FIELDS, "clean")}
+    check_fields(recording)
     sound = make_recording(recording.path or recording.camera, recording.frames, known, {}, scan=False)
     four = {name: getattr(sound, name) for name in ("black_level", "shot", "read")}
     same = all(getattr(recording, name) == value for name, value in four.items())
     return recording if same else dataclasses.replace(recording, **four)
+
+
+def check_fields(recording: Recording) -> None:
+    """Raises BadInput where a recording that was put together in Python has no arrays, or no kind."""
+    place = recording.path or recording.camera
+    for name in ("frames", "clean"):
+        value = getattr(recording, name)
+        if not (value is None and name == "clean" or hasattr(value, "shape") and hasattr(value, "dtype")):
+            raise BadInput(f"{place}: {name} is a {type(value).__name__}: give an array")
+    if recording.kind is None:
+        raise BadInput(f"{place}: kind is missing: use one of {', '.join(KINDS)}")
 
 
 def check_overrides(overrides: Mapping[str, Any]) -> None:
