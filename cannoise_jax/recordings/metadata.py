@@ -52,6 +52,8 @@ _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--whit
 _CHUNK_BYTES = 64 << 20
 _LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
+MOST_NLF = 1.0
+"""Of shot and read, normalised: at full scale their noise spans the whole range."""
 _HIGHEST = 2.0**20
 """DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
 refuse the frames; beyond that it is damage."""
@@ -321,9 +323,13 @@ def _optional_channels(
     if name not in stated:
         return None
     values = _channels(path, name, stated[name])
+    said = ", ".join(f"{v:g}" for v in values)
     if min(values) < least:
+        raise BadInput(f"{path}: {name} is {said}: expected at least {least:g}")
+    if max(map(abs, values)) > MOST_NLF:
         raise BadInput(
-            f"{path}: {name} is {', '.join(f'{v:g}' for v in values)}: expected at least {least:g}"
+            f"{path}: {name} is {said}: noise wider than the whole range: write it normalised, as divided by "
+            "(white - black), or leave it out"
         )
     return values
 
