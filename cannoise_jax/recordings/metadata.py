@@ -49,6 +49,8 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in _N
 """What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
+_OWN_WORDS = (TypeError, AttributeError, IndexError, ArithmeticError)
+"""What parsers raise where they did not expect such bytes: its words are about their code."""
 _CHUNK_BYTES = 64 << 20
 _LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
@@ -213,6 +215,8 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: {failure}: no text in UTF-8: save it as that") from error
     except Exception as error:
+        if isinstance(error, _OWN_WORDS) or "invalid literal" in str(error):
+            raise BadInput(f"{path}: {failure}: damaged: copy it again, or save it anew") from error
         texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
         reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__
         reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}..."
