@@ -139,6 +139,8 @@ def sample_noise(
     (of what is traced under jit only shapes are known), and for a level of another source than the model was
     trained with (`Model.level`), which would be corrected twice or not at all.
     """
+    if not isinstance(params, Model):
+        raise TypeError(f"params is a {type(params).__name__}: expected a Model, of load_model(workdir)")
     check_level(params.level, nlf is not None)
     draw = initial_noise_of(params)
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)

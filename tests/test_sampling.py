@@ -366,3 +366,9 @@ def test_an_archive_of_another_making_is_refused_in_a_line(tmp_path):
     (tmp_path / "model.npz").write_bytes(data)
     with pytest.raises(BadInput, match="not a readable model"):
         load_model(tmp_path)
+
+
+def test_what_is_no_model_is_refused():
+    clean = jnp.zeros((16, 16, 4))
+    with pytest.raises(TypeError, match=r"params is a NoneType: expected a Model, of load_model"):
+        sample_noise(None, jax.random.key(0), clean, clean)

@@ -26,7 +26,7 @@ _FILES = ("comparison.json", "comparison.html")
 def main(argv: list[str] | None = None) -> int:
     """Prints the table and writes comparison.json and comparison.html; returns 0 whatever differs, 2 for bad
     input."""
-    arguments = _parser().parse_args(argv)
+    arguments = _parser().parse_intermixed_args(argv)
     logging.basicConfig(format="bin/compare: %(message)s", level=logging.WARNING)
     started = time.monotonic()
 

@@ -43,6 +43,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if _is_folder(arguments):
             return _convert_folder(arguments)
+        if not (arguments.paths[0].exists() or arguments.paths[0].is_symlink()):
+            raise BadInput(f"{arguments.paths[0]}: no such file or folder")
         if arguments.dry_run or len(arguments.paths) < 2:
             parser.error("give IN... OUT.h5, or IN_FOLDER OUT_FOLDER; --dry-run prints the plan of a folder")
         *inputs, output = arguments.paths

@@ -111,11 +111,20 @@ def _is_function(simulator: str) -> bool:
 
 
 def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
+    from cannoise_jax.discovery.search.declare import registered
+    from cannoise_jax.mechanisms import ENTRIES
+    from cannoise_jax.mechanisms.outside import entries_of, function_at
     from cannoise_jax.physics.core.sensor_json import check_place
     from cannoise_jax.recordings.crop import central
     from cannoise_jax.recordings.folders.store import capture_of
 
     check_place(arguments.out / "sensor.json")
+    # What flags name is looked up before minutes are spent on the recordings.
+    simulator = arguments.simulator
+    simulator = function_at(simulator) if _is_function(simulator) else simulator
+    without = tuple(id.strip() for id in arguments.without.split(",") if id.strip())
+    mechanisms = (*ENTRIES, *entries_of(arguments.mechanisms))
+    registered(without, mechanisms)
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
@@ -128,17 +137,14 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
 
     from cannoise_jax.discovery.diagnose import diagnose
     from cannoise_jax.discovery.report.save import save
-    from cannoise_jax.mechanisms import ENTRIES
-    from cannoise_jax.mechanisms.outside import entries_of, function_at
 
-    named = arguments.simulator
     found = diagnose(
         capture,
-        function_at(named) if _is_function(named) else named,
+        simulator,
         jax.random.key(arguments.key),
         alpha=arguments.alpha,
-        without=tuple(id.strip() for id in arguments.without.split(",") if id.strip()),
-        mechanisms=(*ENTRIES, *entries_of(arguments.mechanisms)),
+        without=without,
+        mechanisms=mechanisms,
         tell=tell,
     )
     for words in _stated_gains(found):

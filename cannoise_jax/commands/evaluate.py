@@ -71,6 +71,8 @@ def _run(arguments, argv: list[str]) -> None:
         raise BadInput(f"--noise: {', '.join(unknown)}: use {', '.join(known)}")
     ending = "" if arguments.ratio is None else f"_ratio_{arguments.ratio:g}"
     check_folder(out, tuple(f"{name}{ending}.json" for name in chosen), arguments.force)
+    if not models:
+        tell(f"no {MODEL_FILE} in {arguments.workdir} and no --model: only what needs no trained model")
     tell("recording the virtual cameras")
     bench = make_bench(
         arguments.seed, arguments.scenes, arguments.per_scene, arguments.train_scenes, arguments.ratio

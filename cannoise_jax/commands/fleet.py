@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands import diagnose
-from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.entry import command, duration
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.recording import BadInput
@@ -58,10 +59,13 @@ def _run(arguments: Any, flags: list[str]) -> int:
             for name, place in sets.items()
             if name not in found
         }
-        for job in as_completed(jobs):
+        begun = time.monotonic()
+        for number, job in enumerate(as_completed(jobs), start=1):
             name = jobs[job]
             found[name] = row = _outcome(job, name, out)
-            print(f"{len(found)} of {len(sets)}: {name}: {row['verdict'] or row['error']}", flush=True)
+            still = (time.monotonic() - begun) / number * (len(jobs) - number)
+            left = f" ({duration(still)} left)" if number < len(jobs) else ""
+            print(f"{len(found)} of {len(sets)}: {name}: {row['verdict'] or row['error']}{left}", flush=True)
             table = _write(out, found, flags)
 
     from cannoise_jax.discovery.report.fleet import lines

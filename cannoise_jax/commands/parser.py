@@ -84,6 +84,7 @@ class OneLineParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         for kind, words in (("int", "a whole number"), ("float", "a number")):
             message = re.sub(rf"invalid {kind} value: (.*)$", rf"\1: give {words}", message)
+        message = re.sub(r"^unrecognized arguments: (.*)$", r"\1: no flag stands before it", message)
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see --help)\n")
 
 

@@ -26,7 +26,7 @@ import tifffile
 from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
+from cannoise_jax.recordings.metadata import MOST_NLF, check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.opened import HEADERLESS, Opened
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
 from cannoise_jax.recordings.tiff_chain import check_chain
@@ -314,8 +314,8 @@ def _noise_profile(
         _log.warning("%s: NoiseProfile holds %d numbers, not pairs: left out", path, values.size)
         return None, None
     pairs = values.reshape(-1, 2)
-    if not (np.isfinite(pairs).all() and (pairs[:, 0] >= 0).all()):
-        _log.warning("%s: NoiseProfile holds a negative or undefined shot noise: left out", path)
+    if not (np.isfinite(pairs).all() and (pairs[:, 0] >= 0).all() and (np.abs(pairs) <= MOST_NLF).all()):
+        _log.warning("%s: NoiseProfile holds a negative, undefined or endless noise: left out", path)
         return None, None
     if len(pairs) == 1:
         return per_channel(pairs[0, 0]), per_channel(pairs[0, 1])

@@ -10,7 +10,9 @@ ROWORDER says that the file runs bottom up: BAYERPAT counts from the top row. Of
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
+import math
 import warnings
 from collections.abc import Iterator
 from functools import partial
@@ -21,11 +23,12 @@ import numpy as np
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
-from cannoise_jax.recordings.fits_chain import check_headers
+from cannoise_jax.recordings.fits_chain import MOST_UNITS, check_headers
 from cannoise_jax.recordings.fits_header import about_of, known_of, section
 from cannoise_jax.recordings.fits_mosaic import assembled
+from cannoise_jax.recordings.fits_words import reading_fits
 from cannoise_jax.recordings.lazy import LazyArray
-from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
+from cannoise_jax.recordings.metadata import check_overrides, make_recording
 from cannoise_jax.recordings.opened import Opened, check_claim, check_pixels, stated, whole_numbers
 from cannoise_jax.recordings.packing import to_shifted_cfa
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
@@ -58,9 +61,13 @@ def open_fits(path: str | Path) -> Opened:
     """The frames and keywords of a FITS file. Raises BadInput."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    check_headers(path)
-    with reading(path, "not a readable FITS file"), _opened(path) as file:
-        numbers = [n for n, hdu in enumerate(file) if hdu.is_image and hdu.shape]
+    with reading_fits(path):
+        check_headers(path)
+    with reading_fits(path), _opened(path) as file:
+        units = list(itertools.islice(file, MOST_UNITS + 1))
+        if len(units) > MOST_UNITS:  # what `check_headers` let pass must not be followed for ever either
+            raise BadInput(f"{path}: not a readable FITS file: its parts lead back to one another: damaged")
+        numbers = [n for n, hdu in enumerate(units) if hdu.is_image and hdu.shape]
         if not numbers:
             raise BadInput(f"{path}: holds no image")
         for n in numbers:
@@ -80,7 +87,7 @@ def open_fits(path: str | Path) -> Opened:
         native = (header["BITPIX"], header.get("BZERO", 0)) in ((8, 0), (16, 32768))
         if not native:
             whole_numbers(path, np.asarray(hdu.data))
-    with reading(path, "not a readable FITS header"):  # cards are parsed when they are looked at
+    with reading_fits(path, "not a readable FITS header"):  # cards are parsed when they are looked at
         upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
         known, about = known_of(header), about_of(header)
         about["doubt"] = "; ".join(filter(None, (about["doubt"], _outside(header, shape), three))) or None
@@ -106,6 +113,8 @@ def _opened(path: str | Path) -> Iterator[fits.HDUList]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", AstropyUserWarning)
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        # `check_headers` has seen that all pixels are there: only the padding behind them may be missing.
+        warnings.filterwarnings("ignore", message="File may have been truncated", category=AstropyUserWarning)
         # Names with accents are against the standard, and harmless.
         warnings.filterwarnings("ignore", message=".*non-ASCII characters", category=AstropyUserWarning)
         with fits.open(path, memmap=False) as file:
@@ -113,8 +122,12 @@ def _opened(path: str | Path) -> Iterator[fits.HDUList]:
 
 
 def _check_raw(path: str | Path, header: fits.Header) -> None:
-    scale = header.get("BSCALE", 1)
-    zero = header.get("BZERO", 0)
+    scale, zero = (header.get(name, value) for name, value in (("BSCALE", 1), ("BZERO", 0)))
+    for name, value in (("BSCALE", scale), ("BZERO", zero)):
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise BadInput(
+                f"{path}: {name} of its header is {value!r}, no number: mend it, or give the raw frames"
+            )
     steps = str(header.get("CALSTAT", "")).strip()
     unit = str(header.get("BUNIT", "")).strip()
     if steps or unit.lower() not in _COUNTS:
@@ -162,7 +175,7 @@ def _sections(
             f"{path}: has overscan (BIASSEC {header['BIASSEC']}) and no TRIMSEC or DATASEC that names the "
             "picture: crop the overscan, or add TRIMSEC to the header"
         )
-    with reading(path, "cannot read the overscan"), _opened(path) as file:
+    with reading_fits(path, "cannot read the overscan"), _opened(path) as file:
         image = np.asarray(file[number].section[0] if len(file[number].shape) == 3 else file[number].data)
         pixels = image[bias[0], bias[1]]
     if not pixels.size or (data[0].stop - data[0].start) < 1:
@@ -186,7 +199,7 @@ def _read(
     path: str, number: int, axes: int, upside_down: bool, kept: tuple[slice, slice], index: Any
 ) -> np.ndarray:
     first, *rest = index if isinstance(index, tuple) else (index,)
-    with reading(path, "cannot read the image"), _opened(path) as file, warnings.catch_warnings():
+    with reading_fits(path, "cannot read the image"), _opened(path) as file, warnings.catch_warnings():
         warnings.simplefilter("ignore", AstropyWarning)
         frames = file[number].section[first] if axes == 3 else file[number].section[:, :][None][first]
     frames = np.asarray(frames)

@@ -12,8 +12,8 @@ from astropy.io import fits
 from astropy.utils.exceptions import AstropyWarning
 
 from cannoise_jax.recordings.fits_header import about_of, known_of, section
+from cannoise_jax.recordings.fits_words import reading_fits
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import reading
 from cannoise_jax.recordings.opened import MOST_PIXELS, Opened, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, per_channel
 
@@ -69,7 +69,7 @@ _SKIPPED = ("", "COMMENT", "HISTORY", "END", "BIASSEC", "TRIMSEC", "DATASEC", "D
 
 def read_assembled(path: str, parts: tuple[_Part, ...], size: tuple[int, int], number: int) -> np.ndarray:
     """The one frame of a file of amplifiers."""
-    with reading(path, "cannot read the images"), warnings.catch_warnings():
+    with reading_fits(path, "cannot read the images"), warnings.catch_warnings():
         warnings.simplefilter("ignore", AstropyWarning)
         with fits.open(path, memmap=False) as file:
             return _frame(file, list(parts), size).astype(np.uint16)

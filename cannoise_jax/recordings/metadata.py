@@ -49,9 +49,13 @@ FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in _N
 """What a file may state beside its pixels."""
 
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
+_OWN_WORDS = (TypeError, AttributeError, IndexError, ArithmeticError)
+"""What parsers raise where they did not expect such bytes: its words are about their code."""
 _CHUNK_BYTES = 64 << 20
 _LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
+MOST_NLF = 1.0
+"""Of shot and read, normalised: at full scale their noise spans the whole range."""
 _HIGHEST = 2.0**20
 """DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
 refuse the frames; beyond that it is damage."""
@@ -142,10 +146,22 @@ def checked(recording: Recording) -> Recording:
     One black level, and one `shot` or `read`, become four. Raises BadInput.
     """
     known = {name: getattr(recording, name) for name in (*FIELDS, "clean")}
+    check_fields(recording)
     sound = make_recording(recording.path or recording.camera, recording.frames, known, {}, scan=False)
     four = {name: getattr(sound, name) for name in ("black_level", "shot", "read")}
     same = all(getattr(recording, name) == value for name, value in four.items())
     return recording if same else dataclasses.replace(recording, **four)
+
+
+def check_fields(recording: Recording) -> None:
+    """Raises BadInput where a recording that was put together in Python has no arrays, or no kind."""
+    place = recording.path or recording.camera
+    for name in ("frames", "clean"):
+        value = getattr(recording, name)
+        if not (value is None and name == "clean" or hasattr(value, "shape") and hasattr(value, "dtype")):
+            raise BadInput(f"{place}: {name} is a {type(value).__name__}: give an array")
+    if recording.kind is None:
+        raise BadInput(f"{place}: kind is missing: use one of {', '.join(KINDS)}")
 
 
 def check_overrides(overrides: Mapping[str, Any]) -> None:
@@ -199,6 +215,8 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: {failure}: no text in UTF-8: save it as that") from error
     except Exception as error:
+        if isinstance(error, _OWN_WORDS) or "invalid literal" in str(error):
+            raise BadInput(f"{path}: {failure}: damaged: copy it again, or save it anew") from error
         texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
         reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__
         reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}..."
@@ -309,9 +327,13 @@ def _optional_channels(
     if name not in stated:
         return None
     values = _channels(path, name, stated[name])
+    said = ", ".join(f"{v:g}" for v in values)
     if min(values) < least:
+        raise BadInput(f"{path}: {name} is {said}: expected at least {least:g}")
+    if max(map(abs, values)) > MOST_NLF:
         raise BadInput(
-            f"{path}: {name} is {', '.join(f'{v:g}' for v in values)}: expected at least {least:g}"
+            f"{path}: {name} is {said}: noise wider than the whole range: write it normalised, as divided by "
+            "(white - black), or leave it out"
         )
     return values
 

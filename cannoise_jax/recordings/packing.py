@@ -43,6 +43,10 @@ def pack(mosaic: Shaped[Any, "... H W"], cfa: str) -> Shaped[Any, "... h w 4"]:
     Raises ValueError for an unknown CFA or odd sizes.
     """
     rows, columns = _cell_steps(cfa)
+    if len(mosaic.shape) < 2:
+        raise ValueError(
+            f"cannot pack an array of shape {tuple(mosaic.shape)}: expected a mosaic [..., H, W]"
+        )
     *lead, height, width = mosaic.shape
     if height % 2 or width % 2:
         raise ValueError(

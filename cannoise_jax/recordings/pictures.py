@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -69,14 +70,27 @@ def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
     return np.stack(images), white
 
 
+@contextlib.contextmanager
+def _any_size() -> Iterator[None]:
+    """Without the library's own limit, which large sensors exceed: `check_claim` has ours."""
+    limit = Image.MAX_IMAGE_PIXELS
+    Image.MAX_IMAGE_PIXELS = None
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
 def _pillow(path: str | Path, kind: str) -> tuple[np.ndarray, bool]:
     """The mosaic, and whether the file has more than 8 bits."""
-    with reading(path, f"not a readable {kind} file"), warnings.catch_warnings():
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        with Image.open(path, formats=(kind,)) as image:
-            check_claim(path, (image.height, image.width), 1)
-            if image.mode not in ("L", "I", "I;16", "I;16B"):
-                raise BadInput(
-                    f"{path}: colours or a palette ({image.mode}): expected a grey mosaic of 8 or 16 bits"
-                )
-            return whole_numbers(path, np.array(image)), image.mode != "L"
+    with (
+        reading(path, f"not a readable {kind} file"),
+        _any_size(),
+        Image.open(path, formats=(kind,)) as image,
+    ):
+        check_claim(path, (image.height, image.width), 1)
+        if image.mode not in ("L", "I", "I;16", "I;16B"):
+            raise BadInput(
+                f"{path}: colours or a palette ({image.mode}): expected a grey mosaic of 8 or 16 bits"
+            )
+        return whole_numbers(path, np.array(image)), image.mode != "L"

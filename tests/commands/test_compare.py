@@ -96,6 +96,8 @@ def test_two_reports_say_which_simulator_is_nearer_and_what_changed(tmp_path, ca
     for given, said in ((("a", "b"), "the second is nearer"), (("b", "a"), "the first is nearer")):
         assert main([str(tmp_path / n) for n in given]) == 0
         assert capsys.readouterr().out.startswith(said)
+    assert main([str(tmp_path / "a"), "--alpha", "0.05", str(tmp_path / "b")]) == 0
+    assert capsys.readouterr().out.startswith("the second is nearer")
     assert main([str(tmp_path / n) for n in ("a", "a")]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("nothing says which is nearer") and "too much, 0.1 recorded" in printed

@@ -123,6 +123,8 @@ def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
     refused(capsys, "bad.h5: not a readable HDF5 file", good, tmp_path / "bad.h5", out)
     refused(capsys, "set them with --cfa", tmp_path / "bare.npy", out)
     refused(capsys, "none.h5: no such file or folder", good, tmp_path / "none.h5", out)
+    refused(capsys, "none: no such file or folder", tmp_path / "none", "--dry-run")
+    refused(capsys, "none: no such file or folder", tmp_path / "none", tmp_path / "set", "--dry-run")
     refused(capsys, "good.h5: exists", good, good)
     refused(capsys, "no such folder", good, tmp_path / "none" / "out.h5")
     refused(capsys, "ends in .h5", good, tmp_path / "out.tif")
@@ -172,7 +174,9 @@ def test_a_full_disk(tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["only.h5"]])
-def test_usage(arguments, capsys):
+def test_usage(arguments, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "only.h5").touch()
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == (0 if arguments == ["--help"] else 2)

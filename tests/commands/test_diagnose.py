@@ -77,7 +77,9 @@ def test_unknown_simulator_and_mechanism_are_refused(tmp_path, capsys):
     folder = write(tmp_path / "in", capture_set(1, kinds="d"))
     for more in (["--simulator", "x"], ["--without", "nonsense"]):
         assert main(["--recordings", str(folder), "--out", str(tmp_path / "out"), *more]) == 2
-        assert "bin/diagnose: " in capsys.readouterr().err
+        # Said before the recordings are read.
+        error = capsys.readouterr().err
+        assert error.startswith("bin/diagnose: ") and error.count("\n") == 1
 
 
 def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypatch, capsys):

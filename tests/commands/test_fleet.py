@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 
 import pytest
@@ -36,7 +38,11 @@ def rows(out):
 def here(sets, tmp_path_factory):
     """The fleet diagnosed by processes of this machine."""
     out = tmp_path_factory.mktemp("fleet") / "here"
-    assert call(sets, out, "--processes", "2", "--key", "5") == 1
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert call(sets, out, "--processes", "2", "--key", "5") == 1
+    first, second, third = said.getvalue().splitlines()[:3]
+    assert first.endswith(" left)") and second.endswith(" left)") and not third.endswith(" left)")
     return out
 
 
@@ -52,6 +58,7 @@ def test_cameras_are_ranked_by_what_their_simulator_lacks(here):
     assert float(table[0]["nats_per_pixel"]) == first["nats_per_pixel"]
     page = (here / "fleet.html").read_text()
     assert 'href="rows/report.html"' in page and 'href="void/' not in page
+    assert '<td data-of="camera">' in page  # what stands before the value on narrow screens
     assert (here / "rows" / "report.html").is_file()
 
 

@@ -38,6 +38,26 @@ def with_frames(capture, number, change):
     return CaptureSet(capture.camera, tuple(recordings))
 
 
+def of_first(capture, **fields):
+    """The set with fields of its first recording replaced."""
+    first, *rest = capture.recordings
+    return CaptureSet(capture.camera, (dataclasses.replace(first, **fields), *rest))
+
+
+@pytest.mark.parametrize("more, said", [({"without": "dsnu"}, "without is the text 'dsnu'"),
+                                        ({"mechanisms": [3]}, "mechanisms holds a int")])  # fmt: skip
+def test_names_that_are_none_are_refused_in_one_line(more, said):
+    with pytest.raises(TypeError, match=said):
+        diagnose(capture_set(1, kinds="d"), **more)
+
+
+@pytest.mark.parametrize("value", ["text", None, [[1, 2], [3]]])
+def test_simulators_that_return_no_array_are_refused_in_one_line(value):
+    with pytest.raises(BadInput, match="simulator: .*it must return") as caught:
+        diagnose(capture_set(1, kinds="fd"), lambda key, clean, settings: value)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("verb", [diagnose, partial(compare_bank, simulator="poisson-gaussian")])
 def test_calls_with_what_is_no_capture_set_or_key_are_refused_in_one_line(verb):
     capture = capture_set(1, kinds="d")
@@ -46,6 +66,9 @@ def test_calls_with_what_is_no_capture_set_or_key_are_refused_in_one_line(verb):
         (capture.recordings[0], None, TypeError, "capture is a Recording: expected a CaptureSet"),
         (CaptureSet("X", ("dark.h5",)), None, TypeError, "capture.recordings holds a str"),
         (CaptureSet("X", ()), None, BadInput, "X: holds no recordings"),
+        (of_first(capture, frames=None), None, BadInput, "frames is a NoneType: give an array"),
+        (of_first(capture, clean=0.5), None, BadInput, "clean is a float: give an array"),
+        (of_first(capture, kind=None), None, BadInput, "kind is missing: use one of"),
         (capture, 3, TypeError, "key is of type int: expected a key of JAX"),
         (capture, jax.random.split(jax.random.key(0)), TypeError, "expected one key"),
     ):

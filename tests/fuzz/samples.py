@@ -41,6 +41,7 @@ def write_samples(folder: Path) -> dict[str, Path]:
     unit = fits.PrimaryHDU(stack)
     unit.header.update(header)
     unit.writeto(put("stack.fits"))
+    fits.PrimaryHDU(stack[0], unit.header).writeto(put("frame.fits.gz"))
     packed = fits.CompImageHDU(stack[0], compression_type="RICE_1")
     packed.header.update(header)
     fits.HDUList([fits.PrimaryHDU(), packed]).writeto(put("packed.fits"))

@@ -172,6 +172,8 @@ def rename_map(entry, name):
         (lambda d: d["baseline"][0].update(iso=400), "ISOs must ascend"),
         (lambda d: d["maps"].update(sha256="0" * 64), "is not the file"),
         (lambda d: d["maps"].update(file="gone.npz"), "cannot be read"),
+        (lambda d: d["maps"].update(file="a" * 5000), "no name of a file: restore the model"),
+        (lambda d: d["maps"].update(file="a\0b"), "no name of a file: restore the model"),
     ],
     ids=lambda v: v if isinstance(v, str) else "",
 )

@@ -112,3 +112,10 @@ def test_settings_are_an_argument_of_jit_and_vmap():
     np.testing.assert_array_equal(series, again)
     rise = np.diff(np.asarray(series, np.float64).mean((1, 2, 3)))
     np.testing.assert_allclose(rise, 0.5 * 100.0 * 2.0, rtol=0.05)  # K mu_I t
+
+
+def test_what_is_no_settings_is_refused():
+    with pytest.raises(TypeError, match="settings is a dict: expected Settings"):
+        MODEL.sample(KEY, FLAT, {"iso": 100})
+    with pytest.raises(ValueError, match="iso must be above 0"):
+        MODEL.sample(KEY, FLAT, Settings(iso=0))

@@ -76,7 +76,7 @@ def test_one_noise_profile_for_all_and_none(tmp_path):
     assert none.shot is None and none.read is None and none.iso is None and none.exposure_s is None
 
 
-@pytest.mark.parametrize("shot", [-1e-4, float("nan")])
+@pytest.mark.parametrize("shot", [-1e-4, float("nan"), 1e30])
 def test_an_impossible_noise_profile_is_left_out_and_the_image_used(tmp_path, caplog, shot):
     pixels = sensor("RGGB")
     path = write_dng(tmp_path / "a.dng", pixels, noise_profile=[1e-3, 1e-6, shot, 1e-6, 1e-3, 1e-6])

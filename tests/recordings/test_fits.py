@@ -133,7 +133,7 @@ def test_missing_metadata_names_its_flag(tmp_path):
 def test_broken_files(tmp_path):
     path = write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB")
     whole = path.read_bytes()
-    for content in (b"", b"SIMPLE", whole[:100], whole[:2880], whole[:-1000]):
+    for content in (b"", b"SIMPLE", whole[:100], whole[:2880], whole[:3000]):
         path.write_bytes(content)
         with pytest.raises(BadInput, match="not a readable FITS|holds no image") as caught:
             np.asarray(load_recording(path, **LEVELS).frames)
@@ -272,3 +272,52 @@ def test_packings_that_nobody_asked_for_are_named(tmp_path):
     path.write_bytes(bz2.compress(path.read_bytes()))
     with pytest.raises(BadInput, match="packed with bzip2: unpack it"):
         open_fits(path)
+
+
+def with_card(path, name, value):
+    """The file with one card of its header replaced."""
+    content = bytearray(path.read_bytes())
+    at = content.index(name.encode().ljust(8))
+    content[at : at + 80] = f"{name:8}= {value:>20}".ljust(80).encode()
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("SIMPLE", "F", "SIMPLE is 'F', not T"),
+        ("NAXIS2", "-6", "NAXIS2 is '-6': its header is damaged"),  # its reader would follow it for ever
+        ("NAXIS2", "- 6", "NAXIS2 is '- 6'"),
+        ("NAXIS2", "", "NAXIS2 says nothing"),
+        ("NAXIS1", "99999999999", "its header claims .* bytes: damaged"),
+        ("NAXIS1", "4000", "it ends before the 192000 bytes that its header states"),
+        ("BITPIX", "17", "BITPIX is 17"),
+        ("BZERO", "'1'", "BZERO of its header is '1', no number"),
+        ("BSCALE", "", "BSCALE of its header is None, no number"),
+        ("EXPTIME", "'long", "the value of EXPTIME in its header cannot be read: mend or remove that card"),
+    ],
+)
+def test_what_a_header_cannot_mean_is_said_in_our_words(tmp_path, name, value, message):
+    path = write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB", EXPTIME=1.0)
+    with_card(path, name, value)
+    with pytest.raises(BadInput, match=message) as caught:
+        load_recording(path, **LEVELS)
+    assert "astropy" not in str(caught.value) and "verify" not in str(caught.value)
+
+
+def test_a_gzip_stream_that_ends_early_or_is_damaged(tmp_path):
+    whole = gzip.compress(write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB").read_bytes())
+    path = tmp_path / "b.fits.gz"
+    for content, message in ((whole[:-200], "cut short"), (whole[:-8] + bytes(8), "damaged")):
+        path.write_bytes(content)
+        with pytest.raises(BadInput, match=f"its gzip stream is {message}: copy it again"):
+            load_recording(path, **LEVELS)
+
+
+def test_files_without_the_padding_behind_their_pixels_are_read(tmp_path):
+    path = write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB")
+    path.write_bytes(path.read_bytes()[: 2880 + FRAMES.nbytes])
+    np.testing.assert_array_equal(load_recording(path, **LEVELS).frames[:], FRAMES)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(BadInput, match="cut short"):
+        load_recording(path, **LEVELS)

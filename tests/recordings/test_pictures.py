@@ -1,12 +1,15 @@
 """PGM and PNG mosaics: what is read, and what is refused in one line."""
 
 import json
+import struct
+import zlib
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from cannoise_jax.recordings.load import load_recording
+from cannoise_jax.recordings.pictures import open_picture
 from cannoise_jax.recordings.recording import BadInput
 
 FRAME = np.random.default_rng(0).integers(60, 1000, (6, 8)).astype(np.uint16)
@@ -81,3 +84,16 @@ def test_colours_are_refused(tmp_path):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "a.png")
     with pytest.raises(BadInput, match="expected a grey mosaic"):
         load_recording(tmp_path / "a.png", white_level=255, **LEVELS)
+
+
+def test_large_pictures_are_held_to_the_limit_of_sensors_alone(tmp_path):
+    """A hundred megapixels are a sensor's; a picture that claims more than any has is refused unread."""
+    path = tmp_path / "a.png"
+    Image.new("L", (11648, 8736), 9).save(path)
+    assert open_picture(path).frames.shape == (1, 8736, 11648)
+    content = bytearray(path.read_bytes())
+    content[16:24] = struct.pack(">II", 2**31 - 1, 32)
+    content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match="claims frames of 32 x 2147483647 pixels: no sensor has that many"):
+        open_picture(path)

@@ -68,6 +68,10 @@ def test_shot_noise_is_not_negative_but_an_offset_may_be(tmp_path):
     ) as caught:
         load_recording(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    for wrong in ({"read": -300}, {"shot": 1e30}, {"read": 9.0}):  # in DN, or no noise level at all
+        path = write(tmp_path / "a.npy", side_car=SIDE_CAR | wrong)
+        with pytest.raises(BadInput, match="noise wider than the whole range: write it normalised"):
+            load_recording(path)
     path = write(tmp_path / "a.npy", side_car=SIDE_CAR | {"shot": 0, "read": -1e-6})
     assert load_recording(path).read == (-1e-6,) * 4
 

@@ -8,11 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cannoise_jax.recordings.metadata import check_fields
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 
 def checked_capture(capture: Any) -> CaptureSet:
-    """The capture set as given. Raises TypeError for anything else, BadInput for one without recordings."""
+    """The capture set as given. Raises TypeError for anything else, BadInput for one without recordings,
+    or with some that hold no arrays."""
     if not isinstance(capture, CaptureSet):
         raise TypeError(
             f"capture is a {type(capture).__name__}: expected a CaptureSet, of load_capture_set(folder) or "
@@ -23,6 +25,8 @@ def checked_capture(capture: Any) -> CaptureSet:
         raise TypeError(f"capture.recordings holds a {type(odd).__name__}: expected recordings alone")
     if not capture.recordings:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings")
+    for recording in capture.recordings:
+        check_fields(recording)
     return capture
 
 

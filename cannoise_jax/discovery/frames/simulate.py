@@ -156,10 +156,10 @@ def codes_of(
         own = jax.random.fold_in(key, number)
         given = jnp.asarray(clean)
         with _ALONE:
-            frames = np.asarray(draw(own, given, settings), np.float64)
+            frames = _drawn_dn(draw(own, given, settings))
             if frames.ndim == 2:
                 more = [draw(jax.random.fold_in(own, t), given, settings) for t in range(1, settings.frames)]
-                frames = np.stack([frames, *(np.asarray(m, np.float64) for m in more)])
+                frames = np.stack([frames, *map(_drawn_dn, more)])
         if frames.shape != (settings.frames, *recording.size):
             raise BadInput(
                 f"simulator: drew frames of shape {frames.shape}: it must return finite DN of the size of "
@@ -171,6 +171,15 @@ def codes_of(
         return np.clip(np.round(frames / step) * step, 0, highest).astype(np.uint16)
 
     return codes
+
+
+def _drawn_dn(value: Any) -> np.ndarray:
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(
+            f"simulator: returned a {type(value).__name__}: it must return an array of DN"
+        ) from error
 
 
 def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bool) -> CaptureSet:

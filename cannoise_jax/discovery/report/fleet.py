@@ -28,6 +28,13 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 0 auto; p
 div { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }
 th, td { padding: .25rem .6rem; text-align: left; border-bottom: 1px solid #8884; vertical-align: top; }
+td { overflow-wrap: anywhere; }
+@media screen and (max-width: 40rem) {
+  table, tbody, tr, td { display: block; } thead, td:empty { display: none; }
+  tr { border-bottom: 1px solid #8884; padding: .4rem 0; } td { border: 0; padding: .1rem 0; }
+  td:first-child { font-weight: bold; font-size: 15px; }
+  td:not(:first-child)::before { content: attr(data-of) ": "; opacity: .7; }
+}
 """
 
 
@@ -105,7 +112,7 @@ def _cell(r: dict[str, Any], name: str) -> str:
     text = escape(_shown(r)[name])
     if name == "set" and r["error"] is None:
         text = f'<a href="{quote(r[name])}/report.html">{text}</a>'
-    return f"<td>{text}</td>"
+    return f'<td data-of="{escape(_COLUMNS[name])}">{text}</td>'
 
 
 def _shown(r: dict[str, Any]) -> dict[str, str]:

@@ -19,6 +19,11 @@ def registered(
 ) -> tuple[Entry, ...]:
     """The entries that a run may name: those of the package, and of one's own where `mechanisms` holds any;
     of these `mechanisms` alone where given. Raises ValueError for a name that is none of them."""
+    if isinstance(without, str):
+        raise TypeError(f"without is the text {without!r}: expected names in a list")
+    odd = next((m for m in mechanisms or () if not isinstance(m, (str, Entry))), None)
+    if odd is not None:
+        raise TypeError(f"mechanisms holds a {type(odd).__name__}: expected names and entries")
     own = tuple(m for m in mechanisms or () if isinstance(m, Entry) and m not in LISTED)
     known = {entry.id: entry for entry in LISTED}
     for entry in own:

@@ -161,6 +161,8 @@ def is_whole(value: Any, highest: int) -> bool:
 
 def check_taken(clean: Any, settings: Settings) -> None:
     """What is recorded and how: a finite mosaic [H, W], an ISO above 0, a time from 0, at least one frame."""
+    if not isinstance(settings, Settings):
+        raise TypeError(f"settings is a {type(settings).__name__}: expected Settings(iso=..., frames=...)")
     iso, seconds = known(settings.iso, "iso"), known(settings.exposure_s, "exposure_s")
     if iso is not None and not iso > 0:
         raise ValueError(f"iso must be above 0, got {iso:g}")

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from cannoise_jax.physics.core.sensor import SensorModel
 
 SCHEMA = "cannoise/sensor/1"
+_LONGEST_NAME = 255
+"""Bytes of a file's name: more, and systems refuse to look for it."""
 
 
 def write_sensor(path: str | Path, model: SensorModel) -> None:
@@ -207,7 +209,10 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
         return {}
     entry = entry_of(document, "maps", dict)
     # Beside the JSON file, wherever both were moved.
-    npz = path.with_name(Path(entry_of(entry, "file", str, "maps: ")).name or path.stem)
+    name = entry_of(entry, "file", str, "maps: ")
+    if not name.isprintable() or len(name.encode()) > _LONGEST_NAME:
+        raise BadInput(f"{path}: maps: file is {name[:20]!r}...: no name of a file: restore the model")
+    npz = path.with_name(Path(name).name or path.stem)
     wanted = entry_of(entry, "sha256", str, "maps: ")
     if npz.exists() and not npz.is_file():
         raise BadInput(f"{npz}: is no plain file: keep the maps of {path.name} there")

@@ -14,6 +14,7 @@ from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
@@ -264,7 +265,7 @@ def _lacks(one: CaptureGroups) -> list[str]:
     if single:
         notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")
     warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
-    if warm and max(warm) - min(warm) > 5:
+    if warm and max(warm) - min(warm) > ALIKE_KELVIN:
         notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
     flats = [s for g in groups if g.kind == "flat" for s in g.shots if not s.whole]
     darks = [s for g in groups if g.kind in DARK for s in g.shots if not s.whole]

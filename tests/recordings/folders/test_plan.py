@@ -59,6 +59,13 @@ def test_cameras_without_cooling_may_drift(tmp_path):
     assert "temperatures from 12 to 24 C" in notes(plan)
 
 
+def test_two_settings_of_a_cooled_camera_that_does_not_state_them_are_said(tmp_path):
+    night(tmp_path, CCD_TEMP=-10.0)
+    bias = {"IMAGETYP": "Bias", "EXPTIME": 0.0, "INSTRUME": "Acme 100", "CCD_TEMP": -5.0}
+    shot(tmp_path / "bias_x.fits", "bias", **bias)
+    assert "temperatures from -10 to -5 C in one set" in notes(plan_folder(tmp_path))
+
+
 def test_temperatures_that_drift_on_and_on_are_no_one_setting(tmp_path):
     for celsius in range(20, 26):
         for n in (1, 2):
