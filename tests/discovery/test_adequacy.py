@@ -15,9 +15,10 @@ from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
-from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
+from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, uneven
 from cannoise_jax.discovery.proof.claims import empty
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
+from cannoise_jax.discovery.proof.shadow import shadowed, undrawn
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
@@ -179,6 +180,17 @@ def test_a_name_in_the_shadow_of_something_unknown_is_none():
     nothing = borne([1, 1, 1], [1, 1, 1])
     assert shadowed([nothing], unknown, of_its_own=True) is None
     assert shadowed([nothing], unknown, of_its_own=False) is not None
+
+
+def test_a_name_that_is_never_drawn_needs_more_beside_a_strong_unknown():
+    """No draw can be held against it: a black level as stated, a scale of the description."""
+
+    def step(gain):
+        return SimpleNamespace(named=SimpleNamespace(score=SimpleNamespace(gain=gain)))
+
+    assert undrawn(step(9.0), [step(30_000.0)]) is not None
+    assert undrawn(step(9.0), [step(50.0)]) is None
+    assert undrawn(step(9.0), []) is None
 
 
 def step_of(capture, name, mechanism, log_p):
