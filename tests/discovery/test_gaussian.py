@@ -11,7 +11,7 @@ from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.gaussian import kurtosis, not_gaussian, other_law, other_spectrum
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
-from cannoise_jax.signatures.fields import helmert
+from cannoise_jax.signatures.fields import helmert, refit
 from cannoise_jax.signatures.signature import Series
 from tests.discovery.capture import capture_set, row_offsets
 
@@ -165,3 +165,25 @@ def test_rows_of_recordings(alter, stays):
     # It has no name, or names no noise of lines: nothing to hold it to.
     other = next(s for s in prepared.signatures if s.name == "pixel_additive_static")
     assert not_gaussian((Step(named._replace(signature=other), prepared.fields, 0.0),), 0) is None
+
+
+def test_noise_along_the_scan_beside_noise_of_rows_keeps_its_name():
+    """What is taken out with the rows is missing in the spectrum along the scan."""
+
+    def alter(rng):
+        def change(dn, signal, kind, t):
+            slow = power_law(rng, 1, dn.size, 1.0)[0].reshape(dn.shape)
+            return dn + 6 * slow + 4 * rng.standard_normal((dn.shape[0], 1))
+
+        return change
+
+    capture = capture_set(8, alter, kinds="d")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    fields, steps = prepared.fields, []
+    for name in ("row_slope", "raster_slope"):
+        signature = next(s for s in prepared.signatures if s.name == name)
+        score = signature.score(fields)
+        assert score is not None and score.log_p < -50
+        steps.append(Step(Named(score, signature, name, ((name, 1.0),), False), fields, score.log_p))
+        fields = refit(signature.absorb(fields, score))
+    assert [not_gaussian(tuple(steps), n) for n in range(2)] == [None, None]

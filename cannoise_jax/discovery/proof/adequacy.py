@@ -34,7 +34,7 @@ from cannoise_jax.discovery.proof.own_part import (
     own_part,
     owned,
 )
-from cannoise_jax.discovery.proof.shadow import LEFT_TOGETHER, TRACE, more, outweighs, shadowed, undrawn
+from cannoise_jax.discovery.proof.shadow import LEFT_TOGETHER, TRACE, outweighs, shadowed, undrawn
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -163,11 +163,7 @@ def doubts(
         for n in left:
             larger = [k for k in unknown if outweighs(steps[k], steps[n])]
             moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
-            # What moves nothing that is seen has no part by which to tell which of them it is a trace of.
-            seen = any(b.own.any() for b in mine[n])
-            of_its_own = confirmed[n] and not (
-                larger if seen else more(steps[n], [steps[k] for k in unknown])
-            )
+            of_its_own = confirmed[n] and not larger
             out[n] = shadowed(mine[n], every_one, of_its_own, TRACE * moved)
     return tuple(out)
 

@@ -42,7 +42,10 @@ _FEWEST = 16
 _EVEN = 0.3
 """Spread of the information over the places, of the mean, up to which modes of a series tell its spectrum."""
 _OTHERS = 0.25
-"""Change of the power of a band, by what other findings take out of it, from which on it is theirs."""
+"""Change of a band, by what other findings take out of it, of its power beyond the noise, from which on it is
+theirs."""
+_NEXT_TO_NONE = 0.01
+"""Share of the power of a band below which nothing is taken out of it."""
 _PARTS = 0.01
 """Share of the variance of differences that must be of the series itself to be told from its noise."""
 
@@ -99,7 +102,10 @@ def other_spectrum(series: list[Series], whole: list[Series], along: str = "px")
         return None
     weight = one.contrasts[:, None] * one.modes
     before, after = (np.sum(weight * s.power, 0) / weight.sum(0) for s in (other, one))
-    own = np.abs(before - after) < _OTHERS * after
+    if not series[0].level:
+        before = before * after[-1] / before[-1]
+    noise = 1.0 if series[0].level else float(after[-1])
+    own = np.abs(before - after) < np.maximum(_OTHERS * (after - noise), _NEXT_TO_NONE * after)
     if own.sum() < _FEWEST_BANDS:
         return None
     share, nats, where = departure(one, own, series[0].exponent > 0, series[0].level)
@@ -149,9 +155,8 @@ def departure(
     told, modes = seen.information[:, None], seen.modes[own]
 
     def shape(exponent: float) -> np.ndarray:
-        values = seen.frequency**-exponent
-        values = np.add.reduceat(values * seen.weight, seen.first) / seen.modes
-        return values[own] / np.average(values[own], weights=modes)
+        values = np.add.reduceat(seen.frequency**-exponent * seen.weight, seen.first) / seen.modes
+        return values / np.average(values[own], weights=modes)
 
     def cost(spectrum: np.ndarray) -> float:
         return float(np.sum(weight * (np.log(spectrum) + mean / spectrum)))
@@ -160,12 +165,13 @@ def departure(
     rough = max(float(np.sum(weight * (mean - start)) / np.sum(weight * told)), 1e-3 * float(1 / told.max()))
 
     def law(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The noise of every recording, and the excess of all bands."""
         noise = start if level else start * np.exp(p[3:, None])
         return noise, np.exp(p[1]) * shape(p[0]) + (np.exp(p[2]) if coloured else 0.0)
 
     def misfit(p: np.ndarray) -> float:
         noise, excess = law(p)
-        return cost(noise + told * excess)
+        return cost(noise + told * excess[own])
 
     log = np.log(rough)
     bounds = [(0.0, 3.0 if coloured else 0.0), (log - 12, log + 6), (log - 20, log + 3)]
@@ -176,14 +182,15 @@ def departure(
         for a in ((0.5, 1.0, 1.5, 2.0) if coloured else (0.0,))
     ]
     best = min(fits, key=lambda f: f.fun)
-    noise, excess = law(best.x)
+    noise, everywhere = law(best.x)
+    excess = everywhere[own]
     found = excess.copy()
     for _ in range(50):  # Fisher scoring: the likeliest excess of every band by itself
         spectrum = noise + told * found
         slope = np.sum(weight * told * (mean - spectrum) / spectrum**2, 0)
         certain = np.sum(weight * told**2 / spectrum**2, 0)
         found = np.maximum(found + slope / certain, 0.0)
-    total = max(float(modes @ excess), float(modes @ found), 1e-30)
+    total = max(float(seen.modes @ everywhere), float(modes @ found), 1e-30)
     # A normal value lies 0.8 standard deviations off on average.
     chance = float(modes @ (0.8 / np.sqrt(certain)))
     share = 0.5 * (float(modes @ np.abs(found - excess)) - chance) / total

@@ -21,20 +21,21 @@ clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, colu
 _SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
 
 
-def more(step: Step, unknown: Sequence[Step], times: float = 1.0) -> bool:
-    """Whether any of these has so many times the evidence of a step, whatever it is in time."""
-    return any(times * one.named.score.gain > step.named.score.gain for one in unknown)
-
-
 def undrawn(step: Step, unknown: Sequence[Step]) -> Doubt | None:
     """What speaks against a name that no draw can be held against: that something without a name has so much
-    more evidence that it may be its trace."""
-    return Doubt(1.0, (_SHADOW,), instead=True) if more(step, unknown, TRACE) else None
+    more evidence that it may be its trace. From what the files hold nothing is taken out: only what is found
+    there as well can be in it."""
+    own = step.named
+    told = [one.named for one in unknown if own.signature.reads or not one.named.signature.reads]
+    more = any(TRACE * one.score.gain > own.score.gain for one in told)
+    return Doubt(1.0, (_SHADOW,), instead=True) if more else None
 
 
 def outweighs(one: Step, other: Step) -> bool:
-    """Whether a step has more evidence than another that is alike in time, which may be a trace of it."""
-    alike = one.named.signature.frozen == other.named.signature.frozen
+    """Whether a step has more evidence than another that may be a trace of it: that is alike in time, or is
+    told by what the files hold as it is, from which nothing is taken out."""
+    first, second = one.named.signature, other.named.signature
+    alike = first.frozen == second.frozen or not (first.reads or second.reads)
     return alike and one.named.score.gain > other.named.score.gain
 
 
