@@ -187,3 +187,15 @@ def test_noise_along_the_scan_beside_noise_of_rows_keeps_its_name():
         steps.append(Step(Named(score, signature, name, ((name, 1.0),), False), fields, score.log_p))
         fields = refit(signature.absorb(fields, score))
     assert [not_gaussian(tuple(steps), n) for n in range(2)] == [None, None]
+
+
+@pytest.mark.parametrize("strength", [0.05, 0.2, 0.6])
+def test_tails_of_the_noise_of_pixels_are_not_those_of_the_series(strength):
+    rng = np.random.default_rng(12)
+    series = []
+    for frames in FRAMES:
+        score = strength**2 * power_law(rng, frames, 96 * 128, 1.0)
+        score += strength * rng.standard_t(4.5, score.shape) * np.sqrt(2.5 / 4.5)
+        information = np.full(96 * 128, strength**2)
+        series.append(Series(helmert(frames) @ score, information, 1.0, level=False))
+    assert against(series) is None
