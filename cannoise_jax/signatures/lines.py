@@ -34,6 +34,7 @@ from cannoise_jax.signatures.signature import (
     Many,
     Predicted,
     Scales,
+    Series,
     Signature,
 )
 from cannoise_jax.signatures.together import (
@@ -119,6 +120,13 @@ def temporal_absorb(
     return tuple(whitened(f) if f.lit or scaling == "additive" else f for f in fields)
 
 
+def temporal_series(field: Fields, score: Score[Shared], *, axis: str, scaling: str) -> Series | None:
+    """The offsets (or gains) of the lines of every contrast, as they are read together."""
+    if not len(field.contrasts) or not (field.lit or scaling == "additive"):
+        return None
+    return Series(*summed(line_sums(field, field.contrasts, axis, scaling), score.payload.together))
+
+
 def _seconds(fields: tuple[Fields, ...], scaling: str) -> float:
     """The exposure at which a strength is quoted: of what grows with it the longest, fitted per second."""
     return max(f.exposure_s or 0.0 for f in fields) if scaling == "exposure" else 1.0
@@ -200,6 +208,7 @@ def redrawn(
         detectable=BY_SHIFT,
         least=random_offsets(axis, scaling, frozen=False),
         control=additive and axis == "row",
+        series=partial(temporal_series, axis=axis, scaling=scaling),
     )
 
 
@@ -249,6 +258,9 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature
         place=_read_together(placed(_BY_TURNS), _BY_TURNS),
         detectable=BY_SHIFT,
         least=random_offsets("row", "additive", frozen=False),
+        series=lambda field, found: temporal_series(
+            field._replace(contrasts=field.contrasts * _turns(field)), found, axis="row", scaling="additive"
+        ),
     )
 
 

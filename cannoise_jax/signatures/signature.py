@@ -81,6 +81,20 @@ class Predicted(NamedTuple):
     exponent: float = 0.0
 
 
+class Series(NamedTuple):
+    """One recording as the series that a name says is Gaussian noise, redrawn in every frame.
+
+    score: `[n, k]`, of every contrast between frames, and information `[k]`: places along the series, their
+    noise has this variance. exponent: of the power law that its spectrum follows, 0: white, and nothing else.
+    level: whether the noise of the model is that of the places; else it is what the series shows.
+    """
+
+    score: np.ndarray
+    information: np.ndarray
+    exponent: float = 0.0
+    level: bool = True
+
+
 class Found(NamedTuple):
     """A finding as it is handed to a camera model.
 
@@ -147,6 +161,10 @@ def same_unit(score: Score, mechanism: str) -> Score:
     return score
 
 
+def NO_SERIES(fields: Fields, score: Score) -> None:
+    """It names no noise of lines or along the scan."""
+
+
 Look = Callable[[Many], Score | None]
 Limit = Callable[[Asked, Score, str], float]
 
@@ -186,6 +204,8 @@ class Signature:
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
       form_free: whether its form differs from camera to camera in ways that the model does not follow, so
       that much of what it bears on may be left.
+    series(field, score) -> one recording as the Gaussian noise of lines or along the scan that it names;
+      None: it names none, or none there.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
       no mean. map_of: place and scaling of the map of independent values that it is, of variance
@@ -230,6 +250,7 @@ class Signature:
     says: Callable[[dict[str, Any]], tuple[str, tuple[float, float]]] | None = None
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None
+    series: Callable[[Fields, Score], Series | None] = NO_SERIES
     off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
     speaks_for: frozenset[str] = frozenset()
     map_of: tuple[str, Scales] | None = None

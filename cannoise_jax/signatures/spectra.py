@@ -33,6 +33,7 @@ from cannoise_jax.signatures.signature import (
     Found,
     Many,
     Predicted,
+    Series,
     Signature,
 )
 
@@ -275,6 +276,16 @@ def slope(
     def beside(found: Found) -> dict[str, float]:
         return {"exponent": found.score.parameters["exponent"][0]}
 
+    def series(field: Fields, score: Score[tuple[float, float]]) -> Series | None:
+        if not len(field.contrasts):
+            return None
+        exponent = score.payload[1]
+        if rows:
+            return Series(*line_sums(field, field.contrasts, "row", "additive"), exponent)
+        weight = field.weight.astype(np.float32).ravel()
+        values = field.contrasts.reshape(len(field.contrasts), -1) * weight
+        return Series(values, weight.astype(np.float64) ** 2, exponent, level=False)
+
     def least(sets: tuple[Seen, ...]) -> Law:
         return pink(sets, (lambda s: s.weight.sum(1)) if rows else (lambda s: s.weight.ravel()))
 
@@ -292,4 +303,5 @@ def slope(
         detectable=BY_SHIFT,
         least=least,
         moves_frames=below_frame,
+        series=series,
     )

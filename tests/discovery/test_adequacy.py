@@ -15,9 +15,10 @@ from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
-from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, shadowed, uneven
+from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, uneven
 from cannoise_jax.discovery.proof.claims import empty
 from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
+from cannoise_jax.discovery.proof.shadow import outweighs, shadowed, undrawn
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
@@ -25,6 +26,8 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.off_reference import near_filter
 from cannoise_jax.signatures.reference import reference_score
+from cannoise_jax.signatures.signature import CONTRASTS, FILES
+from cannoise_jax.signatures.signature import STATIC as STATIC_FIELDS
 from tests.discovery.capture import capture_set, row_offsets
 
 KEY = jax.random.key(5)
@@ -179,6 +182,28 @@ def test_a_name_in_the_shadow_of_something_unknown_is_none():
     nothing = borne([1, 1, 1], [1, 1, 1])
     assert shadowed([nothing], unknown, of_its_own=True) is None
     assert shadowed([nothing], unknown, of_its_own=False) is not None
+
+
+def found(gain, reads, frozen=True):
+    signature = SimpleNamespace(reads=reads, frozen=frozen)
+    return SimpleNamespace(named=SimpleNamespace(score=SimpleNamespace(gain=gain), signature=signature))
+
+
+def test_a_name_that_is_never_drawn_needs_more_beside_a_strong_unknown():
+    """No draw can be held against it: a black level as stated, a scale of the description."""
+    assert undrawn(found(9.0, STATIC_FIELDS), [found(30_000.0, CONTRASTS, False)]) is not None
+    assert undrawn(found(9.0, STATIC_FIELDS), [found(50.0, CONTRASTS, False)]) is None
+    assert undrawn(found(9.0, STATIC_FIELDS), []) is None
+    # Of the codes as they are stored rows say nothing.
+    assert undrawn(found(9.0, FILES), [found(30_000.0, CONTRASTS, False)]) is None
+    assert undrawn(found(9.0, FILES), [found(30_000.0, FILES, False)]) is not None
+
+
+def test_what_the_files_hold_as_it_is_may_be_the_trace_of_what_is_found_there():
+    curve, ceiling, rows = found(900.0, FILES, False), found(50.0, FILES), found(900.0, CONTRASTS, False)
+    assert outweighs(curve, ceiling) and not outweighs(ceiling, curve)
+    assert not outweighs(rows, ceiling) and not outweighs(rows, found(50.0, STATIC_FIELDS))
+    assert outweighs(found(900.0, STATIC_FIELDS), found(50.0, STATIC_FIELDS))
 
 
 def step_of(capture, name, mechanism, log_p):

@@ -17,7 +17,7 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import doubt
 from cannoise_jax.discovery.proof.check import frames_for_names
-from cannoise_jax.discovery.proof.claims import forgetful, lasting
+from cannoise_jax.discovery.proof.claims import by_level, forgetful, lasting
 from cannoise_jax.discovery.proof.claims import two_levels as more_levels
 from cannoise_jax.discovery.proof.own_part import borne_by
 from cannoise_jax.discovery.search.fit import Step
@@ -123,6 +123,99 @@ def test_rows_that_differ_from_recording_to_recording_are_no_fixed_pattern(stays
     assert (found is None) == (stays == "in all recordings")
     if found is not None:
         assert found.left > 0.6 and "in common" in found.against[0]
+
+
+def named_map(capture, name, mechanism):
+    """A finding of one signature in all frames, under a name."""
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    signature = next(s for s in prepared.signatures if s.name == name)
+    score = signature.score(prepared.fields)
+    assert score is not None
+    return Step(Named(score, signature, mechanism, ((mechanism, 1.0),), False), prepared.fields, score.log_p)
+
+
+def test_what_rare_values_of_one_sign_lift_all_pixels_by_is_no_map():
+    """The mean of a recording is that of most values: the few lift the means of pixels above it, everywhere
+    and always, so that all recordings have that in common."""
+
+    def lifted(rng):
+        return lambda dn, signal, kind, t: dn + 100 * (rng.random(dn.shape) < 0.003)
+
+    step = named_map(capture_set(3, lifted, kinds="df", frames=6), "pixel_additive_static", "dsnu")
+    assert step.log_p < -5
+    found = lasting(step)
+    assert found is not None and "in common" in found.against[0]
+
+
+def remembered_pixels(rng):
+    """Noise of pixels of which half is that of the frame before, in one long dark."""
+    last = rng.standard_normal((96, 128))
+
+    def alter(dn, signal, kind, t):
+        nonlocal last
+        if kind == "dark" and t > 0.05:
+            last = 0.6 * last + 0.8 * rng.standard_normal(dn.shape)
+            dn = dn + 3 * last
+        return dn
+
+    return alter
+
+
+def thermal_pixels(rng):
+    """Pixels of unlike dark current, of exponential law."""
+    rate = 10 * np.random.default_rng(2).exponential(1.0, (96, 128))
+    return lambda dn, signal, kind, t: dn + rate * t / 0.1 * (kind == "dark")
+
+
+@pytest.mark.parametrize(("alter", "stays"), [(thermal_pixels, True), (remembered_pixels, False)])
+def test_what_grows_with_the_exposure_grows_in_every_recording(alter, stays):
+    capture = capture_set(6, alter, kinds="df", frames=6)
+    # Another one of the longer exposure, so that two recordings tell.
+    more = capture_set(7, alter, kinds="d", frames=6).recordings[1]
+    again = dataclasses.replace(more, path="9_dark.h5")
+    capture = dataclasses.replace(capture, recordings=(*capture.recordings, again))
+    found = lasting(named_map(capture, "pixel_thermal_static", "dsnu"))
+    assert (found is None) == stays
+
+
+@pytest.mark.parametrize("strength", [0.12, 0.3, 1.0])
+def test_maps_that_stay_keep_their_name(strength):
+    """Ten draws each, from just seen to as strong as the noise: none of 400 was doubted."""
+    for seed in range(10):
+        fixed = strength * 4.5 * np.random.default_rng(seed).standard_normal((96, 128))
+
+        def alter(rng, fixed=fixed):
+            return lambda dn, signal, kind, t: dn + fixed
+
+        capture = capture_set(seed, alter, kinds="d", frames=5)
+        assert lasting(named_map(capture, "pixel_additive_static", "dsnu")) is None
+
+
+def wavy(rng):
+    """A converter whose codes are off by a wave over the signal."""
+    return lambda dn, signal, kind, t: dn + 12 * np.sin(2 * np.pi * (dn - 200) / 700) * (kind == "scene")
+
+
+def wrong_light(rng):
+    """References whose pixels are wrong, each by itself."""
+    own: dict[float, np.ndarray] = {}
+
+    def alter(dn, signal, kind, t):
+        if kind != "scene":
+            return dn
+        return dn + own.setdefault(float(signal.mean()), 12 * rng.standard_normal(dn.shape))
+
+    return alter
+
+
+@pytest.mark.parametrize(("alter", "of_places"), [(wrong_light, True), (wavy, False)])
+def test_what_follows_the_signal_is_no_error_of_single_pixels_of_a_reference(alter, of_places):
+    step = named_map(capture_set(5, alter), "scene_static", "reference_error")
+    assert step.log_p < -20
+    found = by_level(step)
+    assert (found is None) == of_places
+    if found is not None:
+        assert found.left > 0.5 and "signal" in found.against[0]
 
 
 def test_darks_say_nothing_of_sensitivities():

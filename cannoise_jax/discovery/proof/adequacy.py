@@ -21,8 +21,9 @@ from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled
 from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
-from cannoise_jax.discovery.proof.claims import empty, forgetful, lasting, two_levels
+from cannoise_jax.discovery.proof.claims import by_level, empty, forgetful, lasting, two_levels
 from cannoise_jax.discovery.proof.gate import Gated
+from cannoise_jax.discovery.proof.gaussian import not_gaussian
 from cannoise_jax.discovery.proof.own_part import (
     Borne,
     at_home,
@@ -33,6 +34,7 @@ from cannoise_jax.discovery.proof.own_part import (
     own_part,
     owned,
 )
+from cannoise_jax.discovery.proof.shadow import LEFT_TOGETHER, SLACK, TRACE, outweighs, shadowed, undrawn
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -49,8 +51,6 @@ of few; an offset that jumps along the raster leaves 0.04 to 0.075 as 1/f noise,
 frame or at its edges 0.065 to 0.12 as pixels of more noise, a wave of changing pitch 0.11 as 1/f rows."""
 LEFT_STATIC = 0.1
 """The same of a part that stays: a blur of another form than crosstalk leaves 0.07."""
-_SLACK = 15.0
-"""Nats that it may leave beyond that share, so that one statistic does not speak against a weak effect."""
 _SLACK_OF_SCENES = 50.0
 """The same of a name that speaks for all that stays in scenes: references softened so little that they cost
 400 nats leave up to 75."""
@@ -66,20 +66,12 @@ _MATTERS = 0.02
 """Share of a name's whole part from which on it matters what one family leaves. Beside a flicker of 2.5
 million nats, and hot pixels and dark current of 100,000 and more, what other findings left in tails, levels
 and codes was 0.00004 to 0.008."""
-LEFT_TOGETHER = 0.5
-"""The same where no single statistic differs significantly, but all together leave more than chance."""
 _UNEVEN = 4.5
 """Standard deviations from which on structures count as stronger in few places than noise is."""
 _FEW_PLACES = -0.2
 """And by how much: the logarithm of a typical square against the mean square. Single steps across frames
 of 96 x 128 pixels had -0.23 and -0.78, odd against even columns and dark current within 0.01 of zero, sixty
 bursts a frame -0.05."""
-_OF_ITS_OWN = 0.3
-"""Share of what a name changes, in nats, that no unknown finding changes far more."""
-_TRACE = 0.05
-"""Of the nats that stronger findings without a name change: less may be a trace of them. Blocks that jump,
-clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, columns and dark current."""
-_SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
 _FEW_TIMES = "it is strong in few places or frames, not in all alike"
 
 
@@ -152,50 +144,26 @@ def doubts(
             or gathered(steps[n])
             or ranged(steps[n])
             or lasting(steps[n])
+            or by_level(steps[n])
+            or not_gaussian(steps, n)
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
             or (None if steps[n].named.signature.frozen else forgetful(one, own) or uneven(full, own))
         )
     unknown = [n for n in every if n not in named or out[n] is not None]
+    for n in named:
+        if n not in borne:
+            out[n] = undrawn(steps[n], [steps[k] for k in unknown])
     left = [n for n in borne if out[n] is None]
     if unknown and left:
         # What has no name leaves traces that look like others: what it moves more is no evidence for them.
         theirs = {n: found[1] for n in unknown if (found := borne.get(n) or bears(n)) is not None}
         every_one = most_of(list(theirs.values()))
         for n in left:
-            larger = [k for k in unknown if _outweighs(steps[k], steps[n])]
+            larger = [k for k in unknown if outweighs(steps[k], steps[n])]
             moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
             of_its_own = confirmed[n] and not larger
-            out[n] = shadowed(mine[n], every_one, of_its_own, _TRACE * moved)
+            out[n] = shadowed(mine[n], every_one, of_its_own, TRACE * moved)
     return tuple(out)
-
-
-def _outweighs(one: Step, other: Step) -> bool:
-    """Whether a step has more evidence than another that is alike in time, which may be a trace of it."""
-    alike = one.named.signature.frozen == other.named.signature.frozen
-    return alike and one.named.score.gain > other.named.score.gain
-
-
-def shadowed(
-    each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_its_own: bool, least: float = 0.0
-) -> Doubt | None:
-    """What speaks against a name beside something unknown: that it accounts for less than half of its part,
-    or for less than `least` nats, that it bears on little but what the unknown bears on far more, or on
-    nothing at all where its evidence is not of its own: not shown by the frames held back, or less than that
-    of an unknown finding of its kind. What moves no more than chance does is nothing: the frames held back
-    decide."""
-    part = own_part(each)
-    if of_its_own and max(part.before, part.after) < _SLACK:
-        return None
-    whole = sum(float(b.change[b.own].sum()) for b in each)
-    against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
-    if part.after > LEFT_TOGETHER * part.before or part.before < least:
-        return against
-    alone = [b for b in each if b.at not in unknown]
-    alone += owned([b for b in each if b.at in unknown], unknown)
-    own = sum(float(b.change[b.own].sum()) for b in alone)
-    if own > _OF_ITS_OWN * whole or (of_its_own and not whole):
-        return None
-    return against
 
 
 def _off(step: Step, n: int) -> dict[int, np.ndarray]:
@@ -266,10 +234,10 @@ def doubt(
     if speaks_for:
         most = LEFT_OF_SCENES * part.before + _SLACK_OF_SCENES
     elif not part.left:
-        most = LEFT_TOGETHER * part.before + _SLACK
+        most = LEFT_TOGETHER * part.before + SLACK
     else:
         share = LEFT_OF_WEAK if free else LEFT + (LEFT_STATIC - LEFT) * part.static
-        most = min(share * part.before + _SLACK, LEFT_OF_WEAK * part.before)
+        most = min(share * part.before + SLACK, LEFT_OF_WEAK * part.before)
     share = part.after / max(part.before, 1e-9)
     if part.after > most:
         return Doubt(share, tuple(lines_of(full, part.left)[:3]))
@@ -279,7 +247,7 @@ def doubt(
     # redrawn a fixed map holds what happens to be left in a mean.
     told = [f for f in part.alone if f.left and not (f.stays and part.static < LEFT_TOGETHER)]
     least = _MATTERS * part.before
-    against = [f for f in told if f.after > max(LEFT_ALONE * f.before + _SLACK, least)]
+    against = [f for f in told if f.after > max(LEFT_ALONE * f.before + SLACK, least)]
     if not against:
         return None
     worst = max(against, key=lambda f: f.after)

@@ -25,6 +25,7 @@ from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_p
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.fields import Fields, channel_index
 
 _SHARED = 0.5
 """Share of a pattern's variance that recordings have in common, below which it is not the same in all."""
@@ -32,6 +33,11 @@ _SURE = 4.0
 """Standard deviations from which on that is no chance."""
 _FEWEST = 32
 """Lines or pixels from which on that is told."""
+_OF_LEVEL = 0.25
+"""Share of what scenes are off by that follows the signal, from which on it is no error of each pixel."""
+_OF_ONE_LEVEL, _LEVELS = 64, 256
+"""Pixels of like signal, at least, and so many levels at most: twice over what a wave of 64 periods needs."""
+_FAR = 4.0
 _MORE_LEVELS = 0.25
 """Share of the pixels that jump which leave more than pixels of two levels do. Two levels 3 to 9 standard
 deviations apart, of any share of time, or apart by an exponential law, are within 0.1 of one size of jump (6
@@ -55,19 +61,27 @@ def lasting(step: Step) -> Doubt | None:
     axes = signature.axes
     if step.named.mechanism == UNKNOWN or (axes.time, axes.law) != ("frozen", "white"):
         return None
-    if axes.scales not in ("additive", "signal") or axes.varies_over not in ("row", "column", "pixel"):
+    if axes.scales not in ("additive", "signal", "exposure"):
         return None
-    claimed = score.amplitude**2
+    if axes.varies_over not in ("row", "column", "pixel"):
+        return None
+    # What grows with the exposure is quoted at the longest, and told per second.
+    growing = axes.scales == "exposure"
+    longest = max(f.exposure_s or 0.0 for f in step.before) if growing else 1.0
+    claimed = (score.amplitude / longest) ** 2 if longest else 0.0
     sums = []
     # Of a pattern that multiplies the light darks hold nothing.
     told = [f for f in step.before if f.static is not None and (f.lit or axes.scales != "signal")]
     for field in told:
-        found = signature.predict((field,), score)
+        seconds = (field.exposure_s or 0.0) if growing else 1.0
+        one = score.replace(amplitude=score.amplitude * seconds / longest) if seconds and longest else None
+        found = signature.predict((field,), one) if one is not None else None
         if found is None or found.pattern is None or claimed <= 0:
             continue
         doubt = np.broadcast_to(np.asarray(found.doubt, np.float64), np.shape(found.pattern)).ravel()
         doubt = np.maximum(doubt, 1e-9 * claimed)
-        sums.append((np.ravel(found.pattern) / doubt, np.maximum(1 / doubt - 1 / claimed, 0.0)))
+        own = np.ravel(found.pattern) / doubt, np.maximum(1 / doubt - 1 / claimed, 0.0)
+        sums.append(_apart(*own, _channels(field, np.shape(found.pattern))))
     if len(sums) < 2:
         return None
     product, weight = _of_pairs(*(np.array(v) for v in zip(*sums, strict=True)))
@@ -83,6 +97,21 @@ def lasting(step: Step) -> Doubt | None:
     return Doubt(share, (what,), instead=True)
 
 
+def _channels(field: Fields, shape: tuple[int, ...]) -> np.ndarray:
+    """What the places of a pattern share but for the pattern: the site of a pixel, nothing of a line."""
+    whole = shape == field.mean.shape
+    return channel_index(field.mean.shape).ravel() if whole else np.zeros(int(np.prod(shape)), int)
+
+
+def _apart(
+    score: Float[np.ndarray, "k"], information: Float[np.ndarray, "k"], alike: np.ndarray
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Both without what all places have in common, which is a level and no pattern: rare values of one sign
+    lift the means of all pixels, in every recording."""
+    level = np.bincount(alike, score) / np.maximum(np.bincount(alike, information), 1e-300)
+    return score - level[alike] * information, information
+
+
 def _of_pairs(
     score: Float[np.ndarray, "r k"], information: Float[np.ndarray, "r k"]
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
@@ -90,6 +119,48 @@ def _of_pairs(
     variance one."""
     first, second = ((v.sum(0) ** 2 - (v**2).sum(0)) / 2 for v in (score, information))
     return first, second
+
+
+def by_level(step: Step) -> Doubt | None:
+    """What speaks against a step that names errors of each reference, which know nothing of the signal: that
+    those of pixels of one signal are alike, wherever they lie. Products of the means of two halves of such
+    pixels hold what they share alone."""
+    axes = step.named.signature.axes
+    if step.named.mechanism == UNKNOWN or (axes.time, axes.law, axes.scales) != ("frozen", "white", "scene"):
+        return None
+    rng, products, numbers = np.random.default_rng(0), [], []
+    for field in step.before:
+        if field.kind != "scene" or field.static is None:
+            continue
+        kept = field.usable
+        off = (np.asarray(field.static, np.float64) * field.sigma)[kept] / np.sqrt(field.frames)
+        bins = min(off.size // _OF_ONE_LEVEL, _LEVELS)
+        if bins < 2:
+            continue
+        level = np.empty(off.size, int)
+        level[np.argsort(field.signal[kept], kind="stable")] = np.arange(off.size) * bins // off.size
+        half = rng.integers(0, 2, off.size)
+        # Far ones would stand for all of their level.
+        limit = _FAR * float(np.sqrt(np.mean(off**2)))
+        values = np.clip(off - off.mean(), -limit, limit)
+        first, second = (
+            np.bincount(level[half == h], values[half == h], bins)
+            / np.maximum(np.bincount(level[half == h], minlength=bins), 1)
+            for h in (0, 1)
+        )
+        products.append(first * second)
+        numbers.append(np.bincount(level, minlength=bins))
+    claimed = step.named.score.amplitude**2
+    if not products or claimed <= 0:
+        return None
+    product, number = np.concatenate(products), np.concatenate(numbers)
+    alike = float(product @ number / number.sum())
+    error = float(np.sqrt(np.sum((product * number) ** 2)) / number.sum())
+    share = min(alike / claimed, 1.0)
+    if share < _OF_LEVEL or alike < _SURE * error:
+        return None
+    what = f"{100 * share:.0f} % of it is alike wherever the signal is: a curve of the signal, not of places"
+    return Doubt(share, (what,), instead=True)
 
 
 def two_levels(whole: Compared) -> Doubt | None:
