@@ -180,7 +180,7 @@ def test_what_grows_with_the_exposure_grows_in_every_recording(alter, stays):
 
 @pytest.mark.parametrize("strength", [0.12, 0.3, 1.0])
 def test_maps_that_stay_keep_their_name(strength):
-    """Ten draws each, from just seen to as strong as the noise: none of 400 was doubted."""
+    """Ten draws each, from just seen to as strong as the noise: none is doubted."""
     for seed in range(10):
         fixed = strength * 4.5 * np.random.default_rng(seed).standard_normal((96, 128))
 
