@@ -258,8 +258,8 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     }
     moved = [n for n, slope in part_of(steps).items() if steps[slope] is step]
     for part in (steps[n].named.score for n in moved):
-        of = [max(part.amplitude + e, 0.0) for e in (-Z90 * part.error, Z90 * part.error)]
-        out["parameters"]["frame_offset"] = {"value": part.amplitude, "unit": "DN", "ci90": of}
+        own = {"value": part.amplitude, "unit": "DN", "ci90": list(part.interval90)}
+        out["parameters"]["frame_offset"] = own
     if mechanism == UNKNOWN:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof, term)
