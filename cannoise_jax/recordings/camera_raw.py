@@ -26,9 +26,10 @@ import tifffile
 from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import MOST_NLF, check_overrides, make_recording, quiet, reading
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
 from cannoise_jax.recordings.opened import HEADERLESS, Opened
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
+from cannoise_jax.recordings.stated_values import MOST_NLF
 from cannoise_jax.recordings.tiff_chain import check_chain
 
 SUFFIXES = (

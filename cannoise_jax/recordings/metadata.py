@@ -18,15 +18,24 @@ import numpy as np
 
 from cannoise_jax.recordings import plausible
 from cannoise_jax.recordings.recording import (
-    CFA_PATTERNS,
     COLDEST_C,
     KINDS,
     REFERENCES,
     BadInput,
     Frames,
-    PerChannel,
     Recording,
-    per_channel,
+)
+from cannoise_jax.recordings.stated_values import (
+    LONGEST,
+    camera_of,
+    channels_of,
+    code_step_of,
+    count_of,
+    number_of,
+    one_of,
+    optional_channels,
+    optional_number,
+    pattern_of,
 )
 
 OVERRIDES = (
@@ -52,10 +61,6 @@ _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--whit
 _OWN_WORDS = (TypeError, AttributeError, IndexError, ArithmeticError)
 """What parsers raise where they did not expect such bytes: its words are about their code."""
 _CHUNK_BYTES = 64 << 20
-_LONGEST, _MOST_COUNTED = 200, 10**9
-"""Characters of a camera's name; frames that one may say were averaged."""
-MOST_NLF = 1.0
-"""Of shot and read, normalised: at full scale their noise spans the whole range."""
 _HIGHEST = 2.0**20
 """DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
 refuse the frames; beyond that it is damage."""
@@ -87,14 +92,14 @@ def make_recording(
     stated = {k: v for k, v in stated.items() if v is not None}
     _check_frames(path, frames)
     _check_stated(path, stated)
-    cfa = _cfa(path, stated["cfa"])
+    cfa = pattern_of(path, stated["cfa"])
     if cfa != "MONO" and (frames.shape[1] % 2 or frames.shape[2] % 2):
         raise BadInput(
             f"{path}: {frames.shape[1]} x {frames.shape[2]} pixels is an odd size for a {cfa} mosaic: "
             "crop one row or column"
         )
-    black = _channels(path, "black_level", stated["black_level"])
-    white = _number(path, "white_level", stated["white_level"])
+    black = channels_of(path, "black_level", stated["black_level"])
+    white = number_of(path, "white_level", stated["white_level"])
     if white > _HIGHEST or min(black) < -_HIGHEST:
         raise BadInput(
             f"{path}: black level {min(black):g}, white level {white:g}: far beyond codes of 16 bits: "
@@ -110,21 +115,21 @@ def make_recording(
         cfa=cfa,
         black_level=black,
         white_level=white,
-        camera=_camera(path, stated.get("camera"))
+        camera=camera_of(path, stated.get("camera"))
         or folder_name(Path(path).absolute().parent)
         or Recording.camera,
-        kind=_one_of(path, stated, "kind", KINDS) or "scene",
+        kind=one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
-        iso=_optional(path, stated, "iso", least=0),
-        gain_db=_optional(path, stated, "gain_db", least=-_MOST_DB, most=_MOST_DB),
-        egain=_optional(path, stated, "egain", least=1e-6),
-        exposure_s=_optional(path, stated, "exposure_s", least=0),
-        temperature_c=_optional(path, stated, "temperature_c", least=COLDEST_C),
-        shot=_optional_channels(path, stated, "shot", least=0),
-        read=_optional_channels(path, stated, "read"),
-        code_step=_code_step(path, stated),
-        reference=_one_of(path, stated, "reference", REFERENCES),
-        reference_frames=_count(path, stated, "reference_frames"),
+        iso=optional_number(path, stated, "iso", least=0),
+        gain_db=optional_number(path, stated, "gain_db", least=-_MOST_DB, most=_MOST_DB),
+        egain=optional_number(path, stated, "egain", least=1e-6),
+        exposure_s=optional_number(path, stated, "exposure_s", least=0),
+        temperature_c=optional_number(path, stated, "temperature_c", least=COLDEST_C),
+        shot=optional_channels(path, stated, "shot", least=0),
+        read=optional_channels(path, stated, "read"),
+        code_step=code_step_of(path, stated),
+        reference=one_of(path, stated, "reference", REFERENCES),
+        reference_frames=count_of(path, stated, "reference_frames"),
         path=str(path),
     )
     if scan:
@@ -137,7 +142,7 @@ def make_recording(
 
 def folder_name(folder: Path) -> str:
     """The name of a folder as one of a camera: what no line can show of it is a question mark."""
-    return "".join(c if c.isprintable() else "?" for c in folder.absolute().name)[:_LONGEST]
+    return "".join(c if c.isprintable() else "?" for c in folder.absolute().name)[:LONGEST]
 
 
 def checked(recording: Recording) -> Recording:
@@ -219,7 +224,7 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
             raise BadInput(f"{path}: {failure}: damaged: copy it again, or save it anew") from error
         texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
         reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__
-        reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}..."
+        reason = reason if len(reason) <= LONGEST else f"{reason[:LONGEST]}..."
         raise BadInput(f"{path}: {failure}: {reason}") from error
 
 
@@ -264,122 +269,3 @@ def _check_stated(path: str | Path, stated: Mapping[str, Any]) -> None:
 
 def _and(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def _text(path: str | Path, name: str, value: Any) -> str:
-    """A stated name or word. Raises BadInput for lists, tables, and text that no line can show."""
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.item()
-    if value is None:
-        return ""
-    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-    if isinstance(text, int) or (isinstance(text, float) and math.isfinite(text)):
-        text = str(text)
-    if not (isinstance(text, str) and text.isprintable() and len(text) <= _LONGEST):
-        raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {_LONGEST} characters")
-    return text
-
-
-def _quoted(value: Any) -> str:
-    """The value for a message, in one line and not at length."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _camera(path: str | Path, value: Any) -> str:
-    """The stated name; nothing for what a `Recording` says where nobody named it."""
-    name = "" if value is None else _text(path, "camera", value)
-    return "" if name == Recording.camera else name
-
-
-def _cfa(path: str | Path, value: Any) -> str:
-    cfa = _text(path, "cfa", value).strip().upper()
-    if "TRANS" in cfa or len(cfa) == 36:
-        raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
-    if cfa not in CFA_PATTERNS:
-        known = ", ".join(CFA_PATTERNS)
-        raise BadInput(f"{path}: unknown CFA {_quoted(cfa)}: use --cfa with one of {known}")
-    return cfa
-
-
-def _one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:
-    if name not in stated:
-        return None
-    text = _text(path, name, stated[name])
-    if text not in allowed:
-        raise BadInput(f"{path}: unknown {name} {_quoted(text)}: use one of {', '.join(allowed)}")
-    return text
-
-
-def _channels(path: str | Path, name: str, value: Any) -> PerChannel:
-    try:
-        values = per_channel(_no_truths(value))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
-    if not all(map(math.isfinite, values)):
-        raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
-    return values
-
-
-def _optional_channels(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
-) -> PerChannel | None:
-    if name not in stated:
-        return None
-    values = _channels(path, name, stated[name])
-    said = ", ".join(f"{v:g}" for v in values)
-    if min(values) < least:
-        raise BadInput(f"{path}: {name} is {said}: expected at least {least:g}")
-    if max(map(abs, values)) > MOST_NLF:
-        raise BadInput(
-            f"{path}: {name} is {said}: noise wider than the whole range: write it normalised, as divided by "
-            "(white - black), or leave it out"
-        )
-    return values
-
-
-def _no_truths(value: Any) -> np.ndarray:
-    """The value as an array. Raises TypeError for truths, which count as 0 and 1 elsewhere."""
-    array = np.asarray(value)
-    if array.dtype.kind == "b":
-        raise TypeError("a truth, no number")
-    return array
-
-
-def _number(path: str | Path, name: str, value: Any) -> float:
-    try:
-        number = float(_no_truths(value).reshape(()))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
-    if not math.isfinite(number):
-        raise BadInput(f"{path}: {name} is not finite: {number}")
-    return number
-
-
-def _optional(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
-) -> float | None:
-    if name not in stated:
-        return None
-    number = _number(path, name, stated[name])
-    if number < least:
-        raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
-    if number > most:
-        raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
-    return number
-
-
-def _code_step(path: str | Path, stated: Mapping[str, Any]) -> float | None:
-    step = _optional(path, stated, "code_step", least=0, most=65536)
-    if step is not None and 0 < step < 1:
-        raise BadInput(
-            f"{path}: code_step is {step:g}: stored codes are whole numbers, so 1 or more; 0: none"
-        )
-    return step
-
-
-def _count(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
-    number = _optional(path, stated, name, least=1)
-    if number is not None and number > _MOST_COUNTED:
-        raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")
-    return None if number is None else round(number)

@@ -1,0 +1,136 @@
+"""What a file or a caller states beside the pixels: each value checked, or refused in one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput, PerChannel, Recording, per_channel
+
+LONGEST, _MOST_COUNTED = 200, 10**9
+"""Characters of a camera's name; frames that one may say were averaged."""
+MOST_NLF = 1.0
+"""Of shot and read, normalised: at full scale their noise spans the whole range."""
+
+
+def text_of(path: str | Path, name: str, value: Any) -> str:
+    """A stated name or word. Raises BadInput for lists, tables, and text that no line can show."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    if value is None:
+        return ""
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    if isinstance(text, int) or (isinstance(text, float) and math.isfinite(text)):
+        text = str(text)
+    if not (isinstance(text, str) and text.isprintable() and len(text) <= LONGEST):
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {LONGEST} characters")
+    return text
+
+
+def _quoted(value: Any) -> str:
+    """The value for a message, in one line and not at length."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def camera_of(path: str | Path, value: Any) -> str:
+    """The stated name; nothing for what a `Recording` says where nobody named it."""
+    name = "" if value is None else text_of(path, "camera", value)
+    return "" if name == Recording.camera else name
+
+
+def pattern_of(path: str | Path, value: Any) -> str:
+    cfa = text_of(path, "cfa", value).strip().upper()
+    if "TRANS" in cfa or len(cfa) == 36:
+        raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
+    if cfa not in CFA_PATTERNS:
+        known = ", ".join(CFA_PATTERNS)
+        raise BadInput(f"{path}: unknown CFA {_quoted(cfa)}: use --cfa with one of {known}")
+    return cfa
+
+
+def one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:
+    if name not in stated:
+        return None
+    text = text_of(path, name, stated[name])
+    if text not in allowed:
+        raise BadInput(f"{path}: unknown {name} {_quoted(text)}: use one of {', '.join(allowed)}")
+    return text
+
+
+def channels_of(path: str | Path, name: str, value: Any) -> PerChannel:
+    try:
+        values = per_channel(_no_truths(value))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
+    if not all(map(math.isfinite, values)):
+        raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
+    return values
+
+
+def optional_channels(
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
+) -> PerChannel | None:
+    if name not in stated:
+        return None
+    values = channels_of(path, name, stated[name])
+    said = ", ".join(f"{v:g}" for v in values)
+    if min(values) < least:
+        raise BadInput(f"{path}: {name} is {said}: expected at least {least:g}")
+    if max(map(abs, values)) > MOST_NLF:
+        raise BadInput(
+            f"{path}: {name} is {said}: noise wider than the whole range: write it normalised, as divided by "
+            "(white - black), or leave it out"
+        )
+    return values
+
+
+def _no_truths(value: Any) -> np.ndarray:
+    """The value as an array. Raises TypeError for truths, which count as 0 and 1 elsewhere."""
+    array = np.asarray(value)
+    if array.dtype.kind == "b":
+        raise TypeError("a truth, no number")
+    return array
+
+
+def number_of(path: str | Path, name: str, value: Any) -> float:
+    try:
+        number = float(_no_truths(value).reshape(()))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
+    if not math.isfinite(number):
+        raise BadInput(f"{path}: {name} is not finite: {number}")
+    return number
+
+
+def optional_number(
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
+) -> float | None:
+    if name not in stated:
+        return None
+    number = number_of(path, name, stated[name])
+    if number < least:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at least {least:g}")
+    if number > most:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
+    return number
+
+
+def code_step_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:
+    step = optional_number(path, stated, "code_step", least=0, most=65536)
+    if step is not None and 0 < step < 1:
+        raise BadInput(
+            f"{path}: code_step is {step:g}: stored codes are whole numbers, so 1 or more; 0: none"
+        )
+    return step
+
+
+def count_of(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
+    number = optional_number(path, stated, name, least=1)
+    if number is not None and number > _MOST_COUNTED:
+        raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")
+    return None if number is None else round(number)
