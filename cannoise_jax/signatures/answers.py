@@ -181,9 +181,7 @@ def along_fields(
     return along
 
 
-def through(
-    field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]
-) -> Float[np.ndarray, "lines"]:
+def through(field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "g"]:
     """What is left of what lines share in the static part once it went through `function`."""
     before = field.weight
     along = 1 if axis == "row" else 0
@@ -192,7 +190,7 @@ def through(
     return np.where(square > 0, after / np.maximum(square, 1e-30), 1.0).astype(np.float32)
 
 
-def less_shared(field: Fields, axis: str, left: Float[np.ndarray, "lines"]) -> Fields:
+def less_shared(field: Fields, axis: str, left: Float[np.ndarray, "g"]) -> Fields:
     """The field of which so much of what lines share is left in the static part."""
     kept = field.answers.kept
     left = kept[axis] * left if axis in kept else left

@@ -33,9 +33,9 @@ class Answers(NamedTuple):
     """
 
     mixed: Mapping[str, Float[np.ndarray, "3 3 h w"]] = MappingProxyType({})
-    kept: Mapping[str, Float[np.ndarray, "lines"]] = MappingProxyType({})
+    kept: Mapping[str, Float[np.ndarray, "g"]] = MappingProxyType({})
     apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
-    lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "lines"]]] = MappingProxyType({})
+    lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})
 
 
 class Fields(NamedTuple):
