@@ -17,7 +17,7 @@ two maps could both be would be drawn twice.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -73,33 +73,32 @@ def strengths(fields: tuple[Fields, ...], maps: Sequence[FrozenMap]) -> list[Str
     """Strength of each map beside all others, by maximum likelihood; None for one that nothing tells of.
     fields: with every map taken out."""
     out: dict[int, Strength] = {}
-    moved: list[tuple[str, np.ndarray]] = []
-    for axis in ("row", "column", "pixel"):
-        place = _place(fields, maps, axis, moved)
-        if place is None:
-            continue
+
+    def settled(place: _Place, shape: tuple[int, ...]) -> np.ndarray:
         fitted = _fit(fields, maps, place)
-        out |= fitted
-        variance = np.array([fitted[k].sigma ** 2 for k in place.which])
-        moved += _taken_from(maps, place, _posterior(place, variance)[0], axis)
+        out.update(fitted)
+        sigma = [fitted[n].sigma if n in fitted else np.sqrt(maps[n].variance) for n in place.which]
+        return _posterior(place, np.square(sigma))[0]
+
+    _place_by_place(fields, maps, settled)
     return [out.get(n) for n in range(len(maps))]
 
 
-def predicted(fields: tuple[Fields, ...], maps: Sequence[FrozenMap], sigma: Sequence[float]):
+def predicted(
+    fields: tuple[Fields, ...], maps: Sequence[FrozenMap], sigma: Sequence[float]
+) -> list[Predicted | None]:
     """What each map of this standard deviation adds to new frames, with the others beside it; None for one
     that nothing tells of. fields: with every map taken out."""
     out: dict[int, Predicted] = {}
-    moved: list[tuple[str, np.ndarray]] = []
-    for axis in ("row", "column", "pixel"):
-        place = _place(fields, maps, axis, moved)
-        if place is None:
-            continue
+
+    def settled(place: _Place, shape: tuple[int, ...]) -> np.ndarray:
         mean, covariance = _posterior(place, _variances(place, sigma))
-        shape = _SHAPES.get(axis, fields[0].mean.shape)
         for k, n in enumerate(place.which):
             doubt = covariance[:, k, k].reshape(shape)
             out[n] = Predicted(mean[:, k].reshape(shape), doubt, maps[n].scaling)
-        moved += _taken_from(maps, place, mean, axis)
+        return mean
+
+    _place_by_place(fields, maps, settled)
     return [out.get(n) for n in range(len(maps))]
 
 
@@ -112,16 +111,29 @@ def drawn(
     """One draw of all maps together, of these standard deviations and given what the recordings say; lines as
     `[H, 1]` or `[1, W]`, None for one that nothing tells of. fields: with every map taken out."""
     out: dict[int, np.ndarray] = {}
+
+    def settled(place: _Place, shape: tuple[int, ...]) -> np.ndarray:
+        values = _draw(place, _variances(place, sigma), shape if -1 not in shape else None, rng)
+        out.update({n: values[:, k].reshape(shape) for k, n in enumerate(place.which)})
+        return values
+
+    _place_by_place(fields, maps, settled)
+    return [out.get(n) for n in range(len(maps))]
+
+
+def _place_by_place(
+    fields: tuple[Fields, ...],
+    maps: Sequence[FrozenMap],
+    settled: Callable[[_Place, tuple[int, ...]], Float[np.ndarray, "n k"]],
+) -> None:
+    """Lines first, then pixels, given what lines are. settled(maps of a place, shape of one) -> what they are
+    taken to be."""
     moved: list[tuple[str, np.ndarray]] = []
     for axis in ("row", "column", "pixel"):
         place = _place(fields, maps, axis, moved)
-        if place is None:
-            continue
-        shape = _SHAPES.get(axis, fields[0].mean.shape)
-        values = _draw(place, _variances(place, sigma), shape if axis == "pixel" else None, rng)
-        out |= {n: values[:, k].reshape(shape) for k, n in enumerate(place.which)}
-        moved += _taken_from(maps, place, values, axis)
-    return [out.get(n) for n in range(len(maps))]
+        if place is not None:
+            values = settled(place, _SHAPES.get(axis, fields[0].mean.shape))
+            moved += _taken_from(maps, place, values, axis)
 
 
 def _variances(place: _Place, sigma: Sequence[float]) -> np.ndarray:

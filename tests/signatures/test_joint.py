@@ -190,3 +190,9 @@ def test_columns_beside_a_strong_pixel_map_keep_their_strength():
     for name in ("column_additive_static", "row_additive_static"):
         score = SIGNATURES[name].score(left)
         assert score.amplitude == pytest.approx(float(np.std(maps[name])), abs=3 * score.error)
+
+
+def test_a_map_that_no_pixel_tells_of_has_no_strength():
+    fields, _ = planted(1)
+    blind = tuple(f._replace(usable=np.zeros_like(f.usable)) for f in fields)
+    assert joint.strengths(blind, [joint.FrozenMap("pixel", "additive", 1.0)]) == [None]

@@ -16,12 +16,10 @@ def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarr
     together, at the longest exposure where they grow with it, and of others each by itself."""
     out: dict[int, np.ndarray | None] = {}
     for fields, places in _together(steps):
-        seconds = max(f.exposure_s or 0.0 for f in fields)
         maps = [_map_of(steps[n]) for n in places]
-        for n, one, values in zip(
-            places, maps, joint.drawn(fields, maps, _sigmas(steps, fields, places), rng), strict=True
-        ):
-            out[n] = values * seconds if one.scaling == "exposure" and values is not None else values
+        draws = joint.drawn(fields, maps, _sigmas(steps, fields, places), rng)
+        for n, one, values in zip(places, maps, draws, strict=True):
+            out[n] = None if values is None else values * _quoted_at(one, fields)
     return [
         out[n] if n in out else s.named.signature.pattern(s.before, s.named.score, rng)
         for n, s in enumerate(steps)
@@ -53,9 +51,8 @@ def beside_others(steps: tuple[Step, ...], left: tuple[Fields, ...] = ()) -> tup
 
 
 def _at(named: Named, one: joint.FrozenMap, told: joint.Strength, fields: tuple[Fields, ...]) -> Named:
-    """The finding at a strength in the unit of its map; per second, it is quoted at the longest exposure."""
-    score = named.score
-    unit = max(f.exposure_s or 0.0 for f in fields) if one.scaling == "exposure" else 1.0
+    """The finding at a strength in the unit of its map."""
+    score, unit = named.score, _quoted_at(one, fields)
     sigma, error, shift = (x * unit for x in told)
     name, (_, text, _) = next(iter(score.parameters.items()))
     parameters = {**score.parameters, name: (sigma, text, error)}
@@ -64,10 +61,13 @@ def _at(named: Named, one: joint.FrozenMap, told: joint.Strength, fields: tuple[
 
 
 def _sigmas(steps: tuple[Step, ...], fields: tuple[Fields, ...], places: list[int]) -> list[float]:
-    """Strengths in the units of the maps; per second, they are quoted at the longest exposure."""
-    seconds = max(f.exposure_s or 0.0 for f in fields) or 1.0
-    found = [(_map_of(steps[n]), steps[n].named.score.amplitude) for n in places]
-    return [value / (seconds if one.scaling == "exposure" else 1.0) for one, value in found]
+    """Strengths in the units of the maps."""
+    return [steps[n].named.score.amplitude / (_quoted_at(_map_of(steps[n]), fields) or 1.0) for n in places]
+
+
+def _quoted_at(one: joint.FrozenMap, fields: tuple[Fields, ...]) -> float:
+    """What strengths are quoted at, in units of the map: the longest exposure, where they grow with it."""
+    return max(f.exposure_s or 0.0 for f in fields) if one.scaling == "exposure" else 1.0
 
 
 def _together(steps: tuple[Step, ...]) -> list[tuple[tuple[Fields, ...], list[int]]]:
