@@ -86,18 +86,23 @@ def sample_image(
         tile = max(size)
     summary = _summary(drawn, clean, rows, columns, tile)
     draws = _draws_drawer(module, row_key, size)
+    rows_last = module.row_noise and not (module.literal or module.physics)
     made = np.empty(clean.shape, np.float32)
     strips: dict[int, Any] = {}
     for place in _grid(size, tile):
         own, wide, inner = _windows(place, size, tile, REACH)
+        pixels = _pixels(own, (height, width), margin)
+        if not (pixels or rows_last):
+            continue
         image = clean[np.ix_(rows[wide[0]], columns[wide[1]])].astype(np.float32)
-        noise, lines = _program(module)(
-            model.generator, image[None], *drawn(wide), latent, level, summary, draws(wide)
+        first, part, inner = _part(wide, inner, tile)
+        noise, lines = _program(module, part)(
+            model.generator, image[None], *drawn(wide), latent, level, summary, draws(wide), first
         )
         _put(made, np.asarray(noise[0])[inner], own, margin)
         strips[place[0]] = strips.get(place[0], 0) + np.asarray(lines[0])[inner].sum(1, dtype=np.float64)
-        progress(_pixels(own, (height, width), margin))
-    if module.row_noise and not (module.literal or module.physics):
+        progress(pixels)
+    if rows_last:
         offsets = np.asarray(row_draws(row_key, 1, size[0]))[0, :, 0]
         gains = np.concatenate([strips[y] for y in sorted(strips)]) / size[1]
         made += (gains * offsets)[margin : margin + height, None].astype(np.float32)
@@ -165,6 +170,16 @@ def _windows(place, size, tile: int, reach: int) -> tuple[Window, Window, Window
     wide = [slice(f, f + w) for f, w in zip(first, whole, strict=True)]
     inner = [slice(o.start - f, o.stop - f) for o, f in zip(own, first, strict=True)]
     return (own[0], own[1]), (wide[0], wide[1]), (inner[0], inner[1])
+
+
+def _part(wide: Window, inner: Window, tile: int) -> tuple[np.ndarray, tuple[int, int], Window]:
+    """What full-resolution layers of 3x3 work on of a tile with its surroundings: where it begins, its size,
+    the same for all tiles, and where the tile lies in it."""
+    whole = [w.stop - w.start for w in wide]
+    size = [min(tile + 2, n) for n in whole]
+    first = [min(max(i.start - 1, 0), n - s) for i, n, s in zip(inner, whole, size, strict=True)]
+    place = [slice(i.start - f, i.stop - f) for i, f in zip(inner, first, strict=True)]
+    return np.array(first, np.int32), (size[0], size[1]), (place[0], place[1])
 
 
 def _within(part: slice, size: int, margin: int) -> slice:
@@ -260,12 +275,12 @@ def _summary(drawn, clean, rows, columns, tile: int) -> Float[Array, "1 s"]:
     return jnp.asarray(total, jnp.float32)
 
 
-@lru_cache(maxsize=4)
-def _program(module):
-    def run(variables, image, n_init, sigma, latent, level, summary, draws):
+@lru_cache(maxsize=8)
+def _program(module, part: tuple[int, int]):
+    def run(variables, image, n_init, sigma, latent, level, summary, draws, first):
         return module.apply(
             variables, image, n_init, latent, sigma, train=False, level=level, summary=summary, draws=draws,
-            lines=False,
+            lines=False, part=((first[0], first[1]), part),
         )  # fmt: skip
 
     return jax.jit(run)

@@ -81,7 +81,7 @@ def get_config() -> ConfigDict:
                 "source": "drawn",  # drawn, virtual, recordings (set by --recordings), sidd
                 "seed": 0,
                 "cameras": 512,  # drawn
-                "references": 2,  # patches of a drawn camera's setting beside the target
+                "references": 6,  # patches beside the target, of its setting: 1, 2, 3 or 6 of them are shown
                 "validation_cameras": 24,
                 "calibration_scenes": 40,  # of the virtual cameras, for the re-calibrated levels
                 "scenes": 160,

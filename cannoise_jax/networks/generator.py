@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
+from jax import lax
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks.branches import (
@@ -37,7 +38,10 @@ from cannoise_jax.networks.branches import (
     physical_noise,
     physics_of,
 )
-from cannoise_jax.networks.layers import Block, Conv, Norm, he_init, leaky_relu, scaled
+from cannoise_jax.networks.layers import Block, Conv, Norm, bent, he_init, leaky_relu, scaled
+
+KNEE = 4.0
+"""Sigma from which on the networks see noise by its logarithm only."""
 
 
 class ResidualBlock(nn.Module):
@@ -143,7 +147,8 @@ class Generator(nn.Module):
     Returns noise in normalised units, not clipped. Height and width must be multiples of 32. For a tile of an
     image, summary: that of the whole image; draws: its part of those of the whole image; lines=False:
     `(noise without row offsets, their sizes)`, the sizes to be averaged over whole rows and multiplied by
-    `row_draws`.
+    `row_draws`; part: only that part of the tile, `(first row and column, size)`, so that full-resolution
+    layers spare the surroundings. A pixel at the edge of the part is right where that is the tile's own.
     """
 
     width: float = 1.0
@@ -172,11 +177,12 @@ class Generator(nn.Module):
         summary: Float[Array, "b s"] | None = None,
         draws: Draws | None = None,
         lines: bool = True,
+        part: tuple[Any, tuple[int, int]] | None = None,
     ) -> Any:
         if self.literal:
             x = jnp.concatenate([clean, n_init], -1)
             unet = UNet(self.width, 4, True, "instance", True, self.output_norm, name="unet")
-            noise = n_init + jnp.tanh(unet(x, latent, train=train))
+            noise = _part(n_init + jnp.tanh(unet(x, latent, train=train)), part)
             return noise if lines else (noise, jnp.zeros_like(noise))
         told = latent * latent.shape[-1] ** 0.5
         level = _as_noise(sigma) if level is None else level
@@ -191,10 +197,11 @@ class Generator(nn.Module):
                 draws = branch_draws(self.make_rng("noise"), n_init.shape)
             n_init = physical_noise(draws, n_init / sigma, clean, level, physics)
             if not self.residue:
+                n_init = _part(n_init, part)
                 return n_init if lines else (n_init, jnp.zeros_like(n_init))
-        noise, row = self._networks(clean, n_init, latent, sigma, told, train)
+        noise, row = self._networks(clean, n_init, latent, sigma, told, train, part)
         if not lines:
-            return noise, sigma * row
+            return noise, _part(sigma, part) * row
         if self.row_noise and not self.physics:
             offsets = row_draws(self.make_rng("noise"), *noise.shape[:2])
             noise = noise + jnp.mean(sigma * row, 2, keepdims=True) * offsets
@@ -208,10 +215,13 @@ class Generator(nn.Module):
         self.sow("physics", "parameters", physics)
         return physics
 
-    def _networks(self, clean, noise, latent, sigma, told, train):
+    def _networks(self, clean, noise, latent, sigma, told, train, part):
         """The U-Net and the full-resolution branch: noise, and the sizes of row offsets beside it."""
-        x = in_sigma_units(clean, noise, sigma, level=self.level_input)
+        # A hot pixel of a hundred sigma would mark whatever the networks reach around it.
+        seen = sigma * bent(noise / sigma, KNEE)
+        x = in_sigma_units(clean, seen, sigma, level=self.level_input)
         features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
+        x, features, noise, sigma = (_part(v, part) for v in (x, features, noise, sigma))
         x = jnp.concatenate([x, features], -1)
         # One hidden layer: how far a camera is from its published noise differs from setting to setting.
         told = leaky_relu(nn.Dense(2 * self.hidden, kernel_init=he_init, name="told")(told))
@@ -222,6 +232,15 @@ class Generator(nn.Module):
         if not rows:
             return noise, jnp.zeros_like(noise)
         return noise, row[0]
+
+
+def _part(values, part):
+    """Of images the part that is wanted, `(first row and column, size)`; all of them for None."""
+    if part is None:
+        return values
+    (y, x), (height, width) = part
+    count, _, _, channels = values.shape
+    return lax.dynamic_slice(values, (0, y, x, 0), (count, height, width, channels))
 
 
 def row_draws(key: Key[Array, ""], images: int, rows: int) -> Float[Array, "b h 1 4"]:

@@ -21,6 +21,15 @@ def leaky_relu(x: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.maximum(x, LEAK * x)
 
 
+def bent(noise: Float[Array, "*s"], knee: float) -> Float[Array, "*s"]:
+    """Noise in units of its sigma as it is up to the knee, and logarithmic beyond (its slope goes on): a hot
+    pixel of a hundred sigma then counts, and not alone. A knee of zero: nothing is bent."""
+    if not knee:
+        return noise
+    size = jnp.abs(noise)
+    return jnp.sign(noise) * jnp.where(size < knee, size, knee * (1 + jnp.log(jnp.maximum(size / knee, 1.0))))
+
+
 def spectral_norm(
     kernel: Float[Array, "k k i o"], u: Float[Array, "o"], v: Float[Array, "k*k*i"], *, iterate: bool
 ) -> tuple[Float[Array, ""], Float[Array, "o"], Float[Array, "k*k*i"]]:

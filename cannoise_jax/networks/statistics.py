@@ -29,8 +29,10 @@ from cannoise_jax.physics.single_image import (
 LEVELS = np.array([0.0, 0.02, 0.06, 0.15, 0.4], np.float32)
 TOE = 0.01
 TAILS = (2.5, 3.5, 5.0)
-LINES = 0.02
-"""What lines seem to share by chance in a patch of 64 x 64."""
+LINES = 0.01
+"""What lines seem to share by chance in a few patches of 64 x 64, against the variance of dark pixels."""
+RUN, BOUND = 8, 2.0
+"""Pixels along a line that are taken together, and how far such a run counts, in units of its noise."""
 
 
 def _level_weights(mean):
@@ -51,10 +53,10 @@ def noise_statistics(
     how many pixels lie there, once over all of the image and once, all channels together, over its smooth
     part; how large that part is; logs of estimated shot and read noise; per channel kurtosis, shares beyond
     2.5, 3.5 and 5 sigma; the same of dark, smooth parts; correlation of horizontal and vertical neighbours;
-    correlation of channel pairs; what rows and what columns share, at lags of 0 to 4, and how much of it the
-    two channels of a line share; how many pixels lie below and exactly at the black level, which tells
-    whether the camera's codes end there; how much of the level neighbours that are alike hide, and the weight
-    of their blend.
+    correlation of channel pairs; what rows and what columns share, at lags of 0 to 4 of one colour and of 1
+    to 3 sensor lines, and in how many pairs of places; how much of the darkest noise is read noise; how many
+    pixels lie below and exactly at the black level, which tells whether the camera's codes end there; how
+    much of the level neighbours that are alike hide, and the weight of their blend.
     """
     residual, mean = high_pass(noisy), local_mean(noisy)
     weights = _level_weights(mean)
@@ -94,6 +96,7 @@ def noise_statistics(
         jnp.stack([correlation(soft[..., a], soft[..., b], smooth) for a, b in pairs], -1),
         *_line_offsets(noisy, variance, smooth),
         *_line_offsets(*(jnp.swapaxes(v, 1, 2) for v in (_transposed(noisy), _transposed(variance), smooth))),
+        jnp.log(jnp.mean(read, -1) / _dark_variance(variance, smooth) + 1e-3)[:, None] / 2,
         (jnp.log(jnp.stack([_share(noisy < 0), _share(noisy == 0)], -1) + 1e-4) + 5) / 3,
         10 * jnp.stack([hidden, blend], -1),
     ]
@@ -122,29 +125,53 @@ def _transposed(image):
 
 
 def _line_offsets(noisy, variance, smooth):
-    """What the pixels of a row have in common beside the scene: of second differences down the columns, in
-    units of the noise, the mean along each row, large ones counting less. Second differences have no memory
-    for slow scene content, and keep of slow offsets what tells them from white ones.
+    """What the pixels of a row have in common beside the scene, from second differences down the columns,
+    which have no memory for slow scene content, and keep of slow offsets what tells them from white ones.
 
-    Products of the two channels of a row, at lags of 0 to 4 rows of one colour; of each channel's own pixels
-    with one another; of neighbouring sensor rows.
+    Pixels are weighted by their inverse variance and taken together in runs along the row. Noise of pixels
+    and texture, which is alike over a few pixels, leave nothing in the products of runs that lie apart, and
+    a run that an edge of the scene moves is bounded. Products at lags of 0 to 4 rows of one colour, and of
+    sensor rows that lie 1, 1 and 3 apart, in units of the noise of dark pixels; how many there are; how much
+    of the dark noise is read noise is known from elsewhere.
     """
     difference = (noisy[:, :-2] - 2 * noisy[:, 1:-1] + noisy[:, 2:])[:, :, 1:-1] / 6**0.5
-    soft = jnp.tanh(difference * lax.rsqrt(variance) / 2) * smooth[..., None]
-    weight = jnp.sum(jnp.square(smooth), 2)[..., None] + 1
-    total = jnp.sum(soft, 2)
-    own = jnp.sum(jnp.square(soft), 2)
-    pairs = [(total[..., 0], total[..., 1]), (total[..., 2], total[..., 3])]
-    scale = jnp.sum(weight[..., 0], 1) * 2
-    # Products of two channels have no noise of their own in them, so that white noise gives zero.
-    crossed = [sum(jnp.sum(_lagged(a, b, k), 1) for a, b in pairs) / scale for k in range(5)]
-    alone = jnp.sum(jnp.square(total) - own, (1, 2)) / scale / 2
-    upper, lower = (a + b for a, b in pairs)
-    between = [jnp.sum(_lagged(upper, lower, k), 1) / scale / 2 for k in range(2)]
+    batch, height, width, _ = difference.shape
+    run = min(RUN, max(width // 4, 1))
+    count = width // run
+    sigma = jnp.sqrt(variance)
+    weight = smooth[..., None] / variance
+
+    def in_runs(values):
+        """Sums over each run of both channels of a sensor row, `[b, h, runs, 2]`: the upper and the lower."""
+        return jnp.sum(values[:, :, : count * run].reshape(batch, height, count, run, 2, 2), (3, 5))
+
+    total = in_runs(weight * 2 * sigma * jnp.tanh(difference / sigma / 2))
+    known = in_runs(weight)
+    spread = jnp.sqrt(known + FLOOR)
+    total = spread * BOUND * jnp.tanh(total / spread / BOUND)
+    # What all rows share is no offset of rows, but the bend of the scene's shading and of bounded noise.
+    centre = jnp.sum(total, (1, 2), keepdims=True) / (jnp.sum(known, (1, 2), keepdims=True) + FLOOR)
+    total = total - known * centre
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count))) > 1
+
+    def products(a, b):
+        return jnp.einsum("bti,ij,btj->b", a, apart.astype(np.float32), b)
+
+    def at_lag(first, second, lag):
+        """Products of rows and of their weights."""
+        rows = height - lag
+        return tuple(products(v[:, :rows, :, first], v[:, lag:, :, second]) for v in (total, known))
+
+    pairs = [tuple(a + b for a, b in zip(at_lag(0, 0, k), at_lag(1, 1, k), strict=True)) for k in range(5)]
+    pairs += [at_lag(0, 1, 0), at_lag(1, 0, 1), at_lag(0, 1, 1)]
+    dark = _dark_variance(variance, smooth)
+    shared = jnp.stack([power / (weights + 1 / dark**2) for power, weights in pairs], -1) / dark[:, None]
+    many = jnp.log1p(pairs[0][1] * jnp.square(dark))[:, None] / 8
     # Shares of the variance: of the order of their chance below LINES, logarithmic above.
-    return (jnp.arcsinh(jnp.stack([*crossed, alone, *between], -1) / LINES) / 2,)
+    return jnp.arcsinh(shared / LINES) / 2, many
 
 
-def _lagged(a, b, lag):
-    size = a.shape[1] - lag
-    return (a[:, :size] * b[:, lag:] + b[:, :size] * a[:, lag:]) / 2
+def _dark_variance(variance, smooth):
+    """Harmonic mean of the variance over the smooth part: that of the darkest pixels, `[b]`."""
+    total = jnp.sum(smooth[..., None] / variance, (1, 2, 3))
+    return (jnp.sum(smooth, (1, 2)) * variance.shape[-1] + FLOOR) / (total + FLOOR / jnp.mean(variance))

@@ -155,8 +155,8 @@ class DrawnBatches:
     """Endless batches of drawn cameras, each in its turn; all of batch n depends on (seed, n) alone.
 
     As `recordings.pipeline`, and: `anchor` [b, r, h, w, 4] of the target's setting, of which `shown` are
-    different, 1 or r; `truth`. size: side of the target, a random window, mirrored on either axis. part: only
-    these rows of every batch, one of `parts` equal runs of them.
+    different, a divisor of r; `truth`. size: side of the target, a random window, mirrored on either axis.
+    part: only these rows of every batch, one of `parts` equal runs of them.
     """
 
     def __init__(
@@ -186,8 +186,9 @@ class DrawnBatches:
         chosen = np.array([self._order(turn)[place] for turn, place in turns])
         count = source.references
         patches = np.array([rng.permutation(count + 1) for _ in chosen])
-        shown = np.where(rng.random(len(chosen)) < 0.5, 1, count)
-        anchors = np.where(np.arange(count) < shown[:, None], patches[:, 1:], patches[:, 1:2])
+        shown = rng.choice(_divisors(count), len(chosen))
+        # Those shown, over and over: each as often as the others.
+        anchors = np.take_along_axis(patches[:, 1:], np.arange(count) % shown[:, None], 1)
         windows = [self._window(rng) for _ in chosen]
         # Everything is drawn for the whole batch, whichever rows of it are wanted.
         chosen, patches, shown, anchors = (v[self.rows] for v in (chosen, patches, shown, anchors))
@@ -219,6 +220,11 @@ class DrawnBatches:
         # Mirrored, colours in a row or column change places, as in a camera of another order.
         flips = tuple(axis for axis in (0, 1) if rng.random() < 0.5)
         return (slice(y, y + self.size), slice(x, x + self.size)), flips
+
+
+def _divisors(number: int) -> list[int]:
+    """Of a whole number, itself among them."""
+    return [k for k in range(1, number + 1) if number % k == 0]
 
 
 def _cut(image: np.ndarray, window: tuple[slice, slice], flips: tuple[int, ...]) -> np.ndarray:

@@ -195,15 +195,6 @@ def paired_loss(first: Float[Array, "*s"], second: Float[Array, "*s"], real: Flo
     return jnp.mean((first - real) * (second - real))
 
 
-def bent(noise: Float[Array, "*s"], knee: float) -> Float[Array, "*s"]:
-    """Noise in units of its sigma as it is up to the knee, and logarithmic beyond (its slope goes on): a hot
-    pixel of a hundred sigma then counts, and not alone. A knee of zero: nothing is bent."""
-    if not knee:
-        return noise
-    size = jnp.abs(noise)
-    return jnp.sign(noise) * jnp.where(size < knee, size, knee * (1 + jnp.log(jnp.maximum(size / knee, 1.0))))
-
-
 def quantiles(noise: Float[Array, "b h w c"]) -> Float[Array, "b n"]:
     """The sorted values of each image: where a histogram loses its tails, the first and the last."""
     return jnp.sort(noise.reshape(noise.shape[0], -1), -1)

@@ -23,6 +23,7 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.networks.branches import LEAST_READ, LEAST_SHOT, NoiseLevel, line_variance
 from cannoise_jax.networks.encoder import mean_latent
+from cannoise_jax.networks.layers import bent
 from cannoise_jax.physics.core.poisson_gaussian import nlf_sigma
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
@@ -183,7 +184,7 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
             for name, statistic in (("quantiles", losses.quantiles), ("spectra", losses.log_spectra)):
                 if weights[name]:
                     terms[name] = losses.paired_loss(
-                        *(statistic(losses.bent(n / unit, weights.knee)) for n in (*made, real))
+                        *(statistic(bent(n / unit, weights.knee)) for n in (*made, real))
                     )
             total = sum(weights[name] * value for name, value in terms.items())
             if weights.physics and "truth" in batch and "physics" in changed:
