@@ -31,6 +31,8 @@ TOE = 0.01
 TAILS = (2.5, 3.5, 5.0)
 LINES = 0.01
 """What lines seem to share by chance in a few patches of 64 x 64, against the variance of dark pixels."""
+SPACINGS = 1, 2
+"""Of the differences that show what lines share, pixels of a colour plane."""
 RUN, BOUND = 8, 2.0
 """Pixels along a line that are taken together, and how far such a run counts, in units of its noise."""
 
@@ -54,9 +56,9 @@ def noise_statistics(
     part; how large that part is; logs of estimated shot and read noise; per channel kurtosis, shares beyond
     2.5, 3.5 and 5 sigma; the same of dark, smooth parts; correlation of horizontal and vertical neighbours;
     correlation of channel pairs; what rows and what columns share, at lags of 0 to 4 of one colour and of 1
-    to 3 sensor lines, and in how many pairs of places; how much of the darkest noise is read noise; how many
-    pixels lie below and exactly at the black level, which tells whether the camera's codes end there; how
-    much of the level neighbours that are alike hide, and the weight of their blend.
+    to 3 sensor lines, narrow and wide, and in how many pairs of places; how much of the darkest noise is read
+    noise; how many pixels lie below and exactly at the black level, which tells whether the camera's codes
+    end there; how much of the level neighbours that are alike hide, and the weight of their blend.
     """
     residual, mean = high_pass(noisy), local_mean(noisy)
     weights = _level_weights(mean)
@@ -125,16 +127,41 @@ def _transposed(image):
 
 
 def _line_offsets(noisy, variance, smooth):
-    """What the pixels of a row have in common beside the scene, from second differences down the columns,
-    which have no memory for slow scene content, and keep of slow offsets what tells them from white ones.
+    """What the pixels of a row have in common beside the scene.
 
     Pixels are weighted by their inverse variance and taken together in runs along the row. Noise of pixels
     and texture, which is alike over a few pixels, leave nothing in the products of runs that lie apart, and
     a run that an edge of the scene moves is bounded. Products at lags of 0 to 4 rows of one colour, and of
-    sensor rows that lie 1, 1 and 3 apart, in units of the noise of dark pixels; how many there are; how much
-    of the dark noise is read noise is known from elsewhere.
+    sensor rows that lie 1, 1 and 3 apart; with wider differences, which see more of what is slow and more of
+    the scene, of the same row and of rows 1 apart; all in units of the noise of dark pixels; and how many
+    there are.
     """
-    difference = (noisy[:, :-2] - 2 * noisy[:, 1:-1] + noisy[:, 2:])[:, :, 1:-1] / 6**0.5
+    dark = lax.stop_gradient(_dark_variance(variance, smooth))[:, None, None, None]
+    scaled = noisy / jnp.sqrt(dark), variance / dark, smooth
+    near, wide = (_products_along(*scaled, spacing) for spacing in SPACINGS)
+    pairs = [_sum(near(0, 0, k), near(1, 1, k)) for k in range(5)]
+    pairs += [near(0, 1, 0), near(1, 0, 1), near(0, 1, 1)]
+    pairs += [_sum(wide(0, 0, 0), wide(1, 1, 0)), _sum(wide(0, 1, 0), wide(1, 0, 1))]
+    shared = jnp.stack([power / (weights + 1) for power, weights in pairs], -1)
+    # Shares of the variance: of the order of their chance below LINES, logarithmic above.
+    return jnp.arcsinh(shared / LINES) / 2, jnp.log1p(pairs[0][1])[:, None] / 8
+
+
+def _sum(first, second):
+    return tuple(a + b for a, b in zip(first, second, strict=True))
+
+
+def _products_along(noisy, variance, smooth, spacing: int):
+    """(upper or lower channels of one, of the other, rows between) -> sums over the image of products of runs
+    along the rows, and of the products of their weights.
+
+    Of second differences down the columns, of pixels that lie `spacing` apart in a colour plane: they have no
+    memory for slow scene content, and keep of slow offsets what tells them from white ones.
+    """
+    difference = noisy[:, : -2 * spacing] - 2 * noisy[:, spacing:-spacing] + noisy[:, 2 * spacing :]
+    difference = difference[:, :, 1:-1] / 6**0.5
+    inner = slice(spacing - 1, variance.shape[1] - spacing + 1)
+    variance, smooth = variance[:, inner], smooth[:, inner]
     batch, height, width, _ = difference.shape
     run = min(RUN, max(width // 4, 1))
     count = width // run
@@ -152,23 +179,17 @@ def _line_offsets(noisy, variance, smooth):
     # What all rows share is no offset of rows, but the bend of the scene's shading and of bounded noise.
     centre = jnp.sum(total, (1, 2), keepdims=True) / (jnp.sum(known, (1, 2), keepdims=True) + FLOOR)
     total = total - known * centre
-    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count))) > 1
+    places = np.arange(count)
+    apart = (np.abs(np.subtract.outer(places, places)) > 1).astype(np.float32)
 
-    def products(a, b):
-        return jnp.einsum("bti,ij,btj->b", a, apart.astype(np.float32), b)
-
-    def at_lag(first, second, lag):
-        """Products of rows and of their weights."""
+    def products(first: int, second: int, lag: int):
         rows = height - lag
-        return tuple(products(v[:, :rows, :, first], v[:, lag:, :, second]) for v in (total, known))
+        return tuple(
+            jnp.einsum("bti,ij,btj->b", v[:, :rows, :, first], apart, v[:, lag:, :, second])
+            for v in (total, known)
+        )
 
-    pairs = [tuple(a + b for a, b in zip(at_lag(0, 0, k), at_lag(1, 1, k), strict=True)) for k in range(5)]
-    pairs += [at_lag(0, 1, 0), at_lag(1, 0, 1), at_lag(0, 1, 1)]
-    dark = _dark_variance(variance, smooth)
-    shared = jnp.stack([power / (weights + 1 / dark**2) for power, weights in pairs], -1) / dark[:, None]
-    many = jnp.log1p(pairs[0][1] * jnp.square(dark))[:, None] / 8
-    # Shares of the variance: of the order of their chance below LINES, logarithmic above.
-    return jnp.arcsinh(shared / LINES) / 2, many
+    return products
 
 
 def _dark_variance(variance, smooth):

@@ -186,7 +186,8 @@ class DrawnBatches:
         chosen = np.array([self._order(turn)[place] for turn, place in turns])
         count = source.references
         patches = np.array([rng.permutation(count + 1) for _ in chosen])
-        shown = rng.choice(_divisors(count), len(chosen))
+        more = rng.choice(_divisors(count)[1:] or [1], len(chosen))
+        shown = np.where(rng.random(len(chosen)) < 0.5, 1, more)
         # Those shown, over and over: each as often as the others.
         anchors = np.take_along_axis(patches[:, 1:], np.arange(count) % shown[:, None], 1)
         windows = [self._window(rng) for _ in chosen]
