@@ -103,7 +103,8 @@ def _suite(content: dict[str, Any]) -> _Parts:
 def _denoising(content: dict[str, Any]) -> _Parts:
     """A row for every exposure and noise model, the worst first; its values are named
     EXPOSURE_s_NOISE_psnr, _gain (over Poisson-Gaussian noise), _ssim, _gap (the share of the way to real
-    darks) and _over_OTHER (the one before in the expected order)."""
+    darks), _over_OTHER (the one before in the expected order) and _learned_part (its gain on frames held
+    back)."""
     rows, notes = [], []
     values: dict[str, str] = {}
     for exposure, result in content["exposures_s"].items():
@@ -125,6 +126,14 @@ def _denoising(content: dict[str, Any]) -> _Parts:
             f"{exposure} s: {result['seeds']} seeds, {result['steps']} steps, {result['scenes']} test scenes "
             f"on {result['test_frames']} dark frames held back; noisy {result['noisy']['psnr_db']:.2f} dB."
         )
+        for noise, verdict in result.get("learned_part", {}).items():
+            gain = _between(verdict.get("gain_db"), 2, "+")
+            values[_identifier(f"{exposure} s {noise} learned part")] = gain
+            taken = "used" if verdict["adopted"] else "left out"
+            notes.append(
+                f"{exposure} s, {noise.replace('_', ' ')}: the learned part is {taken}; on training frames "
+                f"held back it gains {gain} dB."
+            )
     notes.append(f"{content['camera']}. Intervals: {content['interval']}.")
     columns = ("darks", "trained on", "PSNR, dB", "over pg, dB", "SSIM")
     return {"columns": columns, "rows": tuple(rows), "values": values, "notes": tuple(notes)}

@@ -16,7 +16,15 @@ import time
 from functools import partial
 from typing import Any
 
-from cannoise_jax.commands.denoise_sources import check_sources, generators_of, labels_of, sensors_of, slug
+from cannoise_jax.commands.denoise_sources import (
+    check_sources,
+    generators_of,
+    labels_of,
+    said_of,
+    sensors_of,
+    slug,
+    verdicts_of,
+)
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
@@ -154,6 +162,7 @@ def _test(arguments, argv) -> None:
             name: round(float(np.mean([d.about["seconds"] for d in own if d.about["noise"] == name])), 1)
             for name in made["psnr_db"]
         }
+        result["learned_part"] = verdicts_of(arguments.workdir, capture.camera, exposure)
         out[f"{exposure:g}"] = result
         print(_table(f"{capture.camera}, {exposure:g} s", result), flush=True)
     record = {
@@ -181,6 +190,7 @@ def _table(title: str, result: dict[str, Any]) -> str:
         )
     for step in result["psnr_db_order"]:
         lines.append(f"  {step['upper']} against {step['lower']}: {step['outcome']}")
+    lines += [f"  {name}: {said_of(verdict)}" for name, verdict in result["learned_part"].items()]
     return "\n".join(lines) + "\n"
 
 

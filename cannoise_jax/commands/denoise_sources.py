@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.outputs import make_folder
+from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
+
+_VERDICT = "gain.json"
 
 
 def labels_of(names: str) -> dict[str, str]:
@@ -69,23 +74,82 @@ def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]
 
 def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[str, Any]:
     """The generator that refines a sensor model at this exposure, where the name asks for one: trained on the
-    training part, kept in the workdir."""
-    from tqdm import tqdm
-
-    from cannoise_jax.commands.train import default_config
-    from cannoise_jax.sampling import MODEL_FILE, load_model
-    from cannoise_jax.training.loop import NonFiniteLoss, train
-    from cannoise_jax.training.noise_sources import REFINED
-    from cannoise_jax.training.refine import refine_config, refine_data, write_unit
-    from cannoise_jax.training.result import write_model
+    training part, kept in the workdir. Where denoisers gain nothing from it on frames held back, `gain.json`
+    says so, and the camera model takes its place: None."""
+    from cannoise_jax.training.noise_sources import REFINED, refined, sensor
+    from cannoise_jax.training.worth import JUDGE, gain_of, parted
 
     base = name.partition("+")[0]
     if base not in REFINED:
         return {}
-    folder = arguments.workdir / "generators" / f"{slug(data.camera)}_{data.exposure_s:g}s_{base}"
+    folder = _generator_folder(arguments.workdir, data.camera, data.exposure_s, base)
+    verdict = folder / _VERDICT
+    plain = sensors[REFINED[base]]
+    if not verdict.exists():
+        inner = parted(data)
+        if inner is None:
+            found = {"adopted": False, "reason": "one dark frame for training: none to judge by"}
+        else:
+            model = _refine(inner, folder, plain, arguments)
+            print(f"{folder}: denoisers judge what it adds, on frames held back", flush=True)
+            steps = min(arguments.steps, JUDGE.steps)
+            recipe = replace(JUDGE, steps=steps, features=arguments.features, batch_size=arguments.batch)
+            gain = gain_of(inner, refined(inner, model), sensor(inner, plain), recipe)
+            found = {"adopted": gain.low > 0, "gain_db": gain._asdict(), "interval": "90 %"}
+        make_folder(folder)
+        with texts_in_place({verdict: json.dumps(found, indent=1) + "\n"}):
+            print(verdict, flush=True)
+    return {base: _load(folder) if verdict_of(verdict)["adopted"] else None}
+
+
+def verdict_of(path: Path) -> dict[str, Any]:
+    """What `gain.json` says. Raises BadInput for a file that cannot be read."""
+    try:
+        found = json.loads(path.read_text())
+        if isinstance(found, dict) and isinstance(found.get("adopted"), bool):
+            return found
+    except (OSError, ValueError):
+        pass
+    raise BadInput(f"{path}: not readable: remove it and run again")
+
+
+def verdicts_of(workdir: Path, camera: str, exposure_s: float) -> dict[str, dict[str, Any]]:
+    """By noise model what was found of the generators of a camera at an exposure."""
+    from cannoise_jax.training.noise_sources import REFINED
+
+    files = {name: _generator_folder(workdir, camera, exposure_s, name) / _VERDICT for name in REFINED}
+    return {name: verdict_of(file) for name, file in files.items() if file.exists()}
+
+
+def said_of(verdict: dict[str, Any]) -> str:
+    """A verdict in words."""
+    if "gain_db" not in verdict:
+        return f"the learned part is left out: {verdict['reason']}"
+    gain = verdict["gain_db"]
+    taken = "is used" if verdict["adopted"] else "is left out"
+    return (
+        f"the learned part {taken}: on training frames held back denoisers gain {gain['value']:+.2f} dB "
+        f"[{gain['low']:+.2f}, {gain['high']:+.2f}] by it"
+    )
+
+
+def _generator_folder(workdir: Path, camera: str, exposure_s: float, name: str) -> Path:
+    return workdir / "generators" / f"{slug(camera)}_{exposure_s:g}s_{name}"
+
+
+def _refine(data, folder: Path, plain, arguments):
+    """Trains the generator, or takes the one that is there."""
+    from tqdm import tqdm
+
+    from cannoise_jax.commands.train import default_config
+    from cannoise_jax.sampling import MODEL_FILE
+    from cannoise_jax.training.loop import NonFiniteLoss, train
+    from cannoise_jax.training.refine import refine_config, refine_data, write_unit
+    from cannoise_jax.training.result import write_model
+
     if not (folder / MODEL_FILE).exists():
         make_folder(folder)
-        sensor = write_unit(folder / "sensor.json", sensors[REFINED[base]], data.train.shape[1:])
+        sensor = write_unit(folder / "sensor.json", plain, data.train.shape[1:])
         config = refine_config(
             default_config(), folder / "sensor.json", data.exposure_s, arguments.generator_steps, seed=0
         )
@@ -100,7 +164,13 @@ def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[s
             raise BadInput(f"{folder}: stopped: the same command goes on")
         write_model(config, outcome.state, prepared, folder)
         print(folder / MODEL_FILE, flush=True)
-    return {base: load_model(folder)}
+    return _load(folder)
+
+
+def _load(folder: Path):
+    from cannoise_jax.sampling import load_model
+
+    return load_model(folder)
 
 
 def slug(name: str) -> str:

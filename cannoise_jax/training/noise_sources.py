@@ -183,10 +183,10 @@ REFINED = {f"ours_on_{name}": name for name in FITTED}
 
 
 def open_source(
-    name: str, data: HalfReal, sensors: dict[str, SensorModel], models: dict[str, Model] | None = None
+    name: str, data: HalfReal, sensors: dict[str, SensorModel], models: dict[str, Model | None] | None = None
 ) -> Source:
-    """A source by its name in `NAMED`, `sensors` or `models` (generators that refine a sensor), or of a
-    sensor.json or trained model named by path.
+    """A source by its name in `NAMED`, `sensors` or `models` (generators that refine a sensor; None: nothing
+    was gained by it, and the sensor is taken as it is), or of a sensor.json or trained model named by path.
 
     "A+real_darks" shows one image of real darks to five of A. Raises BadInput for what is none.
     """
@@ -195,7 +195,8 @@ def open_source(
         synthetic, real = (open_source(n, data, sensors, models) for n in (base, more))
         return mixed(synthetic, real)
     if models and name in models:
-        return refined(data, models[name])
+        model = models[name]
+        return sensor(data, sensors[REFINED[name]]) if model is None else refined(data, model)
     if name in NAMED:
         return NAMED[name](data)
     if name in sensors:

@@ -51,7 +51,7 @@ def test_train_test_and_apply(recordings, tmp_path, capsys):
     assert main(apply) == 2 and "--force" in capsys.readouterr().err
 
 
-def test_generators_start_from_a_sensor_model_and_are_kept(recordings, tmp_path, monkeypatch):
+def test_generators_start_from_a_sensor_model_and_are_kept(recordings, tmp_path, monkeypatch, capsys):
     small_networks = run_path(str(Path(__file__).resolve().parents[2] / "configs" / "ci.py"))["get_config"]
     monkeypatch.setattr("cannoise_jax.commands.train.default_config", small_networks)
     run = ["--recordings", str(recordings), "--workdir", str(tmp_path), "--exposure", "10"]
@@ -68,6 +68,14 @@ def test_generators_start_from_a_sensor_model_and_are_kept(recordings, tmp_path,
     assert main(["test", *run[:4], "--scenes", "2"]) == 0
     record = json.loads((tmp_path / "denoising_toy.json").read_text())["exposures_s"]["10"]
     assert set(record["psnr_db"]) == {"calibrated", "ours_on_calibrated"}
+    verdict = json.loads((folder / "gain.json").read_text())
+    assert record["learned_part"] == {"ours_on_calibrated": verdict}
+    assert verdict["adopted"] == (verdict["gain_db"]["low"] > 0)
+    plain, learned = (record["psnr_db"][n]["by_seed"] for n in ("calibrated", "ours_on_calibrated"))
+    assert (plain == learned) != verdict["adopted"]  # what is left out leaves the camera model as it is
+    (folder / "gain.json").write_text("{}")
+    (tmp_path / "denoisers" / "toy_10s" / "ours_on_calibrated_0.npz").unlink()
+    assert main(["train", *run, *small, *names]) == 2 and "gain.json" in capsys.readouterr().err
 
 
 def test_what_cannot_be_used_is_refused_in_one_line(recordings, tmp_path, capsys):

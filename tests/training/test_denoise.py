@@ -14,6 +14,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.sampling import make_model
+from cannoise_jax.training import worth
 from cannoise_jax.training.denoise import (
     Recipe,
     applied,
@@ -100,6 +101,17 @@ def test_a_sensor_model_is_sampled_in_the_datas_own_units(data):
     # Up to the error of the measured gain, with which the data's units are made.
     assert noise.mean() == pytest.approx(0, abs=0.02)
     assert noise.var() == pytest.approx(expected, rel=0.15)
+
+
+def test_a_learned_part_is_judged_by_what_denoisers_gain_on_frames_held_back(data):
+    inner = worth.parted(data)
+    np.testing.assert_array_equal(np.concatenate([inner.train, inner.test]), data.train)
+    assert worth.parted(dataclasses.replace(data, train=data.train[:1])) is None
+    recipe = dataclasses.replace(SMALL, scenes=4, steps=80)
+    darks, weak = open_source("real_darks", inner, {}), open_source("gaussian", inner, {})
+    gain = worth.gain_of(inner, darks, weak, recipe, seeds=1)
+    assert gain.low > 0, gain
+    assert worth.gain_of(inner, darks, darks, recipe, seeds=1) == (0, 0, 0)
 
 
 DARK_E_S, PATTERN_DN = 9.0, 12.0
