@@ -26,6 +26,7 @@ from cannoise_jax.commands.denoise_sources import (
     verdicts_of,
 )
 from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.freed_memory import give_back_large
 from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
@@ -211,6 +212,7 @@ def _apply(arguments, argv) -> None:
     from cannoise_jax.tiles import filter_mosaic
     from cannoise_jax.training.denoise import applied, load_denoiser
 
+    give_back_large()
     check_file(arguments.out, ".npy", arguments.force)
     denoiser = load_denoiser(arguments.denoiser)
     recording = load_recording(arguments.recording)

@@ -9,6 +9,7 @@ import argparse
 import sys
 
 from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.freed_memory import give_back_large
 from cannoise_jax.commands.parser import OneLineParser, count, level, numbers, place
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
@@ -20,6 +21,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         from cannoise_jax.commands.sample_frames import synthesise
 
+        give_back_large()
         written = synthesise(arguments)
     except BadInput as error:
         print(f"bin/sample: {error}", file=sys.stderr)
