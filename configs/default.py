@@ -16,7 +16,7 @@ def get_config() -> ConfigDict:
             # Folder of a run of the same networks whose weights training starts from, to fine-tune it on
             # --recordings; none: from scratch.
             "start": placeholder(str),
-            "steps": 400,
+            "steps": 800,
             "batch_size": 16,  # paper: 64
             "patch": 32,  # packed pixels, what G and D are trained on; paper: 64
             "reference": 64,  # packed pixels, what E is trained on; paper: 64
