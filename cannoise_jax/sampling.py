@@ -37,8 +37,8 @@ from cannoise_jax.recordings.recording import BadInput
 SMALLEST = 16
 """Least height and width of clean images, packed pixels; smaller references are repeated up to it."""
 MODEL_FILE = "model.npz"
-_FORMAT = "cannoise/model/3"
-_OLDER = ("cannoise/model/1", "cannoise/model/2")
+_FORMAT = "cannoise/model/4"
+_OLDER = ("cannoise/model/1", "cannoise/model/2", "cannoise/model/3")
 LEVELS = ("estimated", "given", "both")
 """Where the level of the initial noise comes from: the references, whoever asks for noise, or either."""
 _BRIGHTEST, _DARKEST = 4.0, -0.5
@@ -337,8 +337,7 @@ def _refuse_older(path: Path, arrays) -> None:
     found = json.loads(str(arrays["description"]))["format"]
     if found in _OLDER:
         raise BadInput(
-            f"{path}: a model of an older version, which takes the level of its references for another: "
-            "train it again"
+            f"{path}: a model of an older version, whose encoder looks at other statistics: train it again"
         )
     if found != _FORMAT:
         raise ValueError(found)
