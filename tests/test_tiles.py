@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import partial
 
 import jax
@@ -114,3 +116,41 @@ def test_the_papers_networks_take_the_image_as_it_is():
 
 def constant(key, clean, shot, read):
     return jnp.full(clean.shape, 0.01), jnp.full(clean.shape, 0.02)
+
+
+_GROWTH = """
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from cannoise_jax.commands.freed_memory import give_back_large
+from cannoise_jax.networks import Generator
+from cannoise_jax.sampling import make_model
+from cannoise_jax.tiles import sample_mosaic
+
+def kilobytes(name):
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(name))
+
+give_back_large()
+generator, key = Generator(1 / 16, hidden=16, spectral=False), jax.random.key(0)
+image = np.ones((1, 32, 32, 4), np.float32)
+keys = {"params": key, "noise": key}
+latent = np.zeros((1, 1), np.float32)
+variables = jax.jit(lambda: generator.init(keys, image, image, latent, image, train=False))()
+model = make_model(generator, variables, None, {})
+reference, nlf = np.full((64, 64, 4), 0.1, np.float32), (1e-3, 1e-5)
+sample_mosaic(model, key, np.full((256, 256), 0.1, np.float32), "RGGB", reference, nlf)
+clean = np.full((4000, 6000), 0.1, np.float32)
+before = kilobytes("VmRSS")
+sample_mosaic(model, key, clean, "RGGB", reference, nlf)
+print((kilobytes("VmHWM") - before) / 1024)
+"""
+
+
+@pytest.mark.slow
+def test_24_megapixels_take_less_than_a_gigabyte_beside_the_image():
+    """At the width of the default, in a process of its own, as bin/sample draws."""
+    run = subprocess.run([sys.executable, "-c", _GROWTH], capture_output=True, text=True, check=True)
+    assert float(run.stdout) < 1024, run.stdout
