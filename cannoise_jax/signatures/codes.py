@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.signatures.added import strength
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.recorded import Codes, Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
@@ -18,14 +19,13 @@ from cannoise_jax.signatures.signature import (
     NO_PATTERN,
     NO_PLACE,
     NO_STRENGTH,
-    Addition,
     Axes,
-    Found,
     Signature,
     unchanged,
 )
 
 _PERIODS = range(2, 129)
+"""Codes from one gap or spike to the next that are looked for."""
 _SURE = 4.0
 """Standard errors by which a code must differ from its neighbours to be one of a comb."""
 

@@ -16,10 +16,11 @@ from scipy import stats
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score, chi2_log_sf
-from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Addition, Axes, Found, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 DOUBLING_K = 6.3
 """Kelvin over which the dark current of silicon doubles near room temperature."""

@@ -15,8 +15,8 @@ import cannoise_jax
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.contrasts import Stack
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings, splits_of
+from cannoise_jax.discovery.proof.gains import held_out_gain
 from cannoise_jax.discovery.proof.heldout import score_frames
-from cannoise_jax.discovery.proof.prove import held_out_gain
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.search import declare
 from cannoise_jax.discovery.search.fit import charge, second_look
@@ -28,6 +28,7 @@ from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.multiplicity import SHARED
 
 ALPHA = 0.01
+"""False-alarm rate of a run, that of `diagnose`."""
 
 
 def diagnosed(

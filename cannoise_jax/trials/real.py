@@ -19,7 +19,7 @@ from cannoise_jax.blind.seal import write_atomically
 from cannoise_jax.blind.strength import strength
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import Prepared, prepare
-from cannoise_jax.discovery.proof.prove import held_out_gain
+from cannoise_jax.discovery.proof.gains import held_out_gain
 from cannoise_jax.discovery.report.document import document, plain
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.recordings.load import load_capture_set
