@@ -18,7 +18,7 @@ from cannoise_jax.discovery.frames.contrasts import code_step, steady
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.mechanisms.residual import KNOTS
-from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.physics.core.settings import settings_of
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, iso_numbers
 
@@ -100,8 +100,8 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     light = Light(0, raw.mean) if known is None else known
     fitted = light.fit(raw.mean, raw.usable)
     clean = asked_signal(r, fitted, source, dark)
-    exposure = r.exposure_s if r.exposure_s is not None else 0.01
-    frames = source.frames(0, number, clean, Settings(iso, exposure, r.temperature_c, max(2 * raw.frames, 4)))
+    settings = settings_of(r, iso, max(2 * raw.frames, 4))
+    frames = source.frames(0, number, clean, settings)
     if frames is None:
         return None
     drawn = reduce(frames, high, dark, step)
@@ -138,7 +138,8 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     read = white if source.read is None else min(source.read, white)
     gain = source.gain or 0.0
     return Part(
-        dark, residual, noise, exposure, signal, excess, ratio, bulk, n, read, white, gain, unit, loud
+        dark, residual, noise, settings.exposure_s, signal, excess, ratio, bulk, n,
+        read, white, gain, unit, loud,
     )  # fmt: skip
 
 

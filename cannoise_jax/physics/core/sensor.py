@@ -182,7 +182,9 @@ class SensorModel:
     def with_maps(self, size: tuple[int, int]) -> SensorModel:
         """The same camera unit with its frozen patterns of [H, W] drawn once and kept, instead of at every
         `sample`. Maps that scale with the settings are kept before scaling."""
-        return with_drawn(self, draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
+        return with_drawn(
+            self, draw_maps(self, (float(np.asarray(self.iso)[0]), DEFAULT.exposure_s, None), size)
+        )
 
     def placed(self, size: tuple[int, int]) -> SensorModel:
         """The model for frames of [H, W]: measured maps cut to them, from their first pixel on, or repeated
