@@ -55,7 +55,7 @@ def measure(
     say: Callable[[str], None] = lambda line: None,
 ) -> Measured:
     """Times an item in `pairs` pairs of calls after a warm-up, on some of the cores or all."""
-    before = _load()
+    before = load()
     with tempfile.TemporaryDirectory(prefix="cannoise-bench-") as folder:
         place = Path(folder) / "weights.npz"
         kept = {
@@ -84,7 +84,7 @@ def measure(
     mib = {name: found[-1]["mib"] for name, found in calls.items()}
     times = {name: spread([c["s"] for c in found]) for name, found in calls.items()}
     ratio, cpu = (_ratios(calls, unit) if against else None for unit in ("s", "cpu_s"))
-    return Measured(item, times["ours"], times.get("torch"), ratio, cpu, start, mib, (before, _load()))
+    return Measured(item, times["ours"], times.get("torch"), ratio, cpu, start, mib, (before, load()))
 
 
 def _ratios(calls: dict[str, list[dict[str, float]]], unit: str) -> Spread:
@@ -130,5 +130,6 @@ def _short(found: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in found.items())
 
 
-def _load() -> float:
+def load() -> float:
+    """Processes that wanted a core in the last minute; nan where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")

@@ -69,10 +69,12 @@ Load = Callable[[Camera, Exposed], np.ndarray]
 
 
 def signal(camera: Camera, r: Exposed) -> np.ndarray:
+    """Light of every pixel, DN."""
     return camera.gain * r.electrons
 
 
 def one(camera: Camera, r: Exposed) -> np.ndarray:
+    """The same everywhere."""
     return np.ones_like(r.electrons)
 
 
@@ -151,6 +153,7 @@ def pooled(camera: Camera, sets: Sequence[Exposed], information: Load, power: in
 
 
 def read_share(camera: Camera, r: Exposed) -> np.ndarray:
+    """Share of the read noise in the variance of a pixel."""
     return (camera.gain * camera.read_e) ** 2 / r.variance(camera)
 
 
@@ -207,6 +210,7 @@ def sinusoid(camera: Camera, sets: Sequence[Exposed], load: Load) -> Strength:
 
 
 def corner(camera: Camera, r: Exposed) -> np.ndarray:
+    """Light that falls off from a corner, rms 1, as the exposure has it."""
     height, width = r.electrons.shape
     y, x = np.mgrid[:height, :width]
     glow = np.exp(-np.hypot(y, x) / (0.2 * max(height, width)))
@@ -214,4 +218,5 @@ def corner(camera: Camera, r: Exposed) -> np.ndarray:
 
 
 def site(camera: Camera, r: Exposed) -> np.ndarray:
+    """One sign at two sites of the mosaic, the other at the others."""
     return tile((1, -1, -1, 1), r.electrons.shape)

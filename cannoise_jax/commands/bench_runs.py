@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from cannoise_jax.bench.side_by_side import load
 from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.mechanisms.coverage import coverage, format_rows
@@ -56,6 +57,7 @@ class Speed(NamedTuple):
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
+    """Speed of the simulator beside others."""
     if min(arguments.sizes) < 2 or arguments.frames < 1 or arguments.repeats < 1:
         raise BadInput("simulate: sizes from 2, frames and repeats from 1")
     check_table(arguments)
@@ -166,6 +168,7 @@ def _peer_calls(
 
 
 def run_coverage(arguments: argparse.Namespace) -> None:
+    """Coverage of the intervals of the estimators."""
     known = {entry.id for entry in LISTED if entry.examples.cases}
     wanted = set(arguments.mechanisms or known)
     if wanted - known:
@@ -199,6 +202,7 @@ def run_coverage(arguments: argparse.Namespace) -> None:
 
 
 def run_train(arguments: argparse.Namespace) -> None:
+    """Speed of training here."""
     if min(arguments.batch, arguments.steps) < 1 or arguments.patch < 16 or arguments.patch % 16:
         raise BadInput("train: --batch and --steps from 1, --patch a multiple of 16")
     rate = train_speed(arguments.width, arguments.batch, arguments.patch, arguments.steps)
@@ -232,11 +236,6 @@ def train_speed(width: float, batch: int, patch: int, steps: int) -> float:
         state, _ = step(state, data)
     jax.block_until_ready(state)
     return steps * batch / (time.perf_counter() - start)
-
-
-def load() -> float:
-    """Processes that wanted a core in the last minute; nan where the system does not tell."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
 
 
 def check_table(arguments: argparse.Namespace) -> None:

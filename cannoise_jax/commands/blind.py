@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.blind.compose import PARTS, SHARES
+from cannoise_jax.commands.blind_flags import kinds_of, parts_of, seeds_of, shard_of, size_of, whole
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.parser import OneLineParser, count, place
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -174,16 +175,6 @@ def _plain(arguments: argparse.Namespace) -> None:
     print(text)
 
 
-def _seeds(text: str) -> tuple[int, ...]:
-    try:
-        values = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if not values or min(values) < 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: give whole numbers, as 1,2")
-    return values
-
-
 def progress(done: str) -> Callable[[int, int], None]:
     """Prints how many sets are done and the time left; sets that were there already do not count."""
     started = last = time.monotonic()
@@ -202,48 +193,6 @@ def progress(done: str) -> Callable[[int, int], None]:
     return tell
 
 
-def _shard(text: str) -> tuple[int, int]:
-    try:
-        number, total = (int(part) for part in text.split("/"))
-    except ValueError:
-        number, total = 0, 0
-    if not 1 <= number <= total:
-        raise argparse.ArgumentTypeError(f"{text!r}: give i/n, such as 1/2")
-    return number, total
-
-
-def _kinds(text: str) -> tuple[str, ...]:
-    kinds = tuple(part for part in text.split(",") if part)
-    for kind in kinds:
-        if kind not in SHARES:
-            raise argparse.ArgumentTypeError(f"{kind!r}: give some of {', '.join(SHARES)}")
-    return kinds
-
-
-def _parts(text: str) -> tuple[str, ...]:
-    parts = tuple(part for part in text.split(",") if part)
-    if not parts or any(part not in PARTS for part in parts):
-        raise argparse.ArgumentTypeError(f"{text!r}: give some of {', '.join(PARTS)}")
-    return parts
-
-
-def _size(text: str) -> tuple[int, int]:
-    try:
-        height, width = (int(part) for part in text.split("x"))
-    except ValueError:
-        height = width = 0
-    if height < 64 or width < 64 or height % 2 or width % 2:
-        raise argparse.ArgumentTypeError(f"{text!r}: give HxW, even numbers from 64, such as 192x256")
-    return height, width
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text) if int(text) >= 0 else count(text)
-    except ValueError:
-        return count(text)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/blind", description=__doc__.split("\n\n")[0])
     steps = parser.add_subparsers(required=True, metavar="seal|run|score|develop|real|size|plain")
@@ -251,11 +200,11 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--out", type=place, required=True, help="folder for the sets")
     step.add_argument("--truth", type=place, required=True, help="file for the truth, outside of that folder")
     step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
-    step.add_argument("--sets", type=_whole, default=400, help="sets to diagnose")
-    step.add_argument("--nulls", type=_whole, help="located only (default three for every four sets)")
+    step.add_argument("--sets", type=whole, default=400, help="sets to diagnose")
+    step.add_argument("--nulls", type=whole, help="located only (default three for every four sets)")
     step.add_argument(
         "--kinds",
-        type=_kinds,
+        type=kinds_of,
         default=(),
         metavar="KIND,...",
         help=f"only these: {', '.join(SHARES)}",
@@ -264,7 +213,7 @@ def _parser() -> argparse.ArgumentParser:
     step = steps.add_parser("run", prog="bin/blind run", help="diagnose every set, commit to the claims")
     step.add_argument("--sets", type=place, required=True, help="folder that bin/blind seal wrote")
     step.add_argument("--out", type=place, required=True, help="folder for the claims")
-    step.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help="part I of N of the sets")
+    step.add_argument("--shard", type=shard_of, default=(1, 1), metavar="I/N", help="part I of N of the sets")
     step.set_defaults(step=_run)
     step = steps.add_parser("score", prog="bin/blind score", help="open the truth, score the claims")
     step.add_argument("--sets", type=place, required=True, help="folder that bin/blind seal wrote")
@@ -287,24 +236,24 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument("--recordings", type=place, required=True, help="folder of recordings of one camera")
     step.add_argument("--out", type=place, required=True, help="folder for real.json")
     step.add_argument(
-        "--parts", type=_parts, default=PARTS, metavar="PART,...", help=f"some of {', '.join(PARTS)}"
+        "--parts", type=parts_of, default=PARTS, metavar="PART,...", help=f"some of {', '.join(PARTS)}"
     )
-    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="crop used")
+    step.add_argument("--size", type=size_of, default=(192, 256), metavar="HxW", help="crop used")
     step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted")
     step.set_defaults(step=_real)
     step = steps.add_parser("size", prog="bin/blind size", help="false alarms of the search, by simulation")
     step.add_argument("--out", type=place, required=True, help="folder for the lines of all replicates")
     step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
     step.add_argument("--replicates", type=count, default=2000, help="capture sets")
-    step.add_argument("--size", type=_size, default=(192, 256), metavar="HxW", help="pixels")
-    step.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help="part I of N of them")
+    step.add_argument("--size", type=size_of, default=(192, 256), metavar="HxW", help="pixels")
+    step.add_argument("--shard", type=shard_of, default=(1, 1), metavar="I/N", help="part I of N of them")
     step.set_defaults(step=_true_size)
     step = steps.add_parser(
         "plain", prog="bin/blind plain", help="effects of another generator, unlisted ones too"
     )
     step.add_argument("--out", type=place, required=True, metavar="FILE.jsonl", help="a line for every set")
     step.add_argument(
-        "--seeds", type=_seeds, required=True, metavar="N,N", help="each draws all families once"
+        "--seeds", type=seeds_of, required=True, metavar="N,N", help="each draws all families once"
     )
     step.add_argument("--kinds", nargs="+", choices=("unlisted", "listed", "null"), help="only these")
     step.add_argument("--table", type=place, metavar="FILE.json", help="the score for bin/bench docs")

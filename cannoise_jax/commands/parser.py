@@ -82,6 +82,7 @@ class OneLineParser(argparse.ArgumentParser):
                     self.error(f"{name}: no plain file (a pipe or device): give a file")
 
     def error(self, message: str) -> NoReturn:
+        """Says what is wrong with the flags in one line, and ends."""
         for kind, words in (("int", "a whole number"), ("float", "a number")):
             message = re.sub(rf"invalid {kind} value: (.*)$", rf"\1: give {words}", message)
         message = re.sub(r"^unrecognized arguments: (.*)$", r"\1: no flag stands before it", message)

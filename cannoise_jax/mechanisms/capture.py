@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cannoise_jax.mechanisms import imprints, looks
+from cannoise_jax.mechanisms import imprints, lamp, looks
 from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples, Shot
-from cannoise_jax.mechanisms.lamp import FLICKER
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.mosaic_ops import moved, neighbour_mean
@@ -204,7 +203,7 @@ ENTRIES: tuple[Entry, ...] = (
         needs="scenes with an independent reference",
         signatures=lambda recorded: (
             looks.patterns.scenes(name="scene_static", covers=looks.SCALES),
-            looks.reference.scaled(recorded, name="reference_scale", common=False, covers=looks.SCALES),
+            looks.scales.scaled(recorded, name="reference_scale", common=False, covers=looks.SCALES),
             looks.reference.blurred(recorded, "blur", name="reference_blur", error="reference_error",
                 camera="in_camera_denoising", parameter="weight", partner=looks.BLENDS[0],
                 template=looks.covariance.BLENDED_4, covers=(*looks.SCENES, *looks.BLENDS)),
@@ -220,10 +219,11 @@ ENTRIES: tuple[Entry, ...] = (
         Term("flicker",
              "Mains-driven light read by a rolling shutter: rows brighten and darken in turn.",
              16, "capture", "1", "peak, as a fraction of the signal", listed=46),
-        FLICKER,
+        lamp.FLICKER,
         needs="two frames or more of a lit scene or flat",
         signatures=looks.always(
-            looks.flicker.mains(name="flicker", parameter="amplitude"),
+            looks.flicker.mains(name="flicker", parameter="amplitude", point=lamp.POINT,
+                                of_sites=lamp.of_sites),
         ),
         estimator=Estimator(light.flicker, searched=True),
         examples=Examples("row spectrum", strong={"amplitude": 0.08, "frequency": 0.11},
@@ -252,7 +252,7 @@ LAST = (
         BOOKKEEPING,
         needs="darks, and a stated black level",
         signatures=lambda recorded: (
-            looks.reference.scaled(recorded, name="description_scale", common=True, covers=looks.SCALES),
+            looks.scales.scaled(recorded, name="description_scale", common=True, covers=looks.SCALES),
             looks.levels.black(recorded, name="black_level", covers=("black_level", *looks.SCALES)),
         ),
         estimator=Estimator(codes.bookkeeping),

@@ -8,6 +8,14 @@ import jax
 import jax.numpy as jnp
 
 from cannoise_jax.mechanisms import imprints, looks
+from cannoise_jax.mechanisms.dark_laws import (
+    DOUBLING_C,
+    THERMAL,
+    WIDENHORN,
+    added_charge,
+    per_second,
+    rate_of,
+)
 from cannoise_jax.mechanisms.entry import LONG, SERIES, Case, Entry, Examples
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point
@@ -18,41 +26,14 @@ from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.vocabulary import RMS, Term
 
-DOUBLING_C = 7.0
-"""Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
-_THERMAL = Scaling(exposure=1.0, doubling_c=DOUBLING_C)
-_WIDENHORN = "Widenhorn et al., Temperature dependence of dark current in a CCD, Proc. SPIE 4669 (2002)"
-
-
-def _added(charge, context: Context) -> Effect:
-    """Closed form of Poisson charge of mean `charge` [1, H, W] or a number, e-."""
-    gain = context.gain_dn_per_e
-    charge = jnp.broadcast_to(charge, (1, *context.size))
-    return Effect(
-        mean=(gain * charge)[0],
-        variance=(gain**2 * charge)[0],
-        third=(gain**3 * charge)[0],
-        fourth=(gain**4 * charge)[0],
-    )
-
-
-def _rate(definition: str, default: float) -> Parameter:
-    return Parameter("e_per_s", "e-/s", default, 0.0, 1e7, definition)
-
-
-def _per_second(values, context: Context):
-    # The strength comes scaled to the exposure.
-    return values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12)
-
-
 DARK_CURRENT = Mechanism(
     id="dark_current",
     point=Point("pixel", "mean", "frame", "frozen"),
-    parameters=(_rate("mean dark current", 10.0),),
+    parameters=(rate_of("mean dark current", 10.0),),
     equation=r"\mu \to \mu + D\,t\,2^{(T-T_0)/T_d}",
     sentence="Warm silicon frees electrons without light: the darks rise with exposure and temperature, and "
     "get noisier as they do.",
-    reference=_WIDENHORN,
+    reference=WIDENHORN,
     needs=("dark", "exposure"),
     confused_with=(
         "bookkeeping",
@@ -61,10 +42,10 @@ DARK_CURRENT = Mechanism(
         "amp_glow",
         "compensated_dark_current",
     ),
-    amplitude=_per_second,
+    amplitude=per_second,
     sample=lambda key, x, values, maps, context: x + values["e_per_s"],
-    effect=lambda values, maps, context: _added(values["e_per_s"], context),
-    scaling=_THERMAL,
+    effect=lambda values, maps, context: added_charge(values["e_per_s"], context),
+    scaling=THERMAL,
     scales="e_per_s",
 )
 
@@ -76,7 +57,7 @@ def _compensated(key, x, values, maps, context: Context):
 
 
 def _compensated_effect(values, maps, context):
-    added = _added(values["e_per_s"], context)
+    added = added_charge(values["e_per_s"], context)
     return added._replace(mean=(1 - values["share"]) * added.mean)
 
 
@@ -84,7 +65,7 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     id="compensated_dark_current",
     point=Point("pixel", "charge", "pixel", "redrawn"),
     parameters=(
-        _rate("dark current whose mean the camera subtracts", 10.0),
+        rate_of("dark current whose mean the camera subtracts", 10.0),
         Parameter("share", "1", 1.0, 0.0, 10.0, "what is subtracted, over its mean"),
     ),
     equation=r"e \to e + n - s\,q,\quad n \sim \mathrm{Poisson}(q),\ q = D\,t\,2^{(T-T_0)/T_d}",
@@ -93,10 +74,10 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     reference="EMVA 1288 release 4.0, section 7 (dark current from the variance)",
     needs=("dark", "exposure", "pair"),
     confused_with=("dark_current", "read_noise_error"),
-    amplitude=_per_second,
+    amplitude=per_second,
     sample=_compensated,
     effect=_compensated_effect,
-    scaling=_THERMAL,
+    scaling=THERMAL,
     scales="e_per_s",
 )
 
@@ -124,7 +105,7 @@ AMP_GLOW = Mechanism(
     id="amp_glow",
     point=Point("pixel", "mean", "pixel", "frozen"),
     parameters=(
-        _rate("at the brightest point", 100.0),
+        rate_of("at the brightest point", 100.0),
         Parameter("length", "frame sides", 0.2, 0.01, 10.0, "distance over which it falls to 1/e"),
     ),
     equation=r"\mu_{ij} \to \mu_{ij} + G\,t\,e^{-d_{ij}/L}",
@@ -135,7 +116,7 @@ AMP_GLOW = Mechanism(
     amplitude=_glow_amplitude,
     sample=lambda key, x, values, maps, context: x + values["e_per_s"] * maps["glow"],
     draw_maps=_glow_maps,
-    effect=lambda values, maps, context: _added(values["e_per_s"] * maps["glow"], context),
+    effect=lambda values, maps, context: added_charge(values["e_per_s"] * maps["glow"], context),
     scaling=Scaling(exposure=1.0),
     scales="e_per_s",
 )
@@ -154,12 +135,12 @@ HOT_PIXELS = Mechanism(
     id="hot_pixels",
     point=Point("pixel", "mean", "pixel", "frozen", distribution="sparse"),
     parameters=(
-        _rate("mean over the hot pixels; their heights are exponential", 2000.0),
+        rate_of("mean over the hot pixels; their heights are exponential", 2000.0),
         Parameter("fraction", "1", 1e-3, 1e-7, 0.5, "share of hot pixels"),
     ),
     equation=r"\mu_{ij} \to \mu_{ij} + D\,h_{ij}\,t\,2^{(T-T_0)/T_d},\quad h \sim f\,\mathrm{Exp}(1)",
     sentence="Crystal defects leak strongly in a few pixels: fixed bright dots that grow with the exposure.",
-    reference=_WIDENHORN,
+    reference=WIDENHORN,
     needs=("dark",),
     confused_with=("cosmic_rays", "rts", "dsnu"),
     amplitude=lambda values, context: (
@@ -167,8 +148,8 @@ HOT_PIXELS = Mechanism(
     ),
     sample=lambda key, x, values, maps, context: x + values["e_per_s"] * maps["heat"],
     draw_maps=_hot_maps,
-    effect=lambda values, maps, context: _added(values["e_per_s"] * maps["heat"], context),
-    scaling=_THERMAL,
+    effect=lambda values, maps, context: added_charge(values["e_per_s"] * maps["heat"], context),
+    scaling=THERMAL,
     scales="e_per_s",
 )
 
@@ -184,7 +165,7 @@ CLOCK_INDUCED_CHARGE = Mechanism(
     confused_with=("dark_current", "bookkeeping"),
     amplitude=lambda values, context: values["charge_e"],
     sample=lambda key, x, values, maps, context: x + values["charge_e"],
-    effect=lambda values, maps, context: _added(values["charge_e"], context),
+    effect=lambda values, maps, context: added_charge(values["charge_e"], context),
 )
 
 
@@ -213,18 +194,18 @@ TEMPERATURE_DRIFT = Mechanism(
     parameters=(
         Parameter("sigma_k", "K", 1.0, 0.0, 30.0, "rms temperature change"),
         Parameter("memory_frames", "frames", 8.0, 0.1, 1e4, "correlation time"),
-        _rate("dark current at the mean temperature", 100.0),
+        rate_of("dark current at the mean temperature", 100.0),
         Parameter("base", "1", 1.0, 0.0, 1.0, "share of it added here; 0: by dark_current", 1.0),
     ),
     equation=r"\mu_t \to \mu + D\,t\,(2^{\Delta T_t/T_d} - 1 + b)",
     sentence="The sensor warms up while it records, and its dark current with it, from frame to frame.",
-    reference=_WIDENHORN,
+    reference=WIDENHORN,
     needs=("burst", "temperature"),
     confused_with=("offset_drift", "illumination_drift", "dark_current"),
     amplitude=lambda values, context: values["sigma_k"],
     sample=_temperature,
     effect=_temperature_effect,
-    scaling=_THERMAL,
+    scaling=THERMAL,
     scales="e_per_s",
 )
 

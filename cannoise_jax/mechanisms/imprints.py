@@ -1,6 +1,6 @@
 """Signatures whose statistic an effect moves beside its own, by the effect: where both reject, what they gain
 counts for it, so that it is judged before what it imprints. What each effect moves was seen in simulations;
-what signatures read does not tell it, for most that read the same are not moved."""
+it follows from no rule: each list parts some that read the same and sit at the same place in the grammar."""
 
 from __future__ import annotations
 

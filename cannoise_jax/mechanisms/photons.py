@@ -152,7 +152,7 @@ ENTRIES: tuple[Entry, ...] = (
         COLUMN_GAIN,
         needs="flats of two frames or more, or scenes with an independent reference",
         signatures=looks.always(
-            looks.lines.frozen("column", "signal", name="column_relative_static", parameter="sigma",
+            looks.line_maps.frozen("column", "signal", name="column_relative_static", parameter="sigma",
                 covers=looks.LIGHT_LEVELS),
         ),
         estimator=Estimator(maps.column_gain, least=3e-4, maps=measured.column_response),

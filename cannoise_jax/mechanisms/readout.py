@@ -138,7 +138,7 @@ ENTRIES: tuple[Entry, ...] = (
         ),
         needs="darks of two frames or more",
         signatures=looks.always(
-            looks.lines.frozen("row", "additive", name="row_additive_static", parameter="sigma_dn",
+            looks.line_maps.frozen("row", "additive", name="row_additive_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
         ),
         estimator=Estimator(lines.row_fpn, maps=measured.row_pattern),
@@ -158,7 +158,7 @@ ENTRIES: tuple[Entry, ...] = (
         ),
         needs="darks of two frames or more",
         signatures=looks.always(
-            looks.lines.frozen("column", "additive", name="column_additive_static", parameter="sigma_dn",
+            looks.line_maps.frozen("column", "additive", name="column_additive_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
         ),
         estimator=Estimator(lines.column_fpn, maps=measured.column_pattern),

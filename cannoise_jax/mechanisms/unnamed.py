@@ -18,9 +18,9 @@ _ALWAYS: tuple[Signature, ...] = (
         looks.lines.redrawn(axis, "signal", name=f"{axis}_relative_temporal", covers=looks.LIGHT_LEVELS)
         for axis in ("row", "column")
     ),
-    looks.lines.frozen("row", "signal", name="row_relative_static", covers=looks.LIGHT_LEVELS),
+    looks.line_maps.frozen("row", "signal", name="row_relative_static", covers=looks.LIGHT_LEVELS),
     *(
-        looks.lines.frozen(axis, "exposure", name=f"{axis}_thermal_static", covers=looks.COVERS_NOTHING)
+        looks.line_maps.frozen(axis, "exposure", name=f"{axis}_thermal_static", covers=looks.COVERS_NOTHING)
         for axis in ("row", "column")
     ),
     *(

@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 from cannoise_jax.physics.hidden_level import hidden_level
 
 BLOCK, STEP = 8, 4
+"""Pixels along a side of a block of one colour, and from one block to the next."""
 _SPREAD = 0.34
 """Relative standard deviation of a block's mean square for white Gaussian noise: 64 squared second
 differences, correlated so that they count as 17 independent ones."""
@@ -39,6 +40,7 @@ _BIAS = 1.01
 _CLIPPED = 0.1
 """Share of pixels at a rail from which on a block counts less: a tenth of the variance is lost there."""
 _ITERATIONS = 20
+"""Reweighted fits, half of them by each rule."""
 _TINY = 1e-10
 FLOOR = 1e-5
 """Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""

@@ -8,41 +8,45 @@ that starts at an odd row or column to the next even one; colours and black leve
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import exifread
 import numpy as np
 import rawpy
-import tifffile
 from jaxtyping import UInt16
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
-from cannoise_jax.recordings.metadata import check_overrides, make_recording, quiet, reading
+from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
 from cannoise_jax.recordings.opened import HEADERLESS, Opened
+from cannoise_jax.recordings.raw_tags import (
+    ACTIVE_AREA,
+    BLACK,
+    BLACK_DELTAS,
+    BLACK_REPEAT,
+    CFA_PLANE_COLOUR,
+    EXPOSURE,
+    ISO,
+    MASKED_AREAS,
+    Directory,
+    camera_name,
+    directories_of,
+    exif_of,
+    first_number,
+    noise_profile,
+    tag_of,
+)
 from cannoise_jax.recordings.recording import BadInput, PerChannel, Recording, per_channel
-from cannoise_jax.recordings.stated_values import MOST_NLF
-from cannoise_jax.recordings.tiff_chain import check_chain
 
 SUFFIXES = (
     *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".srf", ".raf", ".orf", ".rw2", ".pef"),
     *(".srw", ".x3f", ".3fr", ".iiq", ".erf", ".mef", ".mos", ".mrw", ".dcr", ".kdc", ".rwl", ".raw"),
 )
-
-_NOISE_PROFILE, _CFA_PLANE_COLOUR, _ACTIVE_AREA, _MASKED_AREAS = 51041, 50710, 50829, 50830
-_BLACK_REPEAT, _BLACK, _BLACK_DELTAS = 50713, 50714, (50715, 50716)
-_UNIQUE_CAMERA, _EXPOSURE, _ISO = 50708, 33434, (34855, 34867)
-_MOST_DIRECTORIES = 1000
-_CFA_IMAGE = 32803  # PhotometricInterpretation of a mosaic
-_log = logging.getLogger(__name__)
 
 
 class BorderRegion(NamedTuple):
@@ -55,12 +59,6 @@ class BorderRegion(NamedTuple):
     top: int
     left: int
     pixels: UInt16[np.ndarray, "h w"]
-
-
-class _Directory(NamedTuple):
-    tags: dict[int, Any]
-    is_mosaic: bool
-    end: int  # offset behind its last strip
 
 
 class _Decoded(NamedTuple):
@@ -95,16 +93,16 @@ def open_camera_raw(path: str | Path) -> Opened:
     """
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    tags = _directories(path)
+    tags = directories_of(path)
     raw = _decode(path, tags)
     with reading(path, "tags that make no sense: the file is damaged"):
         known, about = _stated(path, tags, raw)
     return Opened(np.ascontiguousarray(_visible(raw))[None], known, about)
 
 
-def _stated(path: str | Path, tags: list[_Directory], raw: _Decoded) -> tuple[dict[str, Any], dict[str, Any]]:
+def _stated(path: str | Path, tags: list[Directory], raw: _Decoded) -> tuple[dict[str, Any], dict[str, Any]]:
     """What a file says of its frame, and where the black level is from."""
-    shot, read = _noise_profile(path, tags, raw.cfa)
+    shot, read = noise_profile(path, tags, raw.cfa)
     black, about = _exact_black(tags, raw) or raw.black, {}
     if not any(black):
         masked = _median_of(_masked(tags, raw))
@@ -114,22 +112,22 @@ def _stated(path: str | Path, tags: list[_Directory], raw: _Decoded) -> tuple[di
         "cfa": raw.cfa,
         "black_level": black,
         "white_level": raw.white,
-        "iso": raw.iso or _first_number(tags, *_ISO),
-        "exposure_s": raw.exposure_s or _first_number(tags, _EXPOSURE),
+        "iso": raw.iso or first_number(tags, *ISO),
+        "exposure_s": raw.exposure_s or first_number(tags, EXPOSURE),
         "shot": shot,
         "read": read,
-        **_exif(path),
+        **exif_of(path),
     }
-    known["camera"] = known.get("camera") or _camera_name(tags)
+    known["camera"] = known.get("camera") or camera_name(tags)
     return known, about
 
 
-def _masked(tags: list[_Directory], raw: _Decoded) -> tuple[BorderRegion, ...]:
+def _masked(tags: list[Directory], raw: _Decoded) -> tuple[BorderRegion, ...]:
     """The masked pixels around the visible area: a DNG's MaskedAreas, or else all four borders; empty where
     the file stores none. The pixels nearest to the visible area may see stray light."""
     rows, columns = raw.sensor.shape
     bottom, right = raw.top + raw.size[0], raw.left + raw.size[1]
-    masked = _tag(tags, _MASKED_AREAS)
+    masked = tag_of(tags, MASKED_AREAS)
     if masked is not None:
         areas = [tuple(area) for area in np.reshape(masked, (-1, 4)).astype(int)]
     else:
@@ -165,10 +163,10 @@ def _visible(raw: _Decoded) -> np.ndarray:
 
 
 def _read_frame(number: int, *, path: str) -> np.ndarray:
-    return np.ascontiguousarray(_visible(_decode(path, _directories(path))))
+    return np.ascontiguousarray(_visible(_decode(path, directories_of(path))))
 
 
-def _decode(path: str | Path, directories: list[_Directory]) -> _Decoded:
+def _decode(path: str | Path, directories: list[Directory]) -> _Decoded:
     _check_directories(path, directories)
     other = f", perhaps {HEADERLESS}" if Path(path).suffix.lower() == ".raw" else ""
     with (
@@ -206,13 +204,13 @@ def _off_the_screen() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _check_directories(path: str | Path, directories: list[_Directory]) -> None:
+def _check_directories(path: str | Path, directories: list[Directory]) -> None:
     """What LibRaw would take without complaint: strips cut short, and colour planes in another order."""
     size = Path(path).stat().st_size
     needed = max((d.end for d in directories), default=0)
     if needed > size:
         raise BadInput(f"{path}: truncated: {size} bytes of at least {needed}")
-    planes = _tag(directories, _CFA_PLANE_COLOUR)
+    planes = tag_of(directories, CFA_PLANE_COLOUR)
     listed = list(planes) if isinstance(planes, (bytes, tuple, list)) else [planes]
     if planes is not None and listed != [0, 1, 2]:
         raise BadInput(f"{path}: colour planes {listed} are not red, green, blue: LibRaw would misname them")
@@ -235,111 +233,20 @@ def _mosaic(path: str | Path, raw: Any) -> tuple[str, np.ndarray]:
     return letters, pattern.ravel().astype(int)
 
 
-def _directories(path: str | Path) -> list[_Directory]:
-    """The image directories of a TIFF-like file, the mosaic's own first; none for other files."""
-
-    def below(pages: Any) -> Iterator[Any]:
-        for page in pages:
-            yield page
-            yield from below(page.pages or ())
-
-    if not Path(path).is_file():
-        raise BadInput(f"{path}: no such file")
-    check_chain(path)
-    try:
-        with quiet("tifffile"), tifffile.TiffFile(path) as file:
-            found = [
-                _Directory(
-                    {tag.code: tag.value for tag in page.tags},
-                    page.photometric == _CFA_IMAGE,
-                    max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=False)), default=0),
-                )
-                for page in islice(below(file.pages), _MOST_DIRECTORIES)
-                if isinstance(page, tifffile.TiffPage)
-            ]
-    except Exception:  # not a TIFF, or one that only LibRaw understands
-        return []
-    return sorted(found, key=lambda d: not d.is_mosaic)
-
-
-def _tag(tags: list[_Directory], code: int) -> Any:
-    return next((d.tags[code] for d in tags if code in d.tags), None)
-
-
-def _first_number(tags: list[_Directory], *codes: int) -> float | None:
-    """A number that a tag states in any directory: writers put Exif's tags into the first one, too."""
-    for code in codes:
-        value = _tag(tags, code)
-        if value is None:
-            continue
-        values = np.ravel(value).astype(np.float64)
-        number = values[0] / values[1] if len(values) == 2 and isinstance(value, tuple) else values[0]
-        if np.isfinite(number) and number > 0:
-            return float(number)
-    return None
-
-
-def _camera_name(tags: list[_Directory]) -> str | None:
-    unique = _tag(tags, _UNIQUE_CAMERA)
-    return str(unique).strip(" \0") or None if unique else None
-
-
-def _exact_black(tags: list[_Directory], raw: _Decoded) -> PerChannel | None:
+def _exact_black(tags: list[Directory], raw: _Decoded) -> PerChannel | None:
     """BlackLevel with its fraction where a DNG states it for the 2x2 cell or for all; LibRaw rounds it."""
-    page = next((d.tags for d in tags if _BLACK in d.tags), None)
-    if page is None or any(code in page for code in _BLACK_DELTAS):
+    page = next((d.tags for d in tags if BLACK in d.tags), None)
+    if page is None or any(code in page for code in BLACK_DELTAS):
         return None
-    values = np.ravel(page[_BLACK]).astype(np.float64)
-    repeat = tuple(np.ravel(page.get(_BLACK_REPEAT, (1, 1))))
-    if isinstance(page[_BLACK], tuple) and len(values) == 2 * repeat[0] * repeat[1]:  # numerator, denominator
+    values = np.ravel(page[BLACK]).astype(np.float64)
+    repeat = tuple(np.ravel(page.get(BLACK_REPEAT, (1, 1))))
+    if isinstance(page[BLACK], tuple) and len(values) == 2 * repeat[0] * repeat[1]:  # numerator, denominator
         values = values[::2] / values[1::2]
     if repeat not in ((1, 1), (2, 2)) or len(values) != repeat[0] * repeat[1]:
         return None
     if repeat == (1, 1):
         return per_channel(values)
     # The cell starts at the corner of the active area, the frame where LibRaw lets the visible area start.
-    top, left, *_ = page.get(_ACTIVE_AREA, (0, 0))
+    top, left, *_ = page.get(ACTIVE_AREA, (0, 0))
     cell = np.roll(values.reshape(2, 2), (-(raw.top - top), -(raw.left - left)), (0, 1))
     return per_channel(cell)
-
-
-def _noise_profile(
-    path: str | Path, tags: list[_Directory], cfa: str
-) -> tuple[PerChannel | None, PerChannel | None]:
-    """NoiseProfile: one (S, O) for all, or one per colour plane, in mosaic order; None where not given."""
-    profile = _tag(tags, _NOISE_PROFILE)
-    if profile is None:
-        return None, None
-    values = np.ravel(profile).astype(np.float64)
-    if values.size % 2:
-        _log.warning("%s: NoiseProfile holds %d numbers, not pairs: left out", path, values.size)
-        return None, None
-    pairs = values.reshape(-1, 2)
-    if not (np.isfinite(pairs).all() and (pairs[:, 0] >= 0).all() and (np.abs(pairs) <= MOST_NLF).all()):
-        _log.warning("%s: NoiseProfile holds a negative, undefined or endless noise: left out", path)
-        return None, None
-    if len(pairs) == 1:
-        return per_channel(pairs[0, 0]), per_channel(pairs[0, 1])
-    if len(pairs) != 3 or cfa == "MONO":
-        _log.warning("%s: NoiseProfile holds %d pairs, not one a colour: left out", path, len(pairs))
-        return None, None
-    order = ["RGB".index(colour) for colour in cfa]
-    return per_channel(pairs[order, 0]), per_channel(pairs[order, 1])
-
-
-def _exif(path: str | Path) -> dict[str, Any]:
-    """Camera name and sensor temperature (°C) where Exif or the maker's notes hold them."""
-    try:
-        with quiet("exifread"), open(path, "rb") as file:
-            tags = exifread.process_file(file, details=True)
-    except Exception:
-        return {}
-    make, model = (str(tags.get(f"Image {name}", "")).strip(" \0") for name in ("Make", "Model"))
-    camera = model if model.lower().startswith(make.lower()) else f"{make} {model}"
-    known: dict[str, Any] = {"camera": camera.strip() or None}
-    for name, value in tags.items():
-        if name.endswith(("CameraTemperature", "SensorTemperature")):
-            number = str(value).split()[0] if str(value) else ""
-            if number.lstrip("-").replace(".", "", 1).isdigit():
-                known["temperature_c"] = float(number)
-    return known

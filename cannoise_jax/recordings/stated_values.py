@@ -44,6 +44,7 @@ def camera_of(path: str | Path, value: Any) -> str:
 
 
 def pattern_of(path: str | Path, value: Any) -> str:
+    """The mosaic pattern that a file states. Raises BadInput for any other."""
     cfa = text_of(path, "cfa", value).strip().upper()
     if "TRANS" in cfa or len(cfa) == 36:
         raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
@@ -54,6 +55,7 @@ def pattern_of(path: str | Path, value: Any) -> str:
 
 
 def one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:
+    """A stated text that has to be one of those allowed; None where none is stated."""
     if name not in stated:
         return None
     text = text_of(path, name, stated[name])
@@ -63,6 +65,7 @@ def one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tupl
 
 
 def channels_of(path: str | Path, name: str, value: Any) -> PerChannel:
+    """One or four finite numbers, of the mosaic's sites. Raises BadInput for anything else."""
     try:
         values = per_channel(_no_truths(value))
     except (TypeError, ValueError, OverflowError) as error:
@@ -75,6 +78,7 @@ def channels_of(path: str | Path, name: str, value: Any) -> PerChannel:
 def optional_channels(
     path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf
 ) -> PerChannel | None:
+    """The same, from `least` on and of noise within the range; None where none are stated."""
     if name not in stated:
         return None
     values = channels_of(path, name, stated[name])
@@ -98,6 +102,7 @@ def _no_truths(value: Any) -> np.ndarray:
 
 
 def number_of(path: str | Path, name: str, value: Any) -> float:
+    """A finite number. Raises BadInput for anything else."""
     try:
         number = float(_no_truths(value).reshape(()))
     except (TypeError, ValueError, OverflowError) as error:
@@ -110,6 +115,7 @@ def number_of(path: str | Path, name: str, value: Any) -> float:
 def optional_number(
     path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
 ) -> float | None:
+    """The same from `least` to `most`; None where none is stated."""
     if name not in stated:
         return None
     number = number_of(path, name, stated[name])
@@ -121,6 +127,7 @@ def optional_number(
 
 
 def code_step_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:
+    """Spacing of the codes, DN; 0: they are on no lattice, None: not stated."""
     step = optional_number(path, stated, "code_step", least=0, most=65536)
     if step is not None and 0 < step < 1:
         raise BadInput(
@@ -130,6 +137,7 @@ def code_step_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:
 
 
 def count_of(path: str | Path, stated: Mapping[str, Any], name: str) -> int | None:
+    """A whole number from 1; None where none is stated."""
     number = optional_number(path, stated, name, least=1)
     if number is not None and number > _MOST_COUNTED:
         raise BadInput(f"{path}: {name} is {number:g}: expected at most {_MOST_COUNTED}")

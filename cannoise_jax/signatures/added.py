@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.coloured import OUTLYING, draw_coloured, spectrum_of
-from cannoise_jax.signatures.signature import Addition, Found
+from cannoise_jax.signatures.handed import Addition, Found
 
 
 def as_map(values: np.ndarray) -> Any:

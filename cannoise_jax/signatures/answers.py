@@ -28,9 +28,8 @@ SCALINGS = ("additive", "signal", "exposure")
 def response(field: Fields, scaling: str) -> np.ndarray:
     """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s) or
     signal/sigma (fraction)."""
-    if scaling == "exposure":
-        return field.weight * np.float32(field.exposure_s or 0.0)
-    return field.weight if scaling == "additive" else field.relative
+    # `relative` is the light by the weight, rounded once less.
+    return field.relative if scaling == "signal" else field.weight * _unit_effect(field, scaling)
 
 
 def shows(field: Fields, scaling: str) -> bool:
@@ -53,14 +52,16 @@ def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]
     answers = field.answers
     mixed = answers.mixed.get(axis, answers.mixed.get("pixel"))
     if mixed is None:
-        out = _at_first(field, scaling)
+        out = _unit_effect(field, scaling)
     else:
         first = zip(mixed[SCALINGS.index(scaling)], SCALINGS, strict=True)
-        out = np.sum([share * _at_first(field, s) for share, s in first], 0)
+        out = np.sum([share * _unit_effect(field, s) for share, s in first], 0)
     return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
 
 
-def _at_first(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
+def _unit_effect(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
+    """What an effect of one DN, of the light itself, or of one DN per second adds to the mean, DN, before
+    anything was taken out; light is none in darks."""
     if scaling == "signal":
         return field.signal if field.lit else np.zeros((1, 1), np.float32)
     return np.full((1, 1), 1.0 if scaling == "additive" else field.exposure_s or 0.0, np.float32)
@@ -71,7 +72,14 @@ def _as_lines(values: np.ndarray, axis: str) -> np.ndarray:
 
 
 def as_it_stays(field: Fields) -> Fields:
-    """The field with the weights that an offset has in its static part."""
+    """The field with the weights that an offset of a single pixel has in its static part, for templates that
+    are fitted to all pixels at once.
+
+    Where maps of pixels were taken out that is what a template answers that stays the same in all recordings.
+    Two things are left aside. What it shares with lines that were taken out counts as its own still, and one
+    that grows with the exposure answers as an offset does, though of it a map takes another share. Pixels
+    that answer the other way round, after maps of several scalings, are not used.
+    """
     if not field.answers.mixed:
         return field
     weight = stays(field, "pixel", "additive")

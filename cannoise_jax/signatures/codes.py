@@ -9,8 +9,9 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.signatures.added import strength
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.recorded import Codes, Recorded
-from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, normal_log_p, sidak
+from cannoise_jax.signatures.score import LEAST_LOG_P, ONE_PARAMETER, Score, chi2_log_sf, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
     FILES,
     NO_CLOSED_FORM,
@@ -18,14 +19,13 @@ from cannoise_jax.signatures.signature import (
     NO_PATTERN,
     NO_PLACE,
     NO_STRENGTH,
-    Addition,
     Axes,
-    Found,
     Signature,
     unchanged,
 )
 
 _PERIODS = range(2, 129)
+"""Codes from one gap or spike to the next that are looked for."""
 _SURE = 4.0
 """Standard errors by which a code must differ from its neighbours to be one of a comb."""
 
@@ -128,7 +128,7 @@ def step_score(fields, *, codes: Codes) -> Score | None:
     found = ratio > 1.5
     values = max(float(codes.broad.sum()), *(float(dark.sum()) for dark in codes.dark), 1.0)
     return Score(
-        log_p=-700.0 if found else 0.0,
+        log_p=LEAST_LOG_P if found else 0.0,
         gain=values * float(np.log(ratio)) if found else 0.0,
         penalty=0.0,
         amplitude=codes.detected,
@@ -159,7 +159,7 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
         gain = max(first * np.log(max(2 * first / (first + second), 1e-9)), 0.0) if log_p < 0 else 0.0
         gain = first * 1.0 if log_p < -30 else gain
         score: Score = Score(
-            log_p=max(log_p, -700.0),
+            log_p=max(log_p, LEAST_LOG_P),
             gain=float(gain),
             penalty=ONE_PARAMETER,
             amplitude=float(level),

@@ -12,6 +12,7 @@ from scipy import fft
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, map_contrasts
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.lag_sums import DARK_TOO, LAGS, REACH, lag_sums, pair_weight
 from cannoise_jax.signatures.least import Law, Least, Seen, pooled
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
@@ -22,9 +23,7 @@ from cannoise_jax.signatures.signature import (
     NO_PATTERN,
     NO_PLACE,
     NOT_SIMULATED,
-    Addition,
     Axes,
-    Found,
     Scales,
     Signature,
 )

@@ -12,6 +12,7 @@ from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.least import (
     template,
 )
@@ -24,16 +25,7 @@ from cannoise_jax.signatures.score import (
     chi2_log_sf,
     normal_log_p,
 )
-from cannoise_jax.signatures.signature import (
-    BY_SHIFT,
-    NO_LAW,
-    NO_PATTERN,
-    STATIC,
-    Addition,
-    Axes,
-    Found,
-    Signature,
-)
+from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, NO_PATTERN, STATIC, Axes, Signature
 
 
 class _Moments(NamedTuple):

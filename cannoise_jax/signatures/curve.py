@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from cannoise_jax.signatures.handed import Addition
 from cannoise_jax.signatures.recorded import GroupBaseline, Recorded
 from cannoise_jax.signatures.score import (
     OF_A_CURVE,
@@ -24,7 +25,6 @@ from cannoise_jax.signatures.signature import (
     NO_PLACE,
     NO_STRENGTH,
     NOT_SIMULATED,
-    Addition,
     Axes,
     Signature,
     unchanged,

@@ -20,6 +20,7 @@ from scipy import stats
 
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import (
@@ -29,10 +30,7 @@ from cannoise_jax.signatures.signature import (
     NO_LAW,
     NO_PATTERN,
     NO_PLACE,
-    Addition,
     Axes,
-    Found,
-    Many,
     Signature,
     unchanged,
 )

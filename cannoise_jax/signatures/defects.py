@@ -21,7 +21,7 @@ from cannoise_jax.signatures.hot import without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import SHARE_OF_FEW, Score
+from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import CONTRASTS, COVERS_NOTHING, STATIC, Axes, Signature
 
 _LOST = 0.5
@@ -101,7 +101,7 @@ def dead_score(fields: tuple[Fields, ...]) -> Score | None:
     gain = float(np.sum(0.5 * found[2][dead] - np.log(pixels)))
     high = np.argwhere(dead)[:8]
     return Score(
-        log_p=max(log_p, -700.0),
+        log_p=max(log_p, LEAST_LOG_P),
         gain=max(gain, 0.0),
         penalty=SHARE_OF_FEW,
         amplitude=share,
@@ -193,7 +193,7 @@ def corrected_score(fields: tuple[Fields, ...], *, mono: bool) -> Score[str] | N
         log_p = 0.0
     error = float(np.sqrt(max(share, 1 / inner.size) / inner.size))
     return Score(
-        log_p=float(np.clip(log_p, -700.0, 0.0)),
+        log_p=float(np.clip(log_p, LEAST_LOG_P, 0.0)),
         gain=max(gain, 0.0),
         penalty=float(np.log(inner.size)),
         amplitude=share,

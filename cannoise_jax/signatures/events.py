@@ -23,7 +23,7 @@ from scipy import ndimage, stats
 from cannoise_jax.signatures.fields import Fields, each_frame, without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.remembered import remembered
-from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 FAR = 5.5
@@ -192,7 +192,7 @@ def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
     charge = _charge(fields, found)
     where = {"axis": "pixel", "pixels": seen.up}
     return Score(
-        log_p=max(log_p, -700.0),
+        log_p=max(log_p, LEAST_LOG_P),
         gain=max(gain, 0.0),
         penalty=float(np.log(max(size, 2))),
         amplitude=events * unit,

@@ -8,6 +8,7 @@ against it where the sinusoid explains nearly all that the rows share.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +21,9 @@ from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import response
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import LineSums
+from cannoise_jax.signatures.handed import Found
 from cannoise_jax.signatures.lamp_wave import Lamp, lamp_wave
-from cannoise_jax.signatures.least import (
-    signal,
-    sinusoid,
-)
+from cannoise_jax.signatures.least import signal, sinusoid
 from cannoise_jax.signatures.line_sums import line_sums
 from cannoise_jax.signatures.phasors import orthonormal, projected_out, rician_fit, without
 from cannoise_jax.signatures.score import Score, sidak, variance_component
@@ -36,7 +35,6 @@ from cannoise_jax.signatures.signature import (
     NO_PATTERN,
     STATIC,
     Axes,
-    Found,
     Signature,
 )
 from cannoise_jax.signatures.waves import redrawn
@@ -257,8 +255,15 @@ def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:
     return map_contrasts(field, function)
 
 
-def mains(*, name: str, parameter: str) -> Signature:
-    """A sinusoid of the light from row to row, its phase new in every frame."""
+def mains(
+    *,
+    name: str,
+    parameter: str,
+    point: Point,
+    of_sites: Callable[[Float[np.ndarray, "4"], Float[np.ndarray, "4"]], dict[str, float]],
+) -> Signature:
+    """A sinusoid of the light from row to row, its phase new in every frame, at this place in the grammar.
+    parameter: the mechanism's strength. of_sites(share, late) -> its parameters for the wave of each site."""
 
     def frequency(found: Found) -> dict[str, float]:
         return {"frequency": abs(found.score.parameters["frequency"][0])}
@@ -266,11 +271,7 @@ def mains(*, name: str, parameter: str) -> Signature:
     def beside(found: Found) -> dict[str, float]:
         """Each colour's own wave too, where it is told."""
         lamp = found.score.payload.lamp
-        if lamp is None:
-            return frequency(found)
-        shares = {f"share_{c // 2}{c % 2}": float(v) for c, v in enumerate(lamp.share)}
-        late = {f"late_{c // 2}{c % 2}": float(v) for c, v in enumerate(lamp.late)}
-        return {**frequency(found), **shares, **late}
+        return frequency(found) if lamp is None else {**frequency(found), **of_sites(lamp.share, lamp.late)}
 
     return Signature(
         name=name,
@@ -282,9 +283,7 @@ def mains(*, name: str, parameter: str) -> Signature:
         predict=NO_LAW,
         pattern=NO_PATTERN,
         simulate=strength(parameter, beside=beside),
-        place=placed(
-            Point("photons", "mean", "row", "redrawn", "multiply", spectrum="sinusoid"), beside=frequency
-        ),
+        place=placed(point, beside=frequency),
         detectable=BY_SHIFT,
         least=lambda sets: sinusoid(sets, signal),
     )

@@ -22,6 +22,7 @@ from jaxtyping import Float
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.sampled import Template, answer, learned, strength_of
 from cannoise_jax.signatures.score import Score, variance_component
@@ -34,10 +35,7 @@ from cannoise_jax.signatures.signature import (
     NO_PLACE,
     NOT_SIMULATED,
     STATIC,
-    Addition,
     Axes,
-    Found,
-    Many,
     Scales,
     Signature,
 )

@@ -25,6 +25,7 @@ from cannoise_jax.signatures.group_sums import (
     held_variance,
     shared_sums,
 )
+from cannoise_jax.signatures.handed import Found
 from cannoise_jax.signatures.line_sums import alone, component_score
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
@@ -36,7 +37,6 @@ from cannoise_jax.signatures.signature import (
     NOT_SIMULATED,
     STATIC,
     Axes,
-    Found,
     Scales,
     Signature,
 )

@@ -11,6 +11,7 @@ from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, without_pixels
+from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
 from cannoise_jax.signatures.heat import MOST_SHARE, Heat, known_heat
 from cannoise_jax.signatures.least import (
     Law,
@@ -27,20 +28,8 @@ from cannoise_jax.signatures.rare import (
     log_ratio_of,
     spread_of,
 )
-from cannoise_jax.signatures.score import SHARE_OF_FEW, Score
-from cannoise_jax.signatures.signature import (
-    NO_CLOSED_FORM,
-    OFFSETS,
-    STATIC,
-    Addition,
-    Asked,
-    Axes,
-    Found,
-    Many,
-    Predicted,
-    Scales,
-    Signature,
-)
+from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
+from cannoise_jax.signatures.signature import NO_CLOSED_FORM, OFFSETS, STATIC, Axes, Scales, Signature
 from cannoise_jax.signatures.sparse import hot_amplitude, hot_found
 
 _STRONG = 2.0
@@ -139,7 +128,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
     high = [int(k) for k in np.argsort(-u)[:8]]
     width = fields[0].mean.shape[1]
     return Score(
-        log_p=max(hot_log_p(mixture, int(seen.sum())), -700.0),
+        log_p=max(hot_log_p(mixture, int(seen.sum())), LEAST_LOG_P),
         gain=gain,
         penalty=max(gain - mixture, SHARE_OF_FEW),
         amplitude=float(amplitude),

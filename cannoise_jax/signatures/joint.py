@@ -28,9 +28,9 @@ from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels
 from cannoise_jax.signatures.answers import along_fields
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Predicted
 from cannoise_jax.signatures.line_sums import lines, static_sums
 from cannoise_jax.signatures.patterns import STANDS_OUT, pixel_sums, scale_variance
-from cannoise_jax.signatures.signature import Predicted
 
 _LEAST = 1e-5
 """Share of a map's variance that its doubt keeps, whatever the frames say: what single precision tells."""

@@ -20,6 +20,7 @@ from cannoise_jax.signatures.fields import Fields, frame_fields
 _REACH = 0.5
 """Of the search for the frequency, cycles in the frame: as far apart as two are told."""
 _STEPS = 21
+"""Frequencies that are tried before the best is refined."""
 _LEAST_POINTS, _WELL_FIXED = 4, 0.15
 """Frames that fix a circle, and the least share of the weakest direction in the fit of it."""
 

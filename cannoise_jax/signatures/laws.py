@@ -18,6 +18,10 @@ _SEEN = 8
 """Degrees of freedom from which on a spread that is far beyond the others' stands for itself."""
 
 
+FARTHEST = 38.0
+"""Standard deviations beyond which the tail of a normal law is no number above zero."""
+
+
 class Judged(NamedTuple):
     """Recorded and simulated value of every statistic, their difference in standard deviations."""
 
@@ -49,7 +53,7 @@ def _spread(
     return np.zeros(simulated.shape[2]), 1.0, 0
 
 
-def _normal(upper: np.ndarray, lower: np.ndarray, far: np.ndarray) -> np.ndarray:
+def as_normal(upper: np.ndarray, lower: np.ndarray, far: np.ndarray) -> np.ndarray:
     """Standard deviations of a normal law with these tail probabilities; `far` where they underflow."""
     with np.errstate(divide="ignore"):
         z = np.where(upper < lower, -special.ndtri(upper), special.ndtri(lower))
@@ -88,7 +92,7 @@ def compare_energies(
     first, second = (np.maximum(n * count / excess, 0.5) for n in (len(recorded), m * u))
     tiny = 1e-9
     ratio = (a + tiny) / (b + tiny)
-    z = _normal(
+    z = as_normal(
         stats.f.sf(ratio, first, second), stats.f.cdf(ratio, first, second), _paulson(ratio, first, second)
     )
     return Judged(a, b, z)
@@ -120,7 +124,9 @@ def compare_means(
     error = np.sqrt(each * between * (1 / len(recorded) + 1 / (m * u)))
     t = (a - b) / np.maximum(error, 1e-12)
     law = _PRIOR + dof
-    return Judged(a, b, _normal(stats.t.sf(t, law), stats.t.cdf(t, law), np.sign(t) * np.minimum(abs(t), 38)))
+    return Judged(
+        a, b, as_normal(stats.t.sf(t, law), stats.t.cdf(t, law), np.sign(t) * np.minimum(abs(t), FARTHEST))
+    )
 
 
 def compare_counts(
@@ -140,7 +146,9 @@ def compare_counts(
     x, n = np.floor(a / excess), np.floor(a / excess) + np.ceil(b / excess)
     upper, lower = stats.binom.sf(x - 1, n, share), stats.binom.cdf(x, n, share)
     wide = np.sqrt(np.maximum(n * share * (1 - share), 0.25))
-    z = _normal(np.minimum(upper, 1.0), np.minimum(lower, 1.0), np.clip((x - n * share) / wide, -38, 38))
+    z = as_normal(
+        np.minimum(upper, 1.0), np.minimum(lower, 1.0), np.clip((x - n * share) / wide, -FARTHEST, FARTHEST)
+    )
     z = np.where((upper > 0.5) & (lower > 0.5), 0.0, z)
     trials = (1 - share) / share
     return Judged(a, b / trials if trials else b, z)

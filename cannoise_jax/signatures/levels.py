@@ -12,6 +12,7 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK, mosaic_map
 from cannoise_jax.signatures.added import as_map, placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -32,10 +33,7 @@ from cannoise_jax.signatures.signature import (
     NO_PATTERN,
     NO_PLACE,
     STATIC,
-    Addition,
     Axes,
-    Found,
-    Many,
     Signature,
     unchanged,
 )

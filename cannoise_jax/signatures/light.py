@@ -10,6 +10,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import mosaic_map
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -29,7 +30,6 @@ from cannoise_jax.signatures.signature import (
     NO_PLACE,
     STATIC,
     Axes,
-    Many,
     Signature,
     unchanged,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from cannoise_jax.signatures.group_sums import (
 )
 from cannoise_jax.signatures.score import Score, variance_component
 
+Line = Literal["row", "column"]
+
 AXES = {"row": 2, "column": 1}
 """Axis of a [n, h, w] array that is summed over."""
 _SUMS = {"row": ("nij,ij->ni", "ni,ij->nij"), "column": ("nij,ij->nj", "nj,ij->nij")}
@@ -28,6 +30,11 @@ _SUMS = {"row": ("nij,ij->ni", "ni,ij->nij"), "column": ("nij,ij->nj", "nj,ij->n
 _MOST_HELD = 2.0
 """Variance that the modelled noise of one recording may hold of an effect, in units of the fitted one: what a
 few frames draw scatters about it."""
+
+
+def reads_light(scaling: str) -> frozenset[str]:
+    """What of the fields beside the frames a factor of the light reads."""
+    return frozenset({"signal"}) if scaling == "signal" else frozenset()
 
 
 def line_pixels(values: np.ndarray, response: np.ndarray, axis: str) -> Pixels:
@@ -139,6 +146,7 @@ def whiten_lines(field: Fields, axis: str, scaling: str, variance: float) -> Fie
 
 @lru_cache(maxsize=8)
 def lines(axis: str, size: tuple[int, int]) -> Groups:
+    """The pixels of every row or column."""
     return grouped(np.indices(size)[0 if axis == "row" else 1])
 
 

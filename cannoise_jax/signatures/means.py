@@ -10,6 +10,7 @@ from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.fields import Fields, channel_index, least_squares
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -17,7 +18,7 @@ from cannoise_jax.signatures.least import (
 )
 from cannoise_jax.signatures.line_sums import static_sums
 from cannoise_jax.signatures.score import KNOWN_SHAPE, Score, normal_log_p, sidak
-from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, OFFSETS, STATIC, Axes, Many, Signature
+from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, OFFSETS, STATIC, Axes, Signature
 
 
 def project(field: Fields, template: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ import numpy as np
 
 from cannoise_jax.signatures import covariance
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.means import project
 from cannoise_jax.signatures.score import Score
-from cannoise_jax.signatures.signature import Many
 
 _NEAR = (*((dy, dx) for dy in (-2, 0, 2) for dx in (-2, 0, 2) if dy or dx), (-1, 0), (1, 0), (0, -1), (0, 1))
 """Neighbours of the same colour, and the nearest of the others."""

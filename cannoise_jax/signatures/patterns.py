@@ -13,6 +13,7 @@ from cannoise_jax.signatures.added import draw_pixels, placed, posterior, streng
 from cannoise_jax.signatures.answers import less_map, response, shows, stays
 from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
+from cannoise_jax.signatures.handed import Many, Predicted
 from cannoise_jax.signatures.least import (
     frame_offsets,
     random_offsets,
@@ -32,8 +33,6 @@ from cannoise_jax.signatures.signature import (
     OFFSETS,
     STATIC,
     Axes,
-    Many,
-    Predicted,
     Scales,
     Signature,
 )

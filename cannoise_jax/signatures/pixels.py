@@ -7,6 +7,7 @@ from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, without_pixels
+from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.known_shape import darks, known_kurtosis, kurtosis_doubt
 from cannoise_jax.signatures.least import (
     Law,
@@ -20,10 +21,7 @@ from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
     NO_LAW,
-    Addition,
     Axes,
-    Found,
-    Many,
     Signature,
     unchanged,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cannoise_jax.signatures.added import as_map
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -13,8 +14,6 @@ from cannoise_jax.signatures.signature import (
     NO_PATTERN,
     NO_PLACE,
     NOT_SIMULATED,
-    Addition,
-    Found,
     Signature,
 )
 

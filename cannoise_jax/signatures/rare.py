@@ -120,7 +120,9 @@ def spread_of(u: np.ndarray) -> float:
 
 
 _JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
+"""Jumps of single pixels that are summed over, standard deviations of the noise."""
 MEAN_JUMPS = tuple(np.exp(np.linspace(np.log(0.7), np.log(30), 12)))
+"""Means of them that are tried."""
 FAR_JUMPS = tuple(j for j in MEAN_JUMPS if j > 2)
 """Mean jumps that count as a few far pixels: smaller ones change the bulk, which rounding changes too."""
 

@@ -19,8 +19,8 @@ from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.signatures.bases import BASES, Basis, Images
 from cannoise_jax.signatures.fields import Fields, helmert
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.signature import Many
 
 _FRAMES, _UNITS = 8, 4
 """Frames of each unit of the camera that are drawn, and units. Two mechanisms of the tests near the limit are

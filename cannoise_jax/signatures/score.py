@@ -101,6 +101,15 @@ class Score(Generic[P]):
         return self.shift * 5 ** (1 / self.power)
 
 
+LEAST_LOG_P = -700.0
+"""Below this log p is told as this: its exponential is near the least number that is told from zero."""
+
+
+def p_of(log_p: float) -> float:
+    """The p-value of its logarithm, above zero however small."""
+    return math.exp(max(log_p, LEAST_LOG_P))
+
+
 def sidak(log_p: float, count: float) -> float:
     """log p of the smallest of `count` independent p-values."""
     if log_p < -30:

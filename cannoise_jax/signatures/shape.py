@@ -12,6 +12,7 @@ from scipy import optimize, special, stats
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, each_frame
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.known_shape import known_kurtosis, kurtosis_doubt, rounded_enough
 from cannoise_jax.signatures.least import (
     pooled,
@@ -27,9 +28,7 @@ from cannoise_jax.signatures.signature import (
     NO_PLACE,
     NOT_SIMULATED,
     STATIC,
-    Addition,
     Axes,
-    Found,
     Signature,
     unchanged,
 )
@@ -43,6 +42,7 @@ _HE4_SKEWNESS = 14.7
 24^1.5.
 """
 _EDGES = np.linspace(-8, 8, 1601)
+"""Bins of a hundredth of a standard deviation."""
 _BEYOND = 8
 """Values of normal noise that lie beyond where its fourth moment is cut off."""
 

@@ -10,21 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.core.mechanism import Mechanism, Scaling
 from cannoise_jax.physics.core.places import PlaceName, place
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted, Series
 from cannoise_jax.signatures.least import Law, Seen
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score
 
-Many = tuple[Fields, ...]
 Scales = Literal["additive", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
 
 
@@ -62,94 +60,6 @@ OFFSETS = Point("readout", "signal", "pixel", "frozen")
 """An offset map; a sparse frozen pattern is one with zeros."""
 BLINKING = Point("readout", "signal", "pixel", "telegraph")
 """Noisy pixels blink about their level."""
-
-
-class Predicted(NamedTuple):
-    """What one finding predicts for new frames.
-
-    pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting;
-    scaling: 'additive' DN, 'signal' fractions of it, 'exposure' DN per second. row, column, frame:
-    standard deviation of random offsets, DN; exponent: of the spectrum of the row offsets, 0: white.
-    """
-
-    pattern: np.ndarray | None = None
-    doubt: np.ndarray | float = 0.0
-    scaling: str = "additive"
-    row: float = 0.0
-    column: float = 0.0
-    frame: float = 0.0
-    exponent: float = 0.0
-
-
-class Series(NamedTuple):
-    """One recording as the series that a name says is Gaussian noise, redrawn in every frame.
-
-    score: `[n, k]`, of every contrast between frames, and information `[k]`: places along the series, their
-    noise has this variance. exponent: of the power law that its spectrum follows, 0: white, and nothing else.
-    level: whether the noise of the model is that of the places; else it is what the series shows.
-    """
-
-    score: np.ndarray
-    information: np.ndarray
-    exponent: float = 0.0
-    level: bool = True
-
-
-class Found(NamedTuple):
-    """A finding as it is handed to a camera model.
-
-    mechanism: as it was named. fields: before it was taken out. pattern: `Signature.pattern` of it. gain:
-    DN/e-, read_dn: DN, of the baseline. seconds: longest exposure, unknown ones counted as 1 s; longest: the
-    longest known one, 0: none. span: white minus black, DN.
-    """
-
-    mechanism: str
-    score: Score
-    fields: Many
-    pattern: np.ndarray | None
-    gain: float
-    read_dn: float
-    seconds: float
-    longest: float
-    span: float
-    size: tuple[int, int]
-
-    @property
-    def by_exposure(self) -> Scaling:
-        """Growing with the exposure from the longest one."""
-        return Scaling(exposure=1.0, reference_exposure_s=self.longest or 1.0)
-
-
-class Addition(NamedTuple):
-    """What a finding adds to a camera model: strengths of a mechanism, measured maps, another place or
-    scaling than its own where given. black_shift: DN per channel taken from the black level; fitted_black:
-    whether the model takes the black level that was fitted. bare: nothing but these. record: of a mechanism
-    from outside. beside: values that hold instead where a mechanism of this id is added too."""
-
-    values: dict[str, float] = {}
-    maps: dict[str, Any] = {}
-    scaling: Scaling | None = None
-    point: Point | None = None
-    black_shift: np.ndarray | None = None
-    fitted_black: bool = False
-    bare: bool = False
-    record: Mechanism | None = None
-    beside: Mapping[str, dict[str, float]] = MappingProxyType({})
-
-
-class Asked(NamedTuple):
-    """What a run asks of the weakest effect that it would find: the fields of each look, the log p that it
-    rejects at, what share of the error rate the last look may spend, and the weight of the test."""
-
-    looks: tuple[Many, ...]
-    log_p: float
-    share: float
-    weight: float = 1.0
-
-    @property
-    def own_log_p(self) -> float:
-        """log p at which the test itself rejects in the last look."""
-        return float(self.log_p + np.log(self.weight * self.share))
 
 
 COVERS_NOTHING: tuple[str, ...] = ()

@@ -5,7 +5,7 @@ Whittle likelihood: under the baseline the power of every Fourier mode is expone
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -17,81 +17,29 @@ from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import less_shared
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import held_variance
+from cannoise_jax.signatures.handed import Found, Many, Predicted, Series
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     pink,
 )
 from cannoise_jax.signatures.line_sums import alone, line_pixels, line_sums
-from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
-from cannoise_jax.signatures.signature import (
-    BY_SHIFT,
-    CONTRASTS,
-    NO_LAW,
-    NO_PATTERN,
-    Axes,
-    Found,
-    Many,
-    Predicted,
-    Series,
-    Signature,
+from cannoise_jax.signatures.modes import (
+    banded,
+    even_rows,
+    mode_weights,
+    raster_modes,
+    row_modes,
+    slope_shape,
 )
+from cannoise_jax.signatures.score import Score, quadratic_log_p, sidak
+from cannoise_jax.signatures.signature import BY_SHIFT, CONTRASTS, NO_LAW, NO_PATTERN, Axes, Signature
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+"""Those that are tried."""
 _EXPONENT_SPREAD = 0.15
 """Standard deviation of the exponents of 1/f noise about 1: those of transistors lie between 0.7 and 1.3.
 Weak noise leaves the exponent open, and with it how much of the variance lies where nothing is seen."""
-
-
-def row_modes(field: Fields, scaling: str) -> tuple[np.ndarray, float]:
-    """Summed power of the row offsets per mode of the rows [H/2], mean 1, and the information per mode."""
-    sums = line_sums(field, field.contrasts, "row", scaling)
-    scaled = sums.score / np.sqrt(np.maximum(sums.information, 1e-30))
-    power = np.abs(fft.rfft(scaled, axis=1))[:, 1:] ** 2 / scaled.shape[1]
-    # The mean that was taken out is missing in the variance of the sums, but in none of these modes.
-    left = 1 - 1 / scaled.shape[1]
-    return left * power.sum(0), float(np.mean(sums.information)) / left
-
-
-def raster_modes(field: Fields) -> tuple[np.ndarray, float]:
-    """Summed power of the raster scans of all contrasts [N/2], mean 1, and the information per mode."""
-    w = _even_rows(field.weight)
-    power = np.zeros(w.size // 2)
-    for contrast in field.contrasts:
-        x = (contrast * w).ravel()
-        # By the scan's own power: heavy tails add to all frequencies alike.
-        own = max(float(np.sum(x.astype(np.float64) ** 2)), 1e-30)
-        power += np.abs(fft.rfft(x - x.mean())[1 : power.size + 1]) ** 2 / own
-    return power, float(np.mean(field.weight.astype(np.float64) ** 2))
-
-
-def _even_rows(weight: np.ndarray) -> np.ndarray:
-    """Weights with a mean square of 1 in every row: slow noise then keeps to its modes in a scan through
-    scenes too, as it does in the sums of rows, and both can be compared."""
-    w = weight.astype(np.float32)
-    root = np.sqrt(np.mean(w**2, axis=1, keepdims=True))
-    return w / np.where(root > 0, root, 1)
-
-
-def mode_weights(size: int) -> np.ndarray:
-    """Complex degrees of freedom of the modes 1..size/2 of `size` values: the last one of an even number is
-    real. Left out, a strong effect would seem to be worth less here than to a white pattern of all lines."""
-    weights = np.ones(size // 2)
-    if size % 2 == 0:
-        weights[-1] = 0.5
-    return weights
-
-
-def banded(values: np.ndarray) -> np.ndarray:
-    """Sums of values [..., n] by frequency over bands in which a slope hardly changes."""
-    return np.add.reduceat(values, _bands(values.shape[-1]), axis=-1)
-
-
-@lru_cache(maxsize=8)
-def _bands(number: int) -> np.ndarray:
-    """First mode of every band: single modes, then bands of a thirtieth of their frequency."""
-    edges = np.unique(np.geomspace(1, number + 1, int(30 * np.log(number + 1))).astype(int))
-    return edges[edges <= number] - 1
 
 
 def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, float]] | None:
@@ -114,7 +62,7 @@ def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, 
     log_p = 0.0
     shift = np.inf
     for exponent in EXPONENTS:
-        tau1 = information * _shape(size, exponent)
+        tau1 = information * slope_shape(size, exponent)
         tau = banded(tau1 * weights) / banded(weights)
         log_p = min(
             log_p,
@@ -160,7 +108,7 @@ def below_frame(score: Score[tuple[float, float]], size: tuple[int, int]) -> flo
     mode, here n of about 25."""
     v, exponent = score.payload
     number = size[0] * size[1] if score.where["direction"] == "raster" else size[0]
-    return float(np.sqrt(5 * v * _shape(number, exponent)[0] / number))
+    return float(np.sqrt(5 * v * slope_shape(number, exponent)[0] / number))
 
 
 def _with_prior(fit: tuple[float, float, float, float]) -> float:
@@ -209,7 +157,7 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
         held = _held_by_scan(field, v, exponent) if scan == "raster" else _held_by_rows(field)
         field = alone(field, held, v, "additive")
     w = field.weight.astype(np.float32)
-    even = _even_rows(w)
+    even = even_rows(w)
     safe = np.where(w > 0, even, 1)
     information_rows = np.sum(w.astype(np.float64) ** 2, axis=1)
     root = np.sqrt(np.maximum(information_rows, 1e-30))
@@ -221,7 +169,7 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
         else:
             series, information = np.einsum("nij,ij->ni", x, w) / root, float(information_rows.mean())
         size = series.shape[1]
-        keep = np.concatenate([[1.0], 1 / np.sqrt(1 + v * information * _shape(size, exponent))])
+        keep = np.concatenate([[1.0], 1 / np.sqrt(1 + v * information * slope_shape(size, exponent))])
         spectrum = fft.rfft(series, axis=1)
         removed = fft.irfft(spectrum * (1 - keep), size, axis=1)
         if scan == "raster":
@@ -231,15 +179,9 @@ def _whiten_slope(field: Fields, v: float, exponent: float, scan: str) -> Fields
     out = map_contrasts(field, function)
     if scan == "raster":
         return out
-    mean = 1 / (1 + v * float(information_rows.mean()) * _shape(len(root), exponent))
+    mean = 1 / (1 + v * float(information_rows.mean()) * slope_shape(len(root), exponent))
     left = np.float32(np.sqrt(np.average(mean, weights=mode_weights(len(root)))))
     return less_shared(out, "row", np.full(len(root), left))
-
-
-def _shape(size: int, exponent: float) -> np.ndarray:
-    """Power of the modes 1..size/2 of `size` values, 1 on average."""
-    shape = (np.arange(1, size // 2 + 1) / size) ** -exponent
-    return shape / np.average(shape, weights=mode_weights(size))
 
 
 def _held_by_rows(field: Fields) -> np.ndarray:
@@ -251,10 +193,10 @@ def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
     power, information = raster_modes(field)
     weights, number = mode_weights(field.weight.size), len(field.contrasts)
     modes = banded(weights)
-    tau = v * information * banded(_shape(field.weight.size, exponent) * weights) / modes
+    tau = v * information * banded(slope_shape(field.weight.size, exponent) * weights) / modes
     mean_power = banded(power * weights) / modes / number
     level = float(white_level(mean_power[None], number * modes[None], tau[None])[0, 0])
-    even, w = _even_rows(field.weight), field.weight.astype(np.float64)
+    even, w = even_rows(field.weight), field.weight.astype(np.float64)
     seen = float(np.sum((field.contrasts * even) ** 2, dtype=np.float64)) / number
     full = even.astype(np.float64) ** 2
     return np.array((full.sum() - level * seen) / max(float(np.sum(full * w**2)), 1e-30))

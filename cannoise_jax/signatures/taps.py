@@ -14,6 +14,7 @@ from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
 from cannoise_jax.signatures.signature import (
@@ -23,7 +24,6 @@ from cannoise_jax.signatures.signature import (
     OFFSETS,
     STATIC,
     Axes,
-    Many,
     Signature,
 )
 

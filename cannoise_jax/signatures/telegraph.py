@@ -9,12 +9,13 @@ from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Addition, Asked, Found
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen
 from cannoise_jax.signatures.pixels import READS, histogram, mask_noisy, noisy_map, sums_of_squares
 from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p
-from cannoise_jax.signatures.score import Score
-from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Addition, Asked, Axes, Found, Signature
+from cannoise_jax.signatures.score import LEAST_LOG_P, Score
+from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
 from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 
 _START = 0.005
@@ -49,7 +50,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
     error = amplitude / np.sqrt(max(share * squares.size, 1.0))
     shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
     return Score(
-        log_p=max(log_p, -700.0),
+        log_p=max(log_p, LEAST_LOG_P),
         gain=best,
         penalty=float(np.log(squares.size)),
         amplitude=float(amplitude),

@@ -16,10 +16,11 @@ from scipy import stats
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
-from cannoise_jax.signatures.score import Score, chi2_log_sf
-from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Addition, Axes, Found, Signature
+from cannoise_jax.signatures.score import LEAST_LOG_P, Score, chi2_log_sf
+from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 DOUBLING_K = 6.3
 """Kelvin over which the dark current of silicon doubles near room temperature."""
@@ -189,7 +190,7 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
     amplitude = float(relative * kelvin)
     shift = float(min(error, 10.0) * kelvin)
     return Score(
-        log_p=float(np.clip(both, -700.0, 0.0)),
+        log_p=float(np.clip(both, LEAST_LOG_P, 0.0)),
         gain=gain + by_offset,
         penalty=_TWO_WITNESSES,
         amplitude=amplitude,

@@ -14,6 +14,7 @@ from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.carriers import carrier, raster_frequency, refined
 from cannoise_jax.signatures.fields import Fields, frame_fields
+from cannoise_jax.signatures.handed import Addition, Asked, Found, Many
 from cannoise_jax.signatures.least import (
     one,
     sinusoid,
@@ -28,11 +29,7 @@ from cannoise_jax.signatures.signature import (
     NO_LAW,
     NO_PATTERN,
     STATIC,
-    Addition,
-    Asked,
     Axes,
-    Found,
-    Many,
     Signature,
 )
 

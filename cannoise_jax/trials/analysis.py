@@ -15,8 +15,8 @@ import cannoise_jax
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.contrasts import Stack
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings, splits_of
+from cannoise_jax.discovery.proof.gains import held_out_gain
 from cannoise_jax.discovery.proof.heldout import score_frames
-from cannoise_jax.discovery.proof.prove import held_out_gain
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.search import declare
 from cannoise_jax.discovery.search.fit import charge, second_look
@@ -26,8 +26,10 @@ from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.multiplicity import SHARED
+from cannoise_jax.signatures.score import p_of
 
 ALPHA = 0.01
+"""False-alarm rate of a run, that of `diagnose`."""
 
 
 def diagnosed(
@@ -71,7 +73,7 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
             "outcome": "UNKNOWN_STRUCTURE" if name == UNKNOWN else "FOUND",
             "candidates": [{"mechanism": name, "probability": 1.0}],
             "signature": signature,
-            "p_value": math.exp(max(log_p, -700.0)),
+            "p_value": p_of(log_p),
         }
         for name, signature, log_p in rejected
     ]
@@ -126,8 +128,8 @@ def smallest_p(first: Located) -> dict[str, float | None]:
     if not first.log_p:
         return {"battery_p_value": None, "battery_raw_p": None}
     return {
-        "battery_p_value": math.exp(max(min(first.log_p.values()), -700.0)),
-        "battery_raw_p": math.exp(max(min(s.log_p for s in first.scores.values()), -700.0)),
+        "battery_p_value": p_of(min(first.log_p.values())),
+        "battery_raw_p": p_of(min(s.log_p for s in first.scores.values())),
     }
 
 

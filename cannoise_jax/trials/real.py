@@ -19,11 +19,12 @@ from cannoise_jax.blind.seal import write_atomically
 from cannoise_jax.blind.strength import strength
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import Prepared, prepare
-from cannoise_jax.discovery.proof.prove import held_out_gain
+from cannoise_jax.discovery.proof.gains import held_out_gain
 from cannoise_jax.discovery.report.document import document, plain
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.signatures.score import p_of
 from cannoise_jax.signatures.signature import Signature
 
 MULTIPLES = (4.0, 16.0)
@@ -176,8 +177,8 @@ def permute(capture: CaptureSet, permutations: int, alpha: float, tell: Tell, ke
         timed = tuple(s for s in prepared.signatures if s.mechanism and shared_in_time(s))
         found = locate(prepared.fields, timed)
         names = {p.name: str(p.mechanism) for p in timed}
-        rejected = {names[n]: math.exp(max(p, -700.0)) for n, p in found.log_p.items() if p < math.log(alpha)}
-        return rejected, math.exp(max(min(found.log_p.values()), -700.0))
+        rejected = {names[n]: p_of(p) for n, p in found.log_p.items() if p < math.log(alpha)}
+        return rejected, p_of(min(found.log_p.values()))
 
     original, _ = look(capture)
     done: list[list[Any]] = json.loads(kept.read_text()) if kept.exists() else []

@@ -5,8 +5,8 @@ import pytest
 
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.signatures import events, gain_curve
+from cannoise_jax.signatures.handed import Found
 from cannoise_jax.signatures.score import Score
-from cannoise_jax.signatures.signature import Found
 from tests.discovery.beyond_camera import BEYOND, SIZE, frames_of, rejects, scores
 from tests.discovery.looks import SIGNATURES
 

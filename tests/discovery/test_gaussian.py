@@ -12,7 +12,7 @@ from cannoise_jax.discovery.proof.gaussian import kurtosis, not_gaussian, other_
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.signatures.fields import helmert, refit
-from cannoise_jax.signatures.signature import Series
+from cannoise_jax.signatures.handed import Series
 from tests.discovery.capture import capture_set, row_offsets
 
 FRAMES = [7, 5, 6, 5, 7, 6]

@@ -22,7 +22,7 @@ from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.physics.core.settings import ExtrapolationWarning
 from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.signatures.covariance import neighbour_kernel
-from cannoise_jax.signatures.signature import Addition
+from cannoise_jax.signatures.handed import Addition
 from tests.discovery.capture import (
     SIZE,
     capture_set,

@@ -11,8 +11,9 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.proof.gains import frame_interval, held_out_gain
 from cannoise_jax.discovery.proof.heldout import Predicted, Scored, score_frames
-from cannoise_jax.discovery.proof.prove import Proof, Proofs, frame_interval, held_out_gain, refuted, standing
+from cannoise_jax.discovery.proof.prove import Proof, Proofs, refuted, standing
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import Named

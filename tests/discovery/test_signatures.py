@@ -22,15 +22,8 @@ from cannoise_jax.discovery.search.name import UNKNOWN, Named
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import Fields, refit
-from cannoise_jax.signatures.signature import (
-    FILES,
-    NO_LAW,
-    NO_PATTERN,
-    Found,
-    Predicted,
-    Signature,
-    unchanged,
-)
+from cannoise_jax.signatures.handed import Found, Predicted
+from cannoise_jax.signatures.signature import FILES, NO_LAW, NO_PATTERN, Signature, unchanged
 from tests.discovery.drawn import drawn, seen_in, shown
 from tests.discovery.looks import SIGNATURES
 from tests.discovery.planted import OWN, SHARED, by_own_law, planted

@@ -9,7 +9,7 @@ import pytest
 
 from cannoise_jax.discovery.frames.blocks import leave_out
 from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
-from cannoise_jax.discovery.proof.prove import strength_beyond
+from cannoise_jax.discovery.proof.gains import strength_beyond
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.signatures.fields import contrast_matrix, frame_fields
 from cannoise_jax.signatures.multiplicity import SHARED

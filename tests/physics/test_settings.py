@@ -1,6 +1,7 @@
 """A sensor model at its settings: tables and laws over ISO, exposure and temperature, and what is said beyond
 the calibrated range."""
 
+import dataclasses
 import re
 import warnings
 
@@ -11,7 +12,8 @@ import pytest
 
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.core.sensor import ExtrapolationWarning, IsoTable, SensorModel, Settings
-from cannoise_jax.physics.core.settings import baseline_at, context_of, resolve
+from cannoise_jax.physics.core.settings import baseline_at, context_of, resolve, settings_of
+from cannoise_jax.recordings.recording import Recording
 
 SIZE = (32, 32)
 FLAT = np.full(SIZE, 0.2, np.float32)
@@ -119,3 +121,11 @@ def test_what_is_no_settings_is_refused():
         MODEL.sample(KEY, FLAT, {"iso": 100})
     with pytest.raises(ValueError, match="iso must be above 0"):
         MODEL.sample(KEY, FLAT, Settings(iso=0))
+
+
+def test_a_recording_is_drawn_at_its_settings_and_at_a_known_exposure():
+    frames = np.zeros((3, 4, 4), np.uint16)
+    known = Recording(frames, "RGGB", (0.0,) * 4, 1023.0, kind="dark", exposure_s=0.0, temperature_c=-5.0)
+    assert settings_of(known, 400.0, 7) == Settings(400.0, 0.0, -5.0, 7)
+    unknown = dataclasses.replace(known, exposure_s=None)
+    assert settings_of(unknown, 400.0, 7).exposure_s == Settings().exposure_s

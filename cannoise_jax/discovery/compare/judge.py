@@ -187,7 +187,9 @@ def _peaks(kind, names, recorded, simulated, alpha: float) -> list[Peak]:
         more = rest[y, x] > 1
         excess = (real if more else drawn)[y, x] - (drawn if more else real)[y, x]
         amplitude = 2 * np.sqrt(max(excess, 0) / pixels)
-        z = float(laws._normal(upper[y, x], lower[y, x], np.asarray(38.0 if more else -38.0)))
+        z = float(
+            laws.as_normal(upper[y, x], lower[y, x], np.asarray(laws.FARTHEST if more else -laws.FARTHEST))
+        )
         cycles = (y if y <= ratio.shape[0] // 2 else y - ratio.shape[0]) / ratio.shape[0]
         found.append(Peak(kind, (float(cycles), float(x / (2 * (ratio.shape[1] - 1)))), float(amplitude), z))
     return found

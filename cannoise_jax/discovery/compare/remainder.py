@@ -11,26 +11,17 @@ noise is handed over to the spectrum first.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
-from scipy import fft, stats
+from jaxtyping import Array, Key
 
-from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.run import asked_signal
+from cannoise_jax.discovery.compare.parts import Part, parts_of, stand_out
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth, wiener
 from cannoise_jax.discovery.compare.sources import Source, modelled
-from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
-from cannoise_jax.discovery.frames.calibrate import gain_groups
-from cannoise_jax.discovery.frames.contrasts import code_step, steady
-from cannoise_jax.discovery.frames.splits import split_recordings
-from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
-from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import DARK, CaptureSet, Recording, iso_numbers
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.recordings.recording import CaptureSet
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
 _LOWEST = 0.02
@@ -40,36 +31,6 @@ _SPARE = 0.02
 """Of the variance of the noise, that is handed over besides, so that no frequency is left without any."""
 _LEAST_LEFT = 0.02
 """Share of the baseline's noise that always stays: a sensor model has no read noise of zero."""
-
-
-class _Part(NamedTuple):
-    """One recording beside the simulator's draws.
-
-    dark: whether it is without light.
-    residual: what stays in the mean beyond the simulator's, DN; noise: its variance by noise, DN^2.
-    exposure_s: of the recording; signal: of every pixel, DN.
-    excess: power beyond the simulator's, DN^2.
-    ratio: variance of every pixel over that of the bulk where the simulator has none that stand out.
-    level: variance of the bulk, DN^2; contrasts: their number.
-    read, own: variance of the simulator's read noise, and of all its noise, DN^2; gain: DN/e-.
-    unit: variance of every pixel over the mean, by which all of these are divided.
-    loud: variance of every pixel over the bulk's as the simulator has it, 1 where it does not stand out.
-    """
-
-    dark: bool
-    residual: Float[np.ndarray, "h w"] | None
-    noise: float
-    exposure_s: float
-    signal: Float[np.ndarray, "h w"]
-    excess: Float[np.ndarray, "h w"]
-    ratio: Float[np.ndarray, "h w"]
-    level: float
-    contrasts: int
-    read: float
-    own: float
-    gain: float
-    unit: Float[np.ndarray, "h w"]
-    loud: Float[np.ndarray, "h w"]
 
 
 def with_remainder(
@@ -100,7 +61,7 @@ def shares(
 ) -> dict[str, np.ndarray] | None:
     """Maps of `mechanisms.residual` that take away as much of the baseline's noise as the frames that look
     have too little of at any spatial frequency, and nothing else; None where none shows new noise."""
-    darks, lit = _parts(capture, source, tell)
+    darks, lit = parts_of(capture, source, tell)
     if not any(p.contrasts for p in (*darks, *lit)):
         return None
     maps = _empty(capture)
@@ -117,7 +78,7 @@ def shares(
     return maps
 
 
-def _left(parts: list[_Part], dark: bool) -> float:
+def _left(parts: list[Part], dark: bool) -> float:
     """Share of the variance of the baseline's noise (of darks its read noise) that may stay."""
     weight = [p.contrasts for p in parts]
     level = float(np.average([p.level for p in parts], weights=weight))
@@ -130,7 +91,7 @@ def measured(
     capture: CaptureSet, source: Source, tell: Callable[[str], None] = lambda text: None
 ) -> dict[str, np.ndarray]:
     """All other maps of `mechanisms.residual`, of the frames that look beside draws of `source`."""
-    darks, lit = _parts(capture, source, tell)
+    darks, lit = parts_of(capture, source, tell)
     maps = _empty(capture)
     if darks:
         maps.update(_of_darks(darks))
@@ -145,117 +106,7 @@ def _empty(capture: CaptureSet) -> dict[str, np.ndarray]:
     return maps
 
 
-def _parts(
-    capture: CaptureSet, source: Source, tell: Callable[[str], None]
-) -> tuple[list[_Part], list[_Part]]:
-    """Darks (none where no two frames show what is redrawn), and lit recordings at their knots."""
-    step, isos = code_step(capture), iso_numbers(gain_groups(capture))
-    looks = [look for look, _ in split_recordings(capture)]
-
-    def one(n: int) -> _Part | None:
-        tell(f"remainder: recording {n + 1} of {len(capture.recordings)}")
-        r = capture.recordings[n]
-        return _part(r, n, looks[n], source, step, isos[r.iso])
-
-    # One gain setting alone: what is left of another is another remainder.
-    iso = capture.recordings[0].iso
-    asked = [n for n, r in enumerate(capture.recordings) if looks[n] and r.iso == iso]
-    parts = [part for part in each(one, asked) if part is not None]
-    darks = [p for p in parts if p.dark]
-    lit = [p for p in parts if not p.dark and p.contrasts and p.signal.mean() > 0]
-    return (
-        darks if any(p.contrasts for p in darks) else [],
-        _spread_out(sorted(lit, key=lambda p: float(p.signal.mean()))),
-    )
-
-
-def _spread_out(lit: list[_Part]) -> list[_Part]:
-    """At most `KNOTS` of them, over all signals; of those of one signal the one with most frames."""
-    apart: list[_Part] = []
-    for p in lit:
-        if apart and p.signal.mean() < 1.02 * apart[-1].signal.mean():
-            apart[-1] = max(apart[-1], p, key=lambda q: q.contrasts)
-        else:
-            apart.append(p)
-    chosen = np.unique(np.linspace(0, len(apart) - 1, min(len(apart), KNOTS)).round().astype(int))
-    return [apart[n] for n in chosen]
-
-
-def _part(
-    r: Recording, number: int, look: list[int], source: Source, step: float, iso: float
-) -> _Part | None:
-    """One recording reduced beside twice as many drawn frames; None for one that is not drawn."""
-    dark = r.kind in DARK
-    high = min(float(r.white_level), 65535.0)
-    raw = reduce(np.stack([np.asarray(r.frames[t : t + 1])[0] for t in look]), high, dark, step)
-    known = light_for(r, raw.mean, raw.usable, dark)
-    if known is None and len(look) < 2:
-        return None
-    light = Light(0, raw.mean) if known is None else known
-    fitted = light.fit(raw.mean, raw.usable)
-    clean = asked_signal(r, fitted, source, dark)
-    exposure = r.exposure_s if r.exposure_s is not None else 0.01
-    frames = source.frames(0, number, clean, Settings(iso, exposure, r.temperature_c, max(2 * raw.frames, 4)))
-    if frames is None:
-        return None
-    drawn = reduce(frames, high, dark, step)
-    expected = light.fit(drawn.mean, drawn.usable)
-    variance = noise_of([drawn], expected, step).sigma(expected) ** 2
-    typical = float(np.mean(variance))
-    # Colours of a flat differ in noise: all are brought to that of the mean.
-    unit = np.ones_like(variance) if dark else variance / typical
-    raw, drawn = (
-        d._replace(contrasts=(d.contrasts if dark else _steady(d)) / np.sqrt(unit)) for d in (raw, drawn)
-    )
-    n = len(raw.contrasts)
-    own = np.mean(raw.contrasts**2, 0) if n else np.full(raw.mean.shape, typical)
-    dof = len(drawn.contrasts)
-    theirs = np.mean(drawn.contrasts**2, 0) if dof else np.full(raw.mean.shape, typical)
-    # Noise of less than a code leaves most pixels still.
-    bulk = max(bulk_variance(own.ravel(), n), 1e-6 * step**2) if n else typical
-    residual = None
-    if known is not None:
-        # Of darks the level is the simulator's to tell; of flats the light took it. What the simulator has
-        # of a pattern is in its draws.
-        residual = raw.mean - (expected if dark else fitted) - (drawn.mean - expected)
-        residual = np.where(raw.usable, residual, 0.0)
-    excess = _power(raw, own, bulk) - _power(drawn, theirs, typical) if n else np.zeros(raw.mean.shape)
-    noise = bulk / raw.frames + typical / drawn.frames
-    signal = np.maximum(fitted - np.mean(r.black_level), 0)
-    # Pixels that the simulator already has noisier than the others are held against what it gives them.
-    loud = np.ones_like(own)
-    if dof:
-        theirs = theirs / max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)
-        loud = np.where(_odd(theirs, dof), theirs, 1.0)
-    ratio = own / max(bulk, 1e-12) / loud
-    white = max(typical - step**2 / 12, 1e-3 * typical)
-    read = white if source.read is None else min(source.read, white)
-    gain = source.gain or 0.0
-    return _Part(
-        dark, residual, noise, exposure, signal, excess, ratio, bulk, n, read, white, gain, unit, loud
-    )  # fmt: skip
-
-
-def _steady(raw: Raw) -> Float[np.ndarray, "n h w"]:
-    """The contrasts without an offset and a factor of each colour of the frame: those are the lamp's."""
-    out = np.empty_like(raw.contrasts)
-    for at in SITES:
-        for n, contrast in enumerate(raw.contrasts):
-            out[n, *at] = steady(contrast[at], raw.mean[at])
-    return out
-
-
-def _power(raw: Raw, own: Float[np.ndarray, "h w"], bulk: float) -> Float[np.ndarray, "h w"]:
-    """Mean periodogram of the contrasts, DN^2, outlying pixels at zero. own: mean square of each pixel."""
-    n = len(raw.contrasts)
-    kept = ~_odd(own / max(bulk, 1e-12), n) & raw.usable
-    total = np.zeros(raw.mean.shape)
-    for c in raw.contrasts:
-        total += np.abs(fft.fft2(c * kept)) ** 2
-    return total / (n * raw.mean.size * max(float(kept.mean()), 1e-6))
-
-
-def _of_darks(darks: list[_Part]) -> dict[str, np.ndarray]:
+def _of_darks(darks: list[Part]) -> dict[str, np.ndarray]:
     """Offset and rate by least squares over the exposures, noise of single pixels and the shared spectrum."""
     offset, rate = _fixed(darks)
     growing, still = _still(darks, rate)
@@ -264,7 +115,7 @@ def _of_darks(darks: list[_Part]) -> dict[str, np.ndarray]:
     return {"offset": offset, "rate": rate, "spread": own, "growth": growth + growing, "spectrum": spectrum}
 
 
-def _fixed(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
+def _fixed(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
     """What stays, DN, and what grows with the exposure, DN/s."""
     known = [p for p in darks if p.residual is not None]
     weight = np.array([1 / p.noise for p in known])
@@ -281,7 +132,7 @@ def _fixed(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
     return wiener(offset, noise, 2), rate
 
 
-def _still(darks: list[_Part], rate: np.ndarray) -> tuple[np.ndarray, list[_Part]]:
+def _still(darks: list[Part], rate: np.ndarray) -> tuple[np.ndarray, list[Part]]:
     """Variance of every pixel that grows by the second (DN^2/s), and the darks without it.
 
     The charge brings shot noise of its own, and the bulk may become noisier beyond that.
@@ -298,7 +149,7 @@ def _bulk(values: np.ndarray) -> float:
     return float(values[values <= np.quantile(values, 0.975)].mean())
 
 
-def _slope(darks: list[_Part]) -> float:
+def _slope(darks: list[Part]) -> float:
     """By how much the variance of the bulk grows in a second beyond the simulator's, DN^2."""
     times = np.array([p.exposure_s for p in darks])
     levels = np.array([p.level for p in darks])
@@ -313,7 +164,7 @@ def _slope(darks: list[_Part]) -> float:
     return slope if slope > SURE * error else 0.0
 
 
-def _less(p: _Part, growing: np.ndarray) -> _Part:
+def _less(p: Part, growing: np.ndarray) -> Part:
     """A dark without the noise that grows with the exposure; its pixels beside what each is expected to
     have."""
     grown = growing * p.exposure_s
@@ -323,11 +174,11 @@ def _less(p: _Part, growing: np.ndarray) -> _Part:
     return p._replace(excess=p.excess - _bulk(grown), ratio=ratio, level=level, unit=unit)
 
 
-def _alone(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
+def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
     """Variance (DN^2) that single pixels have beyond what is expected of them, and by how much it grows in a
     second: of pixels that stand out in all darks together."""
     dof = sum(p.contrasts for p in darks)
-    odd = _odd(np.sum([p.contrasts * p.ratio for p in darks], 0) / dof, dof)
+    odd = stand_out(np.sum([p.contrasts * p.ratio for p in darks], 0) / dof, dof)
     times = np.array([p.exposure_s for p in darks])[:, None, None]
     beyond = np.stack([p.level * p.unit * (p.ratio - 1) for p in darks])
     weight = np.stack([p.contrasts / (p.level * p.unit) ** 2 for p in darks])
@@ -339,19 +190,14 @@ def _alone(darks: list[_Part]) -> tuple[np.ndarray, np.ndarray]:
     return np.where(odd, np.maximum(own, 0), 0.0), np.where(odd, growth, 0.0)
 
 
-def _odd(ratio: np.ndarray, dof: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels noisier than the bulk by more than chance makes them."""
-    return ratio > stats.chi2.isf(1e-3, dof) / dof
-
-
-def _of_lit(p: _Part) -> tuple[np.ndarray, ...]:
+def _of_lit(p: Part) -> tuple[np.ndarray, ...]:
     """The maps of `LIT` of one lit recording."""
     fixed = np.zeros(p.signal.shape) if p.residual is None else wiener(p.residual, p.noise, 3)
-    alone = np.where(_odd(p.ratio, p.contrasts), p.level * p.loud * np.maximum(p.ratio - 1, 0), 0.0)
+    alone = np.where(stand_out(p.ratio, p.contrasts), p.level * p.loud * np.maximum(p.ratio - 1, 0), 0.0)
     return p.signal, fixed, alone, np.maximum(_spectrum([p], False), 0), p.unit
 
 
-def _spectrum(parts: list[_Part], frames_too: bool) -> np.ndarray:
+def _spectrum(parts: list[Part], frames_too: bool) -> np.ndarray:
     """Power that the recorded noise has beyond the simulated, DN^2 (below zero: less).
 
     Broad shapes are smoothed, and single frequencies are kept where they stand out.

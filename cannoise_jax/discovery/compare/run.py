@@ -29,7 +29,8 @@ from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.contrasts import code_step
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.threads import each
-from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.settings import settings_of
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
 
@@ -165,7 +166,7 @@ def _one(
     known = light if light is not None else _scene(raw)
     fitted = known.fit(steady, raw.usable)
     clean = asked_signal(r, fitted, source, dark)
-    settings = Settings(iso, r.exposure_s if r.exposure_s is not None else 0.01, r.temperature_c, len(frames))
+    settings = settings_of(r, iso, len(frames))
     drawn = [source.frames(m, number, clean, settings) for m in range(sets)]
     if any(d is None for d in drawn):
         return None

@@ -14,7 +14,8 @@ from cannoise_jax.discovery.frames.calibrate import ordinary_variance, own_varia
 from cannoise_jax.discovery.frames.contrasts import FLICKER
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
-from cannoise_jax.physics.core.sensor import SensorModel, Settings, closed_moments
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.signatures.fields import channel_index
 

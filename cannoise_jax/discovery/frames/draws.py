@@ -16,6 +16,7 @@ from cannoise_jax.discovery.frames.calibrate import modelled, smooth_part
 from cannoise_jax.discovery.frames.contrasts import Stack, stack
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import settings_of
 from cannoise_jax.signatures.fields import Fields, frame_fields
 
 _CHUNK, _PIXELS = 4, 1 << 17
@@ -58,12 +59,7 @@ def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
         stacked, field = pair
         r = stacked.recording
         span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
-        settings = Settings(
-            prepared.isos[r.iso],
-            r.exposure_s if r.exposure_s is not None else 0.01,
-            r.temperature_c,
-            times * (field.before + field.frames),
-        )
+        settings = settings_of(r, prepared.isos[r.iso], times * (field.before + field.frames))
         clean = field.signal if field.lit else np.zeros(r.size, np.float32)
         return draw(field.number, (clean / span).astype(np.float32), settings)
 

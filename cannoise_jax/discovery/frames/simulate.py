@@ -22,7 +22,7 @@ from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.settings import baseline_at
+from cannoise_jax.physics.core.settings import DEFAULT, baseline_at, settings_of
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, Model, load_model, of_camera, sample_noise
@@ -104,7 +104,8 @@ def _generator(path: Path, model: Model, capture: CaptureSet) -> Draw:
     # By setting: the model reads the level of the noise off them.
     references: dict[tuple[float, float], list[Any]] = {}
     for r in shown:
-        references.setdefault((isos[r.iso], r.exposure_s or 0.01), []).append(jnp.asarray(_packed_frame(r)))
+        setting = isos[r.iso], r.exposure_s or DEFAULT.exposure_s
+        references.setdefault(setting, []).append(jnp.asarray(_packed_frame(r)))
     cfa = lit[0].cfa
 
     black = np.mean(lit[0].black_level)
@@ -198,12 +199,7 @@ def simulate_like(capture: CaptureSet, draw: Draw, key: Key[Array, ""], dark: bo
         clean = expected_signal(recording, n, step, look)
         if clean is None:
             continue
-        settings = Settings(
-            isos[recording.iso],
-            recording.exposure_s if recording.exposure_s is not None else 0.01,
-            recording.temperature_c,
-            min(recording.count, MOST_FRAMES),
-        )
+        settings = settings_of(recording, isos[recording.iso], min(recording.count, MOST_FRAMES))
         frames = codes(n, clean, settings)
         if frames is None:
             continue

@@ -38,7 +38,8 @@ from cannoise_jax.discovery.proof.shadow import LEFT_TOGETHER, SLACK, TRACE, out
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
-from cannoise_jax.physics.core.sensor import SensorModel, closed_moments
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import DEFAULT, Settings
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import bank

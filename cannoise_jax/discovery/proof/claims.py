@@ -38,6 +38,7 @@ _OF_LEVEL = 0.25
 _OF_ONE_LEVEL, _LEVELS = 64, 256
 """Pixels of like signal, at least, and so many levels at most: twice over what a wave of 64 periods needs."""
 _FAR = 4.0
+"""Standard deviations at which what a pixel is off by is cut: far ones would stand for all of their level."""
 _MORE_LEVELS = 0.25
 """Share of the pixels that jump which leave more than pixels of two levels do. Two levels 3 to 9 standard
 deviations apart, of any share of time, or apart by an exponential law, are within 0.1 of one size of jump (6
@@ -45,6 +46,7 @@ to 12 frames); three levels, 3 to 6 standard deviations from one to the next, li
 _CHANCE = 1e-3
 """Probability of that share by chance (Smirnov)."""
 _FEWEST_PIXELS = 20
+"""Pixels that jump, recorded and drawn, below which nothing is told of their levels."""
 _REMEMBERED = 0.25
 """Correlation of lines with those of the frame before, beyond what the simulator has."""
 FAR_OUT = (of(TEMPORAL, TAILS), UNSTEADY, IN_ONE_FRAME, LEVELS)

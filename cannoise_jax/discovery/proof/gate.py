@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cannoise_jax.discovery.proof.gains import frame_interval
 from cannoise_jax.discovery.proof.heldout import Scored
-from cannoise_jax.discovery.proof.prove import Proofs, frame_interval
+from cannoise_jax.discovery.proof.prove import Proofs
 from cannoise_jax.discovery.proof.quality import (
     NAMED,
     PLAIN,

@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import optimize, stats
 
-from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.fit import Step, without_all
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
-from cannoise_jax.signatures.fields import Fields, contrast_matrix, refit
-from cannoise_jax.signatures.signature import Series
+from cannoise_jax.signatures.fields import Fields, contrast_matrix
+from cannoise_jax.signatures.handed import Series
 
 ELSEWHERE = 0.15
 """Share of the variance at other frequencies than a power law and white noise have, beyond chance, from which
@@ -37,6 +37,7 @@ _SURE = 6.0
 _A_BAND = 2
 """Bands of an octave."""
 _FEWEST_BANDS = 6
+"""Bands below which nothing is told of a spectrum: a power law beside white noise has three numbers."""
 _FEWEST = 16
 """Places along the series, and differences of one frame, from which on it is looked at."""
 _EVEN = 0.3
@@ -75,20 +76,12 @@ def not_gaussian(steps: tuple[Step, ...], n: int) -> Doubt | None:
     whole = [s for f in steps[0].before if (s := named.signature.series(f, named.score)) is not None]
     if not whole:
         return None
-    alone = others_out(steps, n)
+    # Without what was found after it; what stays is in no contrast.
+    alone = without_all((s for s in steps[n + 1 :] if not s.named.signature.frozen), steps[n].before)
     series = [s for f in alone if (s := named.signature.series(f, named.score)) is not None]
     axes = named.signature.axes
     along = "px" if axes.varies_over == "raster" else f"{axes.varies_over}s"
     return other_spectrum(series, whole, along) or other_law(series, _frames(alone, named))
-
-
-def others_out(steps: tuple[Step, ...], n: int) -> tuple[Fields, ...]:
-    """The fields in which a step was found without what was found after it."""
-    fields = steps[n].before
-    for step in steps[n + 1 :]:
-        if not step.named.signature.frozen:
-            fields = refit(step.named.signature.absorb(fields, step.named.score))
-    return fields
 
 
 def _frames(fields: tuple[Fields, ...], named) -> list[int]:

@@ -23,8 +23,8 @@ from cannoise_jax.discovery.frames.contrasts import Stack, at_level
 from cannoise_jax.physics.likelihood.codes import CodeGrid
 from cannoise_jax.physics.likelihood.crossed import SharedTerms, crossed_gaussian, stationary_factor
 from cannoise_jax.signatures.fields import Fields, channel_index, stratum
+from cannoise_jax.signatures.handed import Predicted
 from cannoise_jax.signatures.line_sums import whiten_lines
-from cannoise_jax.signatures.signature import Predicted
 
 _MASKED = 1e10
 """Variance of pixels that are not scored, DN^2."""

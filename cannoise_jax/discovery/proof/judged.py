@@ -14,13 +14,12 @@ from cannoise_jax.discovery.frames.battery import Prepared, stated_parameters
 from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
-from cannoise_jax.discovery.search.fit import Step, stepwise
+from cannoise_jax.discovery.search.fit import Step, stepwise, without_all
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.signatures import generic
-from cannoise_jax.signatures.fields import refit
 
 CALIBRATED, STATED = "poisson-gaussian", "nlf"
 """Simulators by name: calibrated from the recordings, or as the files state it."""
@@ -85,12 +84,10 @@ def own_effects(
 def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
     """A split with what the simulator has already taken out, and the signatures set aside that cannot be
     trusted beside it."""
-    fields = prepared.fields
-    for step in own:
-        fields = refit(step.named.signature.absorb(fields, step.named.score))
     aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
     return prepared._replace(
-        fields=fields, signatures=tuple(p for p in prepared.signatures if p.name not in aside)
+        fields=without_all(own, prepared.fields),
+        signatures=tuple(p for p in prepared.signatures if p.name not in aside),
     )
 
 

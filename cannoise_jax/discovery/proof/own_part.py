@@ -25,6 +25,7 @@ from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.measure import Statistics
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.laws import FARTHEST
 
 _BEARS = 4.0
 """Nats by which a statistic must change with a mechanism to be of its part: 2.8 standard deviations."""
@@ -262,4 +263,4 @@ def mismatch(j: Judgement, family: Statistics) -> Float[np.ndarray, "k"]:
         return units * family.size / 2 * (ratio - 1 - np.log(ratio))
     if family.law == "count":
         return a * np.log(np.maximum(a, 0.5) / np.maximum(b, 0.5)) - a + b
-    return np.minimum(units * (a - b) ** 2 / np.maximum(family.size, 1e-30), 2 * 38.0**2) / 2
+    return np.minimum(units * (a - b) ** 2 / np.maximum(family.size, 1e-30), 2 * FARTHEST**2) / 2

@@ -20,7 +20,9 @@ from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields
 
 SIDE = 32
+"""Pixels along a side of a patch."""
 _BATCH = 512
+"""Patches at once, of one size so that the program is compiled once."""
 _RIDGE = 10.0
 """Added to the diagonal of the correlation of the features, of some hundred patches."""
 _LIMIT = 8.0

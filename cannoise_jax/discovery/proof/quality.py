@@ -19,9 +19,10 @@ from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.draws import as_fields, draw_like, frames_at_once, spread_codes
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.proof.curves import Curves, curves
+from cannoise_jax.discovery.proof.gains import frame_interval
 from cannoise_jax.discovery.proof.heldout import Scored
 from cannoise_jax.discovery.proof.patch_network import SIDE
-from cannoise_jax.discovery.proof.prove import Proof, Proofs, frame_interval
+from cannoise_jax.discovery.proof.prove import Proof, Proofs
 from cannoise_jax.discovery.proof.sides import Drawings, Sides
 from cannoise_jax.discovery.proof.twosample import Area, Pair, TwoSample, areas_of, controlled, judge
 from cannoise_jax.discovery.proof.twosample import Scored as TwoSampleScores

@@ -14,6 +14,7 @@ from cannoise_jax.discovery.frames.battery import Prepared, drawn_parameters
 from cannoise_jax.discovery.frames.draws import Drawing, changed, drawing
 from cannoise_jax.discovery.frames.simulate import Simulator, codes_of
 from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.maps import last_draw
 from cannoise_jax.discovery.search.model import baseline_model, extended_model
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.discovery.search.pedestal import with_pedestals
@@ -58,7 +59,7 @@ def simulators(
 ) -> Sides:
     """Of a run on Poisson-Gaussian noise, calibrated or with gain and read noise as `stated`."""
     plain, bare = baseline_model(capture, first, stated), baseline_model(capture, first)
-    of = partial(extended_model, capture, first)
+    of = partial(extended_model, capture, first, drawn=last_draw())
     level = partial(with_pedestals, prepared=first)
     model = level(of(steps)) if steps else of(steps)
     extended = of_model(model) if steps else None
@@ -81,7 +82,7 @@ def handed_simulators(
     bare = baseline_model(capture, first)
     control = of_model(bare)
     if handed.model is not None:
-        of = partial(extended_model, capture, first, start=handed.model)
+        of = partial(extended_model, capture, first, start=handed.model, drawn=last_draw())
         model = of(steps)
         extended = of_model(model) if steps else None
         return Sides(

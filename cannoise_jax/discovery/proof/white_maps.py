@@ -16,7 +16,8 @@ from scipy import stats
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
-from cannoise_jax.signatures.signature import BLINKING, Many
+from cannoise_jax.signatures.handed import Many
+from cannoise_jax.signatures.signature import BLINKING
 
 _STRUCTURED = 0.5
 """Share of the map's variance at scales of many pixels, beyond what single pixels have there, from which on
@@ -28,6 +29,7 @@ NOISE = "log-normal variance"
 _FEW = 0.2
 """Share of the frame beyond which pixels are no few."""
 _BLOCK = 16
+"""Pixels along a side of the blocks that are counted in."""
 _CROWDED = 1e-4
 """Chance that a line or block of those of a frame holds as many."""
 _FEWEST = 16

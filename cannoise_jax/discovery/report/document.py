@@ -21,7 +21,7 @@ from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.recordings.recording import Recording
-from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.score import Score, p_of
 
 SCHEMA = "cannoise/diagnosis/2"
 
@@ -247,7 +247,7 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
             n: {"value": v, "unit": u, "ci90": [v - Z90 * e, v + Z90 * e]}
             for n, (v, u, e) in score.parameters.items()
         },
-        "p_value": math.exp(max(step.log_p, -700.0)),
+        "p_value": p_of(step.log_p),
         "log_e_value": proof.log_e,
         "heldout_gain_nats": proof.gain,
         "heldout_basis": proof.basis if proof.gain is not None else None,

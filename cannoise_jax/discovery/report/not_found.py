@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cannoise_jax.discovery.result import Result
+from cannoise_jax.signatures.handed import Asked
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.signatures.signature import NO_STRENGTH, Asked
+from cannoise_jax.signatures.signature import NO_STRENGTH
 
 
 def detectable(diagnosis: Result, mechanism: str) -> tuple[float, str] | None:

@@ -20,6 +20,7 @@ from cannoise_jax.signatures.lag_sums import LAGS
 from cannoise_jax.signatures.line_sums import line_sums
 
 _INCHES = (3.9, 2.8)
+"""Width and height of a picture."""
 _BEFORE, _AFTER, _REAL = "#c8553d", "#2f6fd0", "#1c2430"
 
 

@@ -7,7 +7,7 @@ sooner, but no frame is left to confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from cannoise_jax.discovery.search.locate import Located, locate
 from cannoise_jax.discovery.search.name import UNKNOWN, Named, name
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import Signature
@@ -55,6 +56,19 @@ class Fitted(NamedTuple):
     fields: tuple[Fields, ...]
     last: Located
     first: Located
+
+
+def without(named: Named, fields: Many, before: Many = ()) -> Many:
+    """The fields with a finding taken out, and the variance of every channel brought back to one, but for
+    recordings whose contrasts are still those of `before`."""
+    return refit(named.signature.absorb(fields, named.score), before)
+
+
+def without_all(steps: Iterable[Step], fields: Many) -> Many:
+    """The fields with every step taken out, in order."""
+    for step in steps:
+        fields = without(step.named, fields)
+    return fields
 
 
 def known(
@@ -106,7 +120,7 @@ def stepwise(
             named, log_p = late
             tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.signature.name})")
             steps.append(Step(named, fields, log_p, late=True))
-            fields = refit(named.signature.absorb(fields, named.score), fields)
+            fields = without(named, fields, fields)
             last = locate(fields, _active(signatures, steps, given_up), first.tests)
             continue
         gone = steps.pop(max(weak, key=lambda n: final[n].log_p))
@@ -195,7 +209,7 @@ def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, .
         if step is not new and named.signature.map_of:
             named = named._replace(score=named.signature.score(fields) or named.score)
         out.append(step._replace(named=named, before=fields))
-        fields = refit(named.signature.absorb(fields, named.score), fields)
+        fields = without(named, fields, fields)
     return out, fields
 
 
@@ -212,9 +226,9 @@ def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], t
     """The steps fitted anew from the start, each beside those before it, and what is left of the fields."""
     out = []
     for step in steps:
-        score = step.named.signature.score(fields) or step.named.score
-        out.append(step._replace(named=step.named._replace(score=score), before=fields))
-        fields = refit(step.named.signature.absorb(fields, score), fields)
+        named = step.named._replace(score=step.named.signature.score(fields) or step.named.score)
+        out.append(step._replace(named=named, before=fields))
+        fields = without(named, fields, fields)
     return out, fields
 
 
@@ -247,7 +261,7 @@ def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
         for later in steps[k + 1 :]:
             if step.named.signature.approximate and later.named.mechanism == UNKNOWN:
                 continue
-            fields = refit(later.named.signature.absorb(fields, later.named.score), fields)
+            fields = without(later.named, fields, fields)
         score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
         share = step.named.signature.weight
         return step if score is None else step._replace(log_p=sidak(score.log_p, tests / share))

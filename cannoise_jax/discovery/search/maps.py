@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.signatures import joint
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.signature import Predicted
+from cannoise_jax.signatures.handed import Predicted
 
 
 def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarray | None]:
@@ -24,6 +26,26 @@ def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarr
         out[n] if n in out else s.named.signature.pattern(s.before, s.named.score, rng)
         for n, s in enumerate(steps)
     ]
+
+
+def one_draw(steps: tuple[Step, ...]) -> list[np.ndarray | None]:
+    """`patterns`, what the frames leave open always drawn alike."""
+    return patterns(steps, np.random.default_rng(0))
+
+
+def last_draw() -> Callable[[tuple[Step, ...]], list[np.ndarray | None]]:
+    """`one_draw`, that of the same several steps not drawn again: models in which one strength is another."""
+    last: tuple[tuple[Step, ...], list[np.ndarray | None]] = ((), [])
+
+    def drawn(steps: tuple[Step, ...]) -> list[np.ndarray | None]:
+        nonlocal last
+        if len(steps) < 2:
+            return one_draw(steps)
+        if len(steps) != len(last[0]) or any(a is not b for a, b in zip(steps, last[0], strict=True)):
+            last = steps, one_draw(steps)
+        return last[1]
+
+    return drawn
 
 
 def predictions(steps: tuple[Step, ...]) -> list[Predicted | None]:

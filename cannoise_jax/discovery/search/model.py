@@ -8,13 +8,14 @@ effects in it and is lowered by what they now add.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
 from cannoise_jax.discovery.frames.balance import balanced
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.search.fit import Step
-from cannoise_jax.discovery.search.maps import patterns
+from cannoise_jax.discovery.search.maps import one_draw
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
@@ -23,7 +24,7 @@ from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
-from cannoise_jax.signatures.signature import Addition, Found
+from cannoise_jax.signatures.handed import Addition, Found
 
 
 def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None = None) -> SensorModel:
@@ -55,22 +56,21 @@ def extended_model(
     prepared: Prepared,
     steps: tuple[Step, ...],
     start: SensorModel | None = None,
-    seed: int = 0,
     silent: Step | None = None,
+    drawn: Callable[[tuple[Step, ...]], list[np.ndarray | None]] = one_draw,
 ) -> SensorModel:
     """The baseline of the recordings with every finding that can be simulated added, sorted along the chain.
 
     steps: the accepted findings. start: the camera model that was judged; what was found is added to it.
-    seed: of the part of frozen maps that the frames leave open. silent: a step that is added at strength
-    zero, so that all else is as with it. Errors of the reference and its description, and what is of the
-    capture by a mechanism from outside, are not the camera's: they are not in it.
+    silent: a step that is added at strength zero, so that all else is as with it. drawn(steps) -> the frozen
+    map of each. Errors of the reference and its description, and what is of the capture by a mechanism from
+    outside, are not the camera's: they are not in it.
     """
     bare = baseline_model(capture, prepared)
     model = bare if start is None else start
     if not steps:
         return model
-    rng = np.random.default_rng(seed)
-    shown = zip(steps, patterns(steps, rng), strict=True)
+    shown = zip(steps, drawn(steps), strict=True)
     added = [(step, addition(step, prepared, pattern)) for step, pattern in shown]
     if any(a is not None and a.fitted_black for _, a in added):
         model = dataclasses.replace(model, black_level=bare.black_level)

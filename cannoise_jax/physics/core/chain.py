@@ -18,6 +18,7 @@ from cannoise_jax.recordings.recording import BadInput
 
 _LINES = ("row", "column", "frame")
 _APART = 8
+"""Lines further apart than this never meet in one pixel."""
 _SHOT, _READ = 1, 2
 """Streams of the two noise steps; those of the mechanisms are named by their ids."""
 
@@ -137,7 +138,6 @@ def _passed(along, slope: Array, shared: Array, name: str, record) -> Array:
     if not _digital(record) or name == "frame":
         return slope**2 * shared
     place = jnp.arange(slope.shape[1])[:, None] if name == "row" else jnp.arange(slope.shape[2])
-    # Lines further apart than this never meet in one pixel.
     parts = [jnp.broadcast_to(place % _APART == k, slope.shape).astype(slope.dtype) for k in range(_APART)]
     return shared * sum(along(part) ** 2 for part in parts)
 

@@ -20,6 +20,7 @@ from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
 from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C
 
 HIGHEST_CODE = 65535
+"""Of 16 bits, as frames are stored."""
 _MAY_BE_NONE = ("doubling_c", "reference_iso", "reference_temperature_c")
 _ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
 _BRIGHTEST, _DARKEST = 4.0, -0.5

@@ -12,7 +12,9 @@ from jaxtyping import Float
 from scipy import optimize, special
 
 _REACH = 12
+"""Codes on both sides that are summed over, besides eight standard deviations."""
 _NODES = 25
+"""Quantiles that stand for the offsets of all pixels."""
 COARSE = 1.5
 """Standard deviations, codes, from which step^2 / 12 is what rounding adds, to better than 1e-18 of it."""
 CLEAR = 6.0

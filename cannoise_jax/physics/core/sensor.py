@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,10 +14,16 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt16
 
 from cannoise_jax.physics.core import presets, ranges, registry
-from cannoise_jax.physics.core.chain import closed_form, maps_of, run_chain, to_codes
 from cannoise_jax.physics.core.grammar import Point, bare
-from cannoise_jax.physics.core.mechanism import Context, HasRecord, Mechanism, Scaling
+from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
+from cannoise_jax.physics.core.sensor_draws import (
+    closed_moments,
+    draw_maps,
+    sample_analogue,
+    sample_codes,
+    sample_digital,
+)
 from cannoise_jax.physics.core.sensor_json import read_model, write_sensor
 from cannoise_jax.physics.core.sensor_noise import noise_at_exposure, noise_at_level, placed, with_drawn
 from cannoise_jax.physics.core.settings import (
@@ -29,13 +34,11 @@ from cannoise_jax.physics.core.settings import (
     Numbers,
     Settings,
     chain_order,
-    context_of,
-    resolve,
     warn_outside,
 )
 from cannoise_jax.recordings.recording import BadInput, PerChannel
 
-__all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings", "closed_moments"]
+__all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Settings"]
 
 
 @jax.tree_util.register_dataclass
@@ -179,7 +182,9 @@ class SensorModel:
     def with_maps(self, size: tuple[int, int]) -> SensorModel:
         """The same camera unit with its frozen patterns of [H, W] drawn once and kept, instead of at every
         `sample`. Maps that scale with the settings are kept before scaling."""
-        return with_drawn(self, _draw_maps(self, (float(np.asarray(self.iso)[0]), 0.01, None), size))
+        return with_drawn(
+            self, draw_maps(self, (float(np.asarray(self.iso)[0]), DEFAULT.exposure_s, None), size)
+        )
 
     def placed(self, size: tuple[int, int]) -> SensorModel:
         """The model for frames of [H, W]: measured maps cut to them, from their first pixel on, or repeated
@@ -197,14 +202,14 @@ class SensorModel:
         setting = (settings.iso, settings.exposure_s, settings.temperature_c)
         # The frozen patterns are drawn by a program of their own: fused with the frames they would be
         # drawn anew for each of them.
-        drawn = _draw_maps(self, setting, np.shape(clean))
+        drawn = draw_maps(self, setting, np.shape(clean))
         whole = with_drawn(self, drawn)
         if not any(f.record.acts_on == "code" and f.record.sample is not None for f in self.mechanisms):
-            return _sample_codes(whole, key, clean, setting, settings.frames)
+            return sample_codes(whole, key, clean, setting, settings.frames)
         # So are the values that digital mechanisms change: a pixel that takes those of its neighbours would
         # draw each of them anew.
-        analogue = _sample_analogue(whole, key, clean, setting, settings.frames)
-        return _sample_digital(whole, key, clean, setting, analogue)
+        analogue = sample_analogue(whole, key, clean, setting, settings.frames)
+        return sample_digital(whole, key, clean, setting, analogue)
 
     def expected(self, clean: Float[Array, "h w"], settings: Settings = DEFAULT) -> Float[Array, "h w"]:
         """Expected value in DN before rounding and clipping: black level, signal and the closed-form mean
@@ -242,18 +247,6 @@ class SensorModel:
         return noise_at_exposure(self, exposure_s, discretise)
 
 
-@jax.jit
-def closed_moments(
-    model: SensorModel, clean: Float[Array, "h w"], settings: Settings
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """Mean (DN) and temporal variance (DN^2) before rounding and clipping, see `chain.closed_form`. Compiled
-    once for models of the same mechanisms."""
-    clean = jnp.asarray(clean, jnp.float32)[None]
-    context = context_of(model, clean, settings)
-    mean, variance = closed_form(model, context, resolve(model, context))
-    return jnp.broadcast_to(mean, clean.shape)[0], jnp.broadcast_to(variance, clean.shape)[0]
-
-
 def _record(mechanism: str | Mechanism | HasRecord, point: Point | None) -> Mechanism:
     if isinstance(mechanism, str):
         if point is None:
@@ -276,37 +269,3 @@ def _array(values) -> Any:
 def _spread(values: Any, shape: tuple[int, ...]) -> Any:
     xp = jnp if isinstance(values, jax.core.Tracer) else np
     return xp.broadcast_to(values, shape) + np.float32(0)
-
-
-@partial(jax.jit, static_argnames="size")
-def _draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tuple[dict[str, Array], ...]:
-    """The frozen maps of every mechanism, measured or drawn."""
-    context = context_of(model, jnp.zeros((1, *size)), Settings(*setting))
-    values = resolve(model, context)
-    return tuple(maps_of(model, i, values[i], context) for i in range(len(model.mechanisms)))
-
-
-@partial(jax.jit, static_argnames="frames")
-def _sample_codes(model: SensorModel, key, clean, setting: tuple, frames: int) -> UInt16[Array, "t h w"]:
-    return _sample_digital(model, key, clean, setting, _sample_analogue(model, key, clean, setting, frames))
-
-
-@partial(jax.jit, static_argnames="frames")
-def _sample_analogue(model: SensorModel, key, clean, setting: tuple, frames: int) -> tuple[Array, Array]:
-    """Frames in DN just before rounding, and the code step."""
-    context = _context_of(model, clean, setting, frames)
-    return run_chain(model, key, context, resolve(model, context), frames)
-
-
-@jax.jit
-def _sample_digital(
-    model: SensorModel, key, clean, setting: tuple, analogue: tuple[Array, Array]
-) -> UInt16[Array, "t h w"]:
-    context = _context_of(model, clean, setting, len(analogue[0]))
-    return to_codes(model, key, *analogue, context, resolve(model, context)).astype(jnp.uint16)
-
-
-def _context_of(model: SensorModel, clean, setting: tuple, frames: int) -> Context:
-    return context_of(
-        model, jnp.asarray(clean, jnp.float32)[None], Settings(setting[0], setting[1], setting[2], frames)
-    )

@@ -18,7 +18,7 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Scaling, scaling_factor
 from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
-from cannoise_jax.recordings.recording import COLDEST_C
+from cannoise_jax.recordings.recording import COLDEST_C, Recording
 
 Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
@@ -55,6 +55,13 @@ class Settings:
 
 
 DEFAULT = Settings()
+
+
+def settings_of(recording: Recording, iso: float, frames: int) -> Settings:
+    """The settings of a recording, of so many frames; an exposure that is not known counts as that of
+    `DEFAULT`."""
+    known = recording.exposure_s
+    return Settings(iso, DEFAULT.exposure_s if known is None else known, recording.temperature_c, frames)
 
 
 class ExtrapolationWarning(UserWarning):

@@ -22,6 +22,7 @@ Values = Real | Float[np.ndarray, "..."] | float
 
 _LOG_SQRT_2PI = 0.9189385332046727
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+"""Gauss-Legendre rule over a narrow bin."""
 
 
 class CodeGrid(NamedTuple):

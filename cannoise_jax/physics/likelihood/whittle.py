@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 _ROUNDS = 30
+"""Rounds of Fisher scoring at most."""
 _NEAR = 1e-13  # relative change of a round that is the last
 
 

@@ -35,6 +35,7 @@ _VISIBLE = 2.0
 _NEARLY_GAUSSIAN = 0.12
 """Lambda of Tukey's law with an excess kurtosis of 0.08; it has none at 0.135."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+"""Gauss-Hermite rule over the read noise of the pixels."""
 
 
 class Explanation(NamedTuple):

@@ -1,0 +1,34 @@
+"""How charge that is not light grows, and what it adds in closed form."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from cannoise_jax.physics.core.mechanism import Context, Effect, Parameter, Scaling
+
+DOUBLING_C = 7.0
+"""Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
+THERMAL = Scaling(exposure=1.0, doubling_c=DOUBLING_C)
+WIDENHORN = "Widenhorn et al., Temperature dependence of dark current in a CCD, Proc. SPIE 4669 (2002)"
+
+
+def added_charge(charge, context: Context) -> Effect:
+    """Closed form of Poisson charge of mean `charge` [1, H, W] or a number, e-."""
+    gain = context.gain_dn_per_e
+    charge = jnp.broadcast_to(charge, (1, *context.size))
+    return Effect(
+        mean=(gain * charge)[0],
+        variance=(gain**2 * charge)[0],
+        third=(gain**3 * charge)[0],
+        fourth=(gain**4 * charge)[0],
+    )
+
+
+def rate_of(definition: str, default: float) -> Parameter:
+    """The strength of a dark current, in electrons per second."""
+    return Parameter("e_per_s", "e-/s", default, 0.0, 1e7, definition)
+
+
+def per_second(values, context: Context):
+    """The strength per second: it comes scaled to the exposure."""
+    return values["e_per_s"] / jnp.maximum(context.exposure_s, 1e-12)
