@@ -269,6 +269,8 @@ def cameras_suite(request: Request) -> Outcome:
     own = [learned(bench, m) for m in request.models]
     made["model"] = drawn(request, "model", own).noise
     made["model, 1 reference"] = drawn(request, "model", own, count=1).noise
+    alone = drawn(request, "pg_estimated", [request.draws["pg_estimated"]], count=1).noise
+    made["pg_estimated, 1 reference"] = alone
     if all(getattr(m, "level", "both") == "both" for m in request.models):
         told = tuple(np.repeat(v[:, None], 4, 1) for v in fitted_levels(bench).T)
         by_level = [learned(bench, m, given=told) for m in request.models]
@@ -281,7 +283,9 @@ def cameras_suite(request: Request) -> Outcome:
         patches = int(here.sum())
         row: dict[str, Any] = {"floor": cell(bench, values["truth"], None, patches)}
         row |= {n: cell(bench, v, values["truth"], patches) for n, v in values.items() if n != "truth"}
-        row["model - pg_estimated"] = cell(bench, values["model"], values["pg_estimated"], patches)
+        for ending in ("", ", 1 reference"):
+            ours, plain_one = (values[n + ending] for n in ("model", "pg_estimated"))
+            row[f"model - pg_estimated{ending}"] = cell(bench, ours, plain_one, patches)
         samples = {n: [samples_of(bench, noise, here) for noise in made[n]] for n in own_names}
         for n in own_names:
             row[f"std ratio, {n}"] = over_seeds(bench, [scale(s)["std_ratio"] for s in samples[n]])
