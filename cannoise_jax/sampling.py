@@ -337,7 +337,7 @@ def _refuse_older(path: Path, arrays) -> None:
     found = json.loads(str(arrays["description"]))["format"]
     if found in _OLDER:
         raise BadInput(
-            f"{path}: a model of an older version, whose encoder looks at other statistics: train it again"
+            f"{path}: a model of an older version, whose networks look at other numbers: train it again"
         )
     if found != _FORMAT:
         raise ValueError(found)

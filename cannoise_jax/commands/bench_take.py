@@ -130,10 +130,12 @@ def _denoising(content: dict[str, Any]) -> _Parts:
             gain = _between(verdict.get("gain_db"), 2, "+")
             values[_identifier(f"{exposure} s {noise} learned part")] = gain
             taken = "used" if verdict["adopted"] else "left out"
-            notes.append(
-                f"{exposure} s, {noise.replace('_', ' ')}: the learned part is {taken}; on training frames "
-                f"held back it gains {gain} dB."
+            said = (
+                f"on frames held back from it it gains {gain} dB"
+                if "gain_db" in verdict
+                else verdict["reason"]
             )
+            notes.append(f"{exposure} s, {noise.replace('_', ' ')}: the learned part is {taken}; {said}.")
     notes.append(f"{content['camera']}. Intervals: {content['interval']}.")
     columns = ("darks", "trained on", "PSNR, dB", "over pg, dB", "SSIM")
     return {"columns": columns, "rows": tuple(rows), "values": values, "notes": tuple(notes)}

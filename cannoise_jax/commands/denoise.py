@@ -163,7 +163,7 @@ def _test(arguments, argv) -> None:
             name: round(float(np.mean([d.about["seconds"] for d in own if d.about["noise"] == name])), 1)
             for name in made["psnr_db"]
         }
-        result["learned_part"] = verdicts_of(arguments.workdir, capture.camera, exposure)
+        result["learned_part"] = verdicts_of(arguments.workdir, capture.camera, exposure, made["psnr_db"])
         out[f"{exposure:g}"] = result
         print(_table(f"{capture.camera}, {exposure:g} s", result), flush=True)
     record = {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,32 +75,41 @@ def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]
 
 def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[str, Any]:
     """The generator that refines a sensor model at this exposure, where the name asks for one: trained on the
-    training part, kept in the workdir. Where denoisers gain nothing from it on frames held back, `gain.json`
-    says so, and the camera model takes its place: None."""
+    first frames of the training part, kept in the workdir. Where denoisers gain nothing from it on the
+    others, `gain.json` says so, and the camera model takes its place: None.
+
+    Raises BadInput for what cannot be used in the generator's folder.
+    """
     from cannoise_jax.training.noise_sources import REFINED, refined, sensor
-    from cannoise_jax.training.worth import JUDGE, gain_of, parted
+    from cannoise_jax.training.worth import JUDGE, SEEDS, gain_of, parted
 
     base = name.partition("+")[0]
     if base not in REFINED:
         return {}
     folder = _generator_folder(arguments.workdir, data.camera, data.exposure_s, base)
-    verdict = folder / _VERDICT
-    plain = sensors[REFINED[base]]
-    if not verdict.exists():
-        inner = parted(data)
+    verdict, plain, inner = folder / _VERDICT, sensors[REFINED[base]], parted(data)
+    steps = min(arguments.steps, JUDGE.steps)
+    recipe = replace(JUDGE, steps=steps, features=arguments.features, batch_size=arguments.batch)
+    by = {"denoiser": asdict(recipe), "seeds": SEEDS, "generator_steps": arguments.generator_steps}
+    found = verdict_of(verdict) if verdict.exists() else {}
+    if found.get("judged_by") != by:
         if inner is None:
             found = {"adopted": False, "reason": "one dark frame for training: none to judge by"}
         else:
-            model = _refine(inner, folder, plain, arguments)
-            print(f"{folder}: denoisers judge what it adds, on frames held back", flush=True)
-            steps = min(arguments.steps, JUDGE.steps)
-            recipe = replace(JUDGE, steps=steps, features=arguments.features, batch_size=arguments.batch)
-            gain = gain_of(inner, refined(inner, model), sensor(inner, plain), recipe)
-            found = {"adopted": gain.low > 0, "gain_db": gain._asdict(), "interval": "90 %"}
+            try:
+                model = _refine(inner, folder, plain, arguments)
+            except BadInput as error:
+                raise BadInput(f"{error} (or remove {folder}, to train its generator anew)") from error
+            print(f"{folder}: denoisers judge what it adds, on frames held back from it", flush=True)
+            try:
+                gain = gain_of(inner, refined(inner, model), sensor(inner, plain), recipe)
+                found = {"adopted": gain.low > 0, "gain_db": gain._asdict(), "interval": "90 %"}
+            except FloatingPointError as error:
+                found = {"adopted": False, "reason": f"no denoiser can be trained on it ({error})"}
         make_folder(folder)
-        with texts_in_place({verdict: json.dumps(found, indent=1) + "\n"}):
+        with texts_in_place({verdict: json.dumps(found | {"judged_by": by}, indent=1) + "\n"}):
             print(verdict, flush=True)
-    return {base: _load(folder) if verdict_of(verdict)["adopted"] else None}
+    return {base: _refine(inner, folder, plain, arguments) if found["adopted"] else None}
 
 
 def verdict_of(path: Path) -> dict[str, Any]:
@@ -113,11 +123,14 @@ def verdict_of(path: Path) -> dict[str, Any]:
     raise BadInput(f"{path}: not readable: remove it and run again")
 
 
-def verdicts_of(workdir: Path, camera: str, exposure_s: float) -> dict[str, dict[str, Any]]:
-    """By noise model what was found of the generators of a camera at an exposure."""
+def verdicts_of(
+    workdir: Path, camera: str, exposure_s: float, names: Iterable[str]
+) -> dict[str, dict[str, Any]]:
+    """By noise model of `names` what was found of its generator, of a camera at an exposure."""
     from cannoise_jax.training.noise_sources import REFINED
 
-    files = {name: _generator_folder(workdir, camera, exposure_s, name) / _VERDICT for name in REFINED}
+    bases = {name.partition("+")[0] for name in names} & set(REFINED)
+    files = {name: _generator_folder(workdir, camera, exposure_s, name) / _VERDICT for name in sorted(bases)}
     return {name: verdict_of(file) for name, file in files.items() if file.exists()}
 
 
@@ -128,7 +141,7 @@ def said_of(verdict: dict[str, Any]) -> str:
     gain = verdict["gain_db"]
     taken = "is used" if verdict["adopted"] else "is left out"
     return (
-        f"the learned part {taken}: on training frames held back denoisers gain {gain['value']:+.2f} dB "
+        f"the learned part {taken}: on frames held back from it denoisers gain {gain['value']:+.2f} dB "
         f"[{gain['low']:+.2f}, {gain['high']:+.2f}] by it"
     )
 
@@ -142,7 +155,7 @@ def _refine(data, folder: Path, plain, arguments):
     from tqdm import tqdm
 
     from cannoise_jax.commands.train import default_config
-    from cannoise_jax.sampling import MODEL_FILE
+    from cannoise_jax.sampling import MODEL_FILE, load_model
     from cannoise_jax.training.loop import NonFiniteLoss, train
     from cannoise_jax.training.refine import refine_config, refine_data, write_unit
     from cannoise_jax.training.result import write_model
@@ -164,12 +177,6 @@ def _refine(data, folder: Path, plain, arguments):
             raise BadInput(f"{folder}: stopped: the same command goes on")
         write_model(config, outcome.state, prepared, folder)
         print(folder / MODEL_FILE, flush=True)
-    return _load(folder)
-
-
-def _load(folder: Path):
-    from cannoise_jax.sampling import load_model
-
     return load_model(folder)
 
 

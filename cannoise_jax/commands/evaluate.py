@@ -107,7 +107,7 @@ def _run(arguments, argv: list[str]) -> None:
 
 def _record(name: str, request: Request, models: list[Path], argv: list[str]) -> dict[str, Any]:
     """Runs a suite; what is stored of it."""
-    from cannoise_jax.evaluation.suites import SUITES as RUNS
+    from cannoise_jax.evaluation.model_suites import SUITES as RUNS
 
     started = time.monotonic()
     request.tell(f"suite {name}")

@@ -41,7 +41,7 @@ from cannoise_jax.networks.branches import (
 from cannoise_jax.networks.layers import Block, Conv, Norm, bent, he_init, leaky_relu, scaled
 
 KNEE = 4.0
-"""Sigma from which on the networks see noise by its logarithm only."""
+"""Sigma from which on the U-Net and the pixel branch see noise by its logarithm only."""
 
 
 class ResidualBlock(nn.Module):
@@ -148,7 +148,7 @@ class Generator(nn.Module):
     image, summary: that of the whole image; draws: its part of those of the whole image; lines=False:
     `(noise without row offsets, their sizes)`, the sizes to be averaged over whole rows and multiplied by
     `row_draws`; part: only that part of the tile, `(first row and column, size)`, so that full-resolution
-    layers spare the surroundings. A pixel at the edge of the part is right where that is the tile's own.
+    layers spare the surroundings. The outermost pixels of the part are wrong unless they are the tile's own.
     """
 
     width: float = 1.0

@@ -3,8 +3,9 @@
 A generator that refines a camera model can only be as good as the few darks that it learns from, and losses
 on noise do not say what a denoiser makes of it. So the training part is parted once more: the generator
 learns from the first frames, and denoisers trained on the camera model alone and on the generator are
-compared on the others, seeds, scenes and photons paired. What does not gain is left out, and the camera model
-is used as it is.
+compared on the others, with the same seeds and scenes. What does not gain is left out, and the camera model
+is used as it is. The camera model was fitted to all frames of the training part, so that its own frozen
+patterns have a part in the frames that judge: the comparison leans towards it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from cannoise_jax.training.denoise_data import HalfReal, dim_scenes, held_out_im
 from cannoise_jax.training.noise_sources import Source
 
 JUDGE = Recipe(steps=200, scenes=16, realisations=1)
-"""How the denoisers are trained that judge: as the tool's own, with fewer images."""
+"""How the denoisers are trained that judge: with fewer images and steps than the tool's own."""
 SEEDS, SCENES = 2, 8
 _LEARNED = 2 / 3
 

@@ -6,13 +6,16 @@ import json
 from pathlib import Path
 from runpy import run_path
 
+import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.commands.denoise import main
+from cannoise_jax.evaluation.denoising import Interval
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.sampling import load_model
+from cannoise_jax.training.denoise import load_denoiser
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +74,18 @@ def test_generators_start_from_a_sensor_model_and_are_kept(recordings, tmp_path,
     verdict = json.loads((folder / "gain.json").read_text())
     assert record["learned_part"] == {"ours_on_calibrated": verdict}
     assert verdict["adopted"] == (verdict["gain_db"]["low"] > 0)
-    plain, learned = (record["psnr_db"][n]["by_seed"] for n in ("calibrated", "ours_on_calibrated"))
-    assert (plain == learned) != verdict["adopted"]  # what is left out leaves the camera model as it is
+    own = tmp_path / "denoisers" / "toy_10s" / "ours_on_calibrated_0.npz"
+    plain = load_denoiser(own.with_name("calibrated_0.npz")).variables["params"]
+    for gain, used in ((Interval(1.0, 0.5, 1.5), True), (Interval(-1.0, -1.5, -0.5), False)):
+        monkeypatch.setattr("cannoise_jax.training.worth.gain_of", lambda *_, gain=gain: gain)
+        own.unlink()
+        (folder / "gain.json").unlink()
+        assert main(["train", *run, *small, *names]) == 0
+        assert json.loads((folder / "gain.json").read_text())["adopted"] == used
+        same = jax.tree.map(np.array_equal, plain, load_denoiser(own).variables["params"])
+        assert all(jax.tree.leaves(same)) != used  # what is left out leaves the camera model as it is
+    own.unlink()
     (folder / "gain.json").write_text("{}")
-    (tmp_path / "denoisers" / "toy_10s" / "ours_on_calibrated_0.npz").unlink()
     assert main(["train", *run, *small, *names]) == 2 and "gain.json" in capsys.readouterr().err
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -10,16 +11,9 @@ import numpy as np
 import pytest
 
 from cannoise_jax.evaluation.beyond import BEYOND, beyond_bench
+from cannoise_jax.evaluation.model_suites import ablation_suite, cameras_suite, encoder_suite, iso_suite
 from cannoise_jax.evaluation.noise_models import baselines, learned, make_bench, references_of
-from cannoise_jax.evaluation.suites import (
-    Request,
-    ablation_suite,
-    cameras_suite,
-    encoder_suite,
-    iso_suite,
-    kl_by_unit,
-    noise_suite,
-)
+from cannoise_jax.evaluation.suites import Request, kl_by_unit, noise_suite
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.physics.core.settings import baseline_at
 from cannoise_jax.sampling import make_model
@@ -49,6 +43,20 @@ def test_a_part_that_does_nothing_is_worth_nothing(request_):
     rows = ablation_suite(request_).tables[0]["rows"]
     assert rows["nothing"]["over the whole"][:3] == (0, 0, 0)
     assert rows["nothing"]["excess KL"] == rows["whole"]["excess KL"]
+
+
+def test_the_networks_after_the_branches_are_left_out(request_):
+    """Of a model whose networks add nothing yet that changes nothing; of one whose networks do, it does."""
+    plain = request_.models[0]
+    generator = Generator(1 / 64, hidden=4, spectral=False)
+    image, key = jnp.ones((1, 32, 32, 4)), jax.random.key(0)
+    keys = {"params": key, "noise": key}
+    made = jax.jit(lambda: generator.init(keys, image, image, jnp.ones((1, 8)), image, train=False))()
+    whole = plain.replace(generator_module=generator, generator=made)
+    moved = jax.tree.map(lambda leaf: leaf + 0.05, made)
+    for model, changed in ((whole, False), (whole.replace(generator=moved), True)):
+        rows = ablation_suite(replace(request_, models=(model,), ablations={})).tables[0]["rows"]
+        assert (abs(rows["U-Net left out"]["over the whole"].value) > 1e-4) == changed  # else: by rounding
 
 
 def test_without_learning_the_model_is_the_estimate(request_):

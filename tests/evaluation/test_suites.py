@@ -15,6 +15,7 @@ import pytest
 from cannoise_jax.commands.evaluate import _plain, main
 from cannoise_jax.discovery.proof.patch_area import two_sample_area
 from cannoise_jax.evaluation.evaluators import Samples
+from cannoise_jax.evaluation.model_suites import iso_suite
 from cannoise_jax.evaluation.noise_models import (
     BASELINES,
     KNOWS,
@@ -24,7 +25,7 @@ from cannoise_jax.evaluation.noise_models import (
     references_of,
 )
 from cannoise_jax.evaluation.results_page import number, results_page
-from cannoise_jax.evaluation.suites import Request, iso_suite, kl_by_unit, pooled_kl
+from cannoise_jax.evaluation.suites import Request, kl_by_unit, pooled_kl
 from cannoise_jax.evaluation.texture import lags, spectra
 
 
