@@ -100,7 +100,9 @@ def sample_image(
             model.generator, image[None], *drawn(wide), latent, level, summary, draws(wide), first
         )
         _put(made, np.asarray(noise[0])[inner], own, margin)
-        strips[place[0]] = strips.get(place[0], 0) + np.asarray(lines[0])[inner].sum(1, dtype=np.float64)
+        if rows_last:
+            sums = np.asarray(lines[0])[inner].sum(1, dtype=np.float64)
+            strips[place[0]] = strips.get(place[0], 0) + sums
         progress(pixels)
     if rows_last:
         offsets = np.asarray(row_draws(row_key, 1, size[0]))[0, :, 0]

@@ -10,6 +10,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+from cannoise_jax.commands.denoise_sources import said_of
 from cannoise_jax.commands.published import Result, here, source_sha256
 from cannoise_jax.recordings.recording import BadInput
 
@@ -129,13 +130,7 @@ def _denoising(content: dict[str, Any]) -> _Parts:
         for noise, verdict in result.get("learned_part", {}).items():
             gain = _between(verdict.get("gain_db"), 2, "+")
             values[_identifier(f"{exposure} s {noise} learned part")] = gain
-            taken = "used" if verdict["adopted"] else "left out"
-            said = (
-                f"on frames held back from it it gains {gain} dB"
-                if "gain_db" in verdict
-                else verdict["reason"]
-            )
-            notes.append(f"{exposure} s, {noise.replace('_', ' ')}: the learned part is {taken}; {said}.")
+            notes.append(f"{exposure} s, {noise.replace('_', ' ')}: {said_of(verdict)}.")
     notes.append(f"{content['camera']}. Intervals: {content['interval']}.")
     columns = ("darks", "trained on", "PSNR, dB", "over pg, dB", "SSIM")
     return {"columns": columns, "rows": tuple(rows), "values": values, "notes": tuple(notes)}

@@ -118,7 +118,7 @@ def _test(arguments, argv) -> None:
     from cannoise_jax.evaluation.denoising import in_order, psnr, ssim, summary
     from cannoise_jax.recordings.load import load_capture_set
     from cannoise_jax.recordings.packing import pack
-    from cannoise_jax.training.denoise import applied, load_denoiser
+    from cannoise_jax.training.denoise import denoised, load_denoiser
     from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images
 
     started = time.monotonic()
@@ -138,7 +138,7 @@ def _test(arguments, argv) -> None:
         truth, shown = (pack(np.asarray(x, np.float32), data.cfa) for x in (clean, noisy))
         made: dict[str, dict[str, dict[int, list[float]]]] = {"psnr_db": {}, "ssim": {}}
         for d in own:
-            images = [np.asarray(applied(d.recipe)(d.variables, image[None]))[0] for image in shown]
+            images = denoised(d, shown)
             for metric, function in (("psnr_db", psnr), ("ssim", ssim)):
                 rows = made[metric].setdefault(d.about["noise"], {})
                 rows[d.about["seed"]] = [function(t, i) for t, i in zip(truth, images, strict=True)]

@@ -80,8 +80,8 @@ def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[s
 
     Raises BadInput for what cannot be used in the generator's folder.
     """
-    from cannoise_jax.training.noise_sources import REFINED, refined, sensor
-    from cannoise_jax.training.worth import JUDGE, SEEDS, gain_of, parted
+    from cannoise_jax.training.noise_sources import REFINED
+    from cannoise_jax.training.worth import JUDGE, SEEDS, parted
 
     base = name.partition("+")[0]
     if base not in REFINED:
@@ -93,23 +93,31 @@ def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[s
     by = {"denoiser": asdict(recipe), "seeds": SEEDS, "generator_steps": arguments.generator_steps}
     found = verdict_of(verdict) if verdict.exists() else {}
     if found.get("judged_by") != by:
-        if inner is None:
-            found = {"adopted": False, "reason": "one dark frame for training: none to judge by"}
-        else:
-            try:
-                model = _refine(inner, folder, plain, arguments)
-            except BadInput as error:
-                raise BadInput(f"{error} (or remove {folder}, to train its generator anew)") from error
-            print(f"{folder}: denoisers judge what it adds, on frames held back from it", flush=True)
-            try:
-                gain = gain_of(inner, refined(inner, model), sensor(inner, plain), recipe)
-                found = {"adopted": gain.low > 0, "gain_db": gain._asdict(), "interval": "90 %"}
-            except FloatingPointError as error:
-                found = {"adopted": False, "reason": f"no denoiser can be trained on it ({error})"}
+        found = _judged(inner, folder, plain, recipe, arguments) | {"judged_by": by}
         make_folder(folder)
-        with texts_in_place({verdict: json.dumps(found | {"judged_by": by}, indent=1) + "\n"}):
+        with texts_in_place({verdict: json.dumps(found, indent=1) + "\n"}):
             print(verdict, flush=True)
     return {base: _refine(inner, folder, plain, arguments) if found["adopted"] else None}
+
+
+def _judged(data, folder: Path, plain, recipe, arguments) -> dict[str, Any]:
+    """Whether the generator is adopted, and why: by what denoisers gain from it. data: None where no frame is
+    left to judge by."""
+    from cannoise_jax.training.noise_sources import refined, sensor
+    from cannoise_jax.training.worth import gain_of
+
+    if data is None:
+        return {"adopted": False, "reason": "one dark frame for training: none to judge by"}
+    try:
+        model = _refine(data, folder, plain, arguments)
+    except BadInput as error:
+        raise BadInput(f"{error} (or remove {folder}, to train its generator anew)") from error
+    print(f"{folder}: denoisers judge what it adds, on frames held back from it", flush=True)
+    try:
+        gain = gain_of(data, refined(data, model), sensor(data, plain), recipe)
+    except FloatingPointError as error:
+        return {"adopted": False, "reason": f"no denoiser can be trained on it ({error})"}
+    return {"adopted": gain.low > 0, "gain_db": gain._asdict(), "interval": "90 %"}
 
 
 def verdict_of(path: Path) -> dict[str, Any]:

@@ -10,7 +10,7 @@ independent of every contrast among those. So one frame held back shows what is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 from typing import NamedTuple
@@ -83,6 +83,16 @@ class Fields(NamedTuple):
     def relative(self) -> Float[np.ndarray, "h w"]:
         """signal / sigma where usable, else 0: response of the standardised field to a relative change."""
         return self.usable * self.signal / self.sigma
+
+
+def longest_exposure(fields: Sequence[Fields]) -> float:
+    """Of the recordings, s; one that states none counts as zero."""
+    return max(f.exposure_s or 0.0 for f in fields)
+
+
+def quoted_at(fields: Sequence[Fields], scaling: str) -> float:
+    """What a strength is quoted at: of what grows with the exposure the longest, s; of all else one."""
+    return longest_exposure(fields) if scaling == "exposure" else 1.0
 
 
 @lru_cache(maxsize=8)

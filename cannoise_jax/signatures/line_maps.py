@@ -6,13 +6,19 @@ from functools import partial
 
 import numpy as np
 
-from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import draw, placed, posterior, strength
 from cannoise_jax.signatures.answers import along_fields, less_lines
-from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.fields import Fields, quoted_at
 from cannoise_jax.signatures.handed import Many, Predicted
 from cannoise_jax.signatures.least import random_offsets
-from cannoise_jax.signatures.line_sums import Line, component_score, lines, reads_light, static_sums
+from cannoise_jax.signatures.line_sums import (
+    Line,
+    component_score,
+    line_point,
+    lines,
+    reads_light,
+    static_sums,
+)
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -23,11 +29,6 @@ from cannoise_jax.signatures.signature import (
     Scales,
     Signature,
 )
-
-
-def _seconds(fields: tuple[Fields, ...], scaling: str) -> float:
-    """The exposure at which a strength is quoted: of what grows with it the longest, fitted per second."""
-    return max(f.exposure_s or 0.0 for f in fields) if scaling == "exposure" else 1.0
 
 
 def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score[float] | None:
@@ -41,7 +42,7 @@ def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Scor
     score = component_score(power, sums.information, np.ones(power.shape), scaling=scaling, where=where)
     if scaling != "exposure":
         return score
-    seconds = _seconds(fields, scaling)
+    seconds = quoted_at(fields, scaling)
     sigma, error = score.amplitude * seconds, score.error * seconds
     return score.replace(
         amplitude=sigma, error=error, shift=score.shift * seconds, parameters={"sigma": (sigma, "DN", error)}
@@ -78,22 +79,17 @@ def frozen(
     """White offsets (or gains, or offsets that grow with the exposure) of lines that stay. parameter: the
     mechanism's strength."""
     growing = scaling == "exposure"
-    point = (
-        Point("photons", "mean", axis, "frozen", "multiply")
-        if scaling == "signal"
-        else Point("readout", "signal", axis, "frozen")
-    )
     shape = (-1, 1) if axis == "row" else (1, -1)
 
     def predict(fields: Many, score: Score) -> Predicted | None:
-        sums, seconds = static_sums(fields, axis, scaling), _seconds(fields, scaling)
+        sums, seconds = static_sums(fields, axis, scaling), quoted_at(fields, scaling)
         if sums is None or not seconds:
             return None
         mean, doubt = posterior(sums.score, sums.information, (score.amplitude / seconds) ** 2)
         return Predicted(mean.reshape(shape), doubt.reshape(shape), scaling)
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
-        sums, seconds = static_sums(fields, axis, scaling), _seconds(fields, scaling)
+        sums, seconds = static_sums(fields, axis, scaling), quoted_at(fields, scaling)
         if sums is None or not seconds:
             return None
         variance = (score.amplitude / seconds) ** 2
@@ -110,7 +106,7 @@ def frozen(
         predict=predict,
         pattern=pattern,
         simulate=strength(parameter) if parameter else NOT_SIMULATED,
-        place=placed(point, by_exposure=growing),
+        place=placed(line_point(axis, scaling, "frozen"), by_exposure=growing),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM if growing else random_offsets(axis, scaling, frozen=True),
         drawn_once=True,

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.answers import less_shared, response, through
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import (
@@ -35,6 +36,13 @@ few frames draw scatters about it."""
 def reads_light(scaling: str) -> frozenset[str]:
     """What of the fields beside the frames a factor of the light reads."""
     return frozenset({"signal"}) if scaling == "signal" else frozenset()
+
+
+def line_point(axis: Line, scaling: str, time: Literal["frozen", "redrawn"]) -> Point:
+    """Where what lines share stands in the grammar: a factor of the light, or an offset of the read-out."""
+    if scaling == "signal":
+        return Point("photons", "mean", axis, time, "multiply")
+    return Point("readout", "signal", axis, time)
 
 
 def line_pixels(values: np.ndarray, response: np.ndarray, axis: str) -> Pixels:

@@ -16,7 +16,14 @@ from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted, Series
 from cannoise_jax.signatures.least import random_offsets
-from cannoise_jax.signatures.line_sums import Line, component_score, line_sums, reads_light, whiten_lines
+from cannoise_jax.signatures.line_sums import (
+    Line,
+    component_score,
+    line_point,
+    line_sums,
+    reads_light,
+    whiten_lines,
+)
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -126,11 +133,7 @@ def redrawn(
 ) -> Signature:
     """White offsets (or factors) of lines, new in every frame. parameter: the mechanism's strength."""
     additive = scaling == "additive"
-    point = (
-        Point("readout", "signal", axis, "redrawn")
-        if additive
-        else Point("photons", "mean", axis, "redrawn", "multiply")
-    )
+    point = line_point(axis, scaling, "redrawn")
 
     def again(fields: Many, found: Score[Shared]) -> Score | None:
         return temporal_score(fields, axis=axis, scaling=scaling, together=found.payload.together)

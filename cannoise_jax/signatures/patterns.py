@@ -11,7 +11,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays
-from cannoise_jax.signatures.fields import Fields, helmert
+from cannoise_jax.signatures.fields import Fields, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.handed import Many, Predicted
 from cannoise_jax.signatures.least import (
@@ -139,7 +139,7 @@ def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     if scaling != "exposure":
         return score
     # Fitted per second; quoted at the longest exposure.
-    seconds = max(f.exposure_s or 0.0 for f in fields)
+    seconds = longest_exposure(fields)
     sigma, error = score.amplitude * seconds, score.error * seconds
     return score.replace(
         amplitude=sigma, error=error, shift=score.shift * seconds, parameters={"sigma": (sigma, "DN", error)}
@@ -237,7 +237,7 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
 
     def predict(fields: Many, score: Score) -> Predicted | None:
         sums = pixel_sums(fields, scaling, KINDS)
-        seconds = max(f.exposure_s or 0.0 for f in fields) if growing else 1.0
+        seconds = quoted_at(fields, scaling)
         if sums is None or not seconds:
             return None
         variance = (score.amplitude / seconds) ** 2
@@ -250,7 +250,7 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         variance = score.amplitude**2
         if not growing:
             return draw_pixels(sums.score, sums.information, variance, rng)
-        seconds = max(f.exposure_s or 0.0 for f in fields)
+        seconds = longest_exposure(fields)
         return draw_pixels(sums.score, sums.information, variance / seconds**2, rng) * seconds
 
     return Signature(

@@ -176,6 +176,12 @@ def load_denoiser(path: Path) -> Denoiser:
         raise BadInput(f"{path}: not a readable denoiser: train it again") from error
 
 
+def denoised(denoiser: Denoiser, noisy: Float[np.ndarray, "n h w 4"]) -> list[Float[np.ndarray, "h w 4"]]:
+    """Packed images, one after the other."""
+    network = applied(denoiser.recipe)
+    return [np.asarray(network(denoiser.variables, image[None]))[0] for image in noisy]
+
+
 @lru_cache(maxsize=4)
 def applied(recipe: Recipe) -> Callable[[dict[str, Any], Float[Array, "b h w 4"]], Float[Array, "b h w 4"]]:
     """The network in use, compiled once for all denoisers of a recipe: (variables, noisy) -> denoised."""

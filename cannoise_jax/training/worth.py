@@ -17,7 +17,7 @@ import numpy as np
 
 from cannoise_jax.evaluation.denoising import Interval, paired_interval, psnr
 from cannoise_jax.recordings.packing import pack
-from cannoise_jax.training.denoise import Recipe, applied, train_denoiser
+from cannoise_jax.training.denoise import Recipe, denoised, train_denoiser
 from cannoise_jax.training.denoise_data import HalfReal, dim_scenes, held_out_images
 from cannoise_jax.training.noise_sources import Source
 
@@ -52,8 +52,7 @@ def gain_of(
         """By seed and scene."""
         rows = []
         for seed in range(seeds):
-            made = train_denoiser(recipe, source, clean, data.cfa, seed)
-            images = [np.asarray(applied(recipe)(made.variables, n[None]))[0] for n in noisy]
+            images = denoised(train_denoiser(recipe, source, clean, data.cfa, seed), noisy)
             rows.append([psnr(t, i) for t, i in zip(truth, images, strict=True)])
         return np.array(rows)
 

@@ -25,7 +25,7 @@ from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_p
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.fields import Fields, channel_index, quoted_at
 
 _SHARED = 0.5
 """Share of a pattern's variance that recordings have in common, below which it is not the same in all."""
@@ -68,14 +68,13 @@ def lasting(step: Step) -> Doubt | None:
     if axes.varies_over not in ("row", "column", "pixel"):
         return None
     # What grows with the exposure is quoted at the longest, and told per second.
-    growing = axes.scales == "exposure"
-    longest = max(f.exposure_s or 0.0 for f in step.before) if growing else 1.0
+    longest = quoted_at(step.before, axes.scales)
     claimed = (score.amplitude / longest) ** 2 if longest else 0.0
     sums = []
     # Of a pattern that multiplies the light darks hold nothing.
     told = [f for f in step.before if f.static is not None and (f.lit or axes.scales != "signal")]
     for field in told:
-        seconds = (field.exposure_s or 0.0) if growing else 1.0
+        seconds = quoted_at((field,), axes.scales)
         one = score.replace(amplitude=score.amplitude * seconds / longest) if seconds and longest else None
         found = signature.predict((field,), one) if one is not None else None
         if found is None or found.pattern is None or claimed <= 0:

@@ -9,7 +9,7 @@ import numpy as np
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.signatures import joint
-from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.fields import Fields, quoted_at
 from cannoise_jax.signatures.handed import Predicted
 
 
@@ -21,7 +21,7 @@ def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarr
         maps = [_map_of(steps[n]) for n in places]
         draws = joint.drawn(fields, maps, _sigmas(steps, fields, places), rng)
         for n, one, values in zip(places, maps, draws, strict=True):
-            out[n] = None if values is None else values * _quoted_at(one, fields)
+            out[n] = None if values is None else values * quoted_at(fields, one.scaling)
     return [
         out[n] if n in out else s.named.signature.pattern(s.before, s.named.score, rng)
         for n, s in enumerate(steps)
@@ -74,7 +74,7 @@ def beside_others(steps: tuple[Step, ...], left: tuple[Fields, ...] = ()) -> tup
 
 def _at(named: Named, one: joint.FrozenMap, told: joint.Strength, fields: tuple[Fields, ...]) -> Named:
     """The finding at a strength in the unit of its map."""
-    score, unit = named.score, _quoted_at(one, fields)
+    score, unit = named.score, quoted_at(fields, one.scaling)
     sigma, error, shift = (x * unit for x in told)
     name, (_, text, _) = next(iter(score.parameters.items()))
     parameters = {**score.parameters, name: (sigma, text, error)}
@@ -84,12 +84,8 @@ def _at(named: Named, one: joint.FrozenMap, told: joint.Strength, fields: tuple[
 
 def _sigmas(steps: tuple[Step, ...], fields: tuple[Fields, ...], places: list[int]) -> list[float]:
     """Strengths in the units of the maps."""
-    return [steps[n].named.score.amplitude / (_quoted_at(_map_of(steps[n]), fields) or 1.0) for n in places]
-
-
-def _quoted_at(one: joint.FrozenMap, fields: tuple[Fields, ...]) -> float:
-    """What strengths are quoted at, in units of the map: the longest exposure, where they grow with it."""
-    return max(f.exposure_s or 0.0 for f in fields) if one.scaling == "exposure" else 1.0
+    found = [(_map_of(steps[n]).scaling, steps[n].named.score.amplitude) for n in places]
+    return [value / (quoted_at(fields, scaling) or 1.0) for scaling, value in found]
 
 
 def _together(steps: tuple[Step, ...]) -> list[tuple[tuple[Fields, ...], list[int]]]:
