@@ -11,6 +11,7 @@ from scipy import fft, stats
 
 from cannoise_jax.discovery.compare.light import Light, light_for
 from cannoise_jax.discovery.compare.run import asked_signal
+from cannoise_jax.discovery.compare.shapes import Pattern
 from cannoise_jax.discovery.compare.sources import Source
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
 from cannoise_jax.discovery.frames.calibrate import gain_groups
@@ -27,7 +28,7 @@ class Part(NamedTuple):
     """One recording beside the simulator's draws.
 
     dark: whether it is without light.
-    residual: what stays in the mean beyond the simulator's, DN; noise: its variance by noise, DN^2.
+    pattern: what stays in the mean, and the simulator's.
     exposure_s: of the recording; signal: of every pixel, DN.
     excess: power beyond the simulator's, DN^2.
     ratio: variance of every pixel over that of the bulk where the simulator has none that stand out.
@@ -38,8 +39,7 @@ class Part(NamedTuple):
     """
 
     dark: bool
-    residual: Float[np.ndarray, "h w"] | None
-    noise: float
+    pattern: Pattern | None
     exposure_s: float
     signal: Float[np.ndarray, "h w"]
     excess: Float[np.ndarray, "h w"]
@@ -117,16 +117,18 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     own = np.mean(raw.contrasts**2, 0) if n else np.full(raw.mean.shape, typical)
     dof = len(drawn.contrasts)
     theirs = np.mean(drawn.contrasts**2, 0) if dof else np.full(raw.mean.shape, typical)
+    if dof and not dark:  # without what the lamp moved
+        typical = max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)
     # Noise of less than a code leaves most pixels still.
     bulk = max(bulk_variance(own.ravel(), n), 1e-6 * step**2) if n else typical
-    residual = None
+    pattern = None
     if known is not None:
         # Of darks the level is the simulator's to tell; of flats the light took it. What the simulator has
         # of a pattern is in its draws.
-        residual = raw.mean - (expected if dark else fitted) - (drawn.mean - expected)
-        residual = np.where(raw.usable, residual, 0.0)
+        maps = raw.mean - (expected if dark else fitted), drawn.mean - expected
+        recorded, simulated = (np.where(raw.usable, v, 0.0) for v in maps)
+        pattern = Pattern(recorded, simulated, bulk / raw.frames, typical / drawn.frames)
     excess = _power(raw, own, bulk) - _power(drawn, theirs, typical) if n else np.zeros(raw.mean.shape)
-    noise = bulk / raw.frames + typical / drawn.frames
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
     # Pixels that the simulator already has noisier than the others are held against what it gives them.
     loud = np.ones_like(own)
@@ -138,7 +140,7 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     read = white if source.read is None else min(source.read, white)
     gain = source.gain or 0.0
     return Part(
-        dark, residual, noise, settings.exposure_s, signal, excess, ratio, bulk, n,
+        dark, pattern, settings.exposure_s, signal, excess, ratio, bulk, n,
         read, white, gain, unit, loud,
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """The remainder: what a simulator leaves out, measured and drawn as it was measured (`mechanisms.residual`).
 
 Fixed maps are the recorded means less the simulator's, drawn towards zero by as much as noise of the mean
-makes of them (Wiener, frequency by frequency).
+makes of them (Wiener, frequency by frequency), with as much at random as the recorded power still lacks.
 Spectra are those of the recorded contrasts less the simulator's, so that what the simulator already has is
 not added twice.
 Noise that has too little power at some frequencies cannot be had by adding to it: most of the white read
@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.parts import Part, parts_of, stand_out
-from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth, wiener
-from cannoise_jax.discovery.compare.sources import Source, modelled
+from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, missing, smooth
+from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
@@ -43,11 +43,18 @@ def with_remainder(
 
     Maps are those of this camera unit and of frames of this size: other units draw none.
     """
-    less = shares(capture, modelled(model, key), tell)
+    whole = parts_of(capture, modelled(model, key), tell)
+    less = _shares(capture, *whole)
     if less is None:
         return model
-    # What is missing is measured beside what the baseline has left.
-    maps = measured(capture, modelled(_added(model, less), key), tell)
+    # What is missing is measured beside what the baseline has left. What stays is measured beside the whole
+    # of it: the noise in the mean of a single frame is what the simulator says.
+    rest = parts_of(capture, modelled(_added(model, less), key), tell)
+    parts = (
+        [r._replace(pattern=w.pattern) for r, w in zip(own, plain, strict=True)]
+        for own, plain in zip(rest, whole, strict=True)
+    )
+    maps = _measured(capture, *parts)
     return _added(model, {**maps, **{name: less[name] for name in SHARES}})
 
 
@@ -56,12 +63,9 @@ def _added(model: SensorModel, maps: dict[str, np.ndarray]) -> SensorModel:
     return model.with_mechanism(RESIDUAL, maps=full)
 
 
-def shares(
-    capture: CaptureSet, source: Source, tell: Callable[[str], None] = lambda text: None
-) -> dict[str, np.ndarray] | None:
+def _shares(capture: CaptureSet, darks: list[Part], lit: list[Part]) -> dict[str, np.ndarray] | None:
     """Maps of `mechanisms.residual` that take away as much of the baseline's noise as the frames that look
     have too little of at any spatial frequency, and nothing else; None where none shows new noise."""
-    darks, lit = parts_of(capture, source, tell)
     if not any(p.contrasts for p in (*darks, *lit)):
         return None
     maps = _empty(capture)
@@ -87,11 +91,9 @@ def _left(parts: list[Part], dark: bool) -> float:
     return float(np.clip(1 - missing / max(own, 1e-12), _LEAST_LEFT, 1.0))
 
 
-def measured(
-    capture: CaptureSet, source: Source, tell: Callable[[str], None] = lambda text: None
-) -> dict[str, np.ndarray]:
-    """All other maps of `mechanisms.residual`, of the frames that look beside draws of `source`."""
-    darks, lit = parts_of(capture, source, tell)
+def _measured(capture: CaptureSet, darks: list[Part], lit: list[Part]) -> dict[str, np.ndarray]:
+    """All other maps of `mechanisms.residual`, of the frames that look beside draws of what the baseline has
+    left."""
     maps = _empty(capture)
     if darks:
         maps.update(_of_darks(darks))
@@ -117,19 +119,19 @@ def _of_darks(darks: list[Part]) -> dict[str, np.ndarray]:
 
 def _fixed(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
     """What stays, DN, and what grows with the exposure, DN/s."""
-    known = [p for p in darks if p.residual is not None]
-    weight = np.array([1 / p.noise for p in known])
+    known = [p for p in darks if p.pattern is not None]
+    patterns = [p.pattern for p in known if p.pattern is not None]
+    weight = np.array([1 / (p.noise + p.simulated_noise) for p in patterns])
     times = np.array([p.exposure_s for p in known])
-    values = np.stack([p.residual for p in known])  # type: ignore[misc]
     centre = float(np.average(times, weights=weight))
     spread = float(np.sum(weight * (times - centre) ** 2))
-    offset, noise = np.tensordot(weight, values, 1) / weight.sum(), 1 / float(weight.sum())
-    rate = np.zeros(offset.shape)
+    mean, rate = weight / weight.sum(), np.zeros(patterns[0].recorded.shape)
     if len(set(times)) > 1 and spread > 0:
-        slope = np.tensordot(weight * (times - centre), values, 1) / spread
-        offset, noise = offset - centre * slope, noise + centre**2 / spread
-        rate = wiener(slope, 1 / spread, 1)
-    return wiener(offset, noise, 2), rate
+        slope = weight * (times - centre) / spread
+        mean = mean - centre * slope
+        rate = missing(patterns[0].combined(patterns[1:], slope), 1)
+    offset = missing(patterns[0].combined(patterns[1:], mean), 2)
+    return offset, rate
 
 
 def _still(darks: list[Part], rate: np.ndarray) -> tuple[np.ndarray, list[Part]]:
@@ -140,7 +142,11 @@ def _still(darks: list[Part], rate: np.ndarray) -> tuple[np.ndarray, list[Part]]
     """
     moving = [p for p in darks if p.contrasts]
     shot = darks[0].gain * np.maximum(rate - min(float(np.median(rate)), 0.0), 0.0)
-    growing = max(_slope(moving) - _bulk(shot), 0.0) + shot
+    # Where the simulator has a pattern of its own, half of what it is off by is too much: the bulk as a whole
+    # gains no more than its noise shows.
+    slope, bulk = _slope(moving), _bulk(shot)
+    common = np.minimum(shot, np.quantile(shot, 0.975))
+    growing = max(slope - bulk, 0.0) + shot - (1 - min(max(slope, 0.0) / max(bulk, 1e-30), 1.0)) * common
     return growing, [_less(p, growing) for p in moving]
 
 
@@ -192,7 +198,7 @@ def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
 
 def _of_lit(p: Part) -> tuple[np.ndarray, ...]:
     """The maps of `LIT` of one lit recording."""
-    fixed = np.zeros(p.signal.shape) if p.residual is None else wiener(p.residual, p.noise, 3)
+    fixed = np.zeros(p.signal.shape) if p.pattern is None else missing(p.pattern, 3)
     alone = np.where(stand_out(p.ratio, p.contrasts), p.level * p.loud * np.maximum(p.ratio - 1, 0), 0.0)
     return p.signal, fixed, alone, np.maximum(_spectrum([p], False), 0), p.unit
 

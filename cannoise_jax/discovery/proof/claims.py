@@ -31,6 +31,10 @@ _SHARED = 0.5
 """Share of a pattern's variance that recordings have in common, below which it is not the same in all."""
 _SURE = 4.0
 """Standard deviations from which on that is no chance."""
+_SHOWN = 0.2
+"""Share of the noise of a recording's mean that the pattern has there, from which on it says whether the
+pattern is in it. Other patterns correlate by some 0.02 with it (dark current of the KAF-1001E with its PRNU):
+where the pattern has 0.0005, as a flat of 23 s has of dark current, that is more than the pattern itself."""
 _FEWEST = 32
 """Lines or pixels from which on that is told."""
 _OF_LEVEL = 0.25
@@ -82,6 +86,8 @@ def lasting(step: Step) -> Doubt | None:
         doubt = np.broadcast_to(np.asarray(found.doubt, np.float64), np.shape(found.pattern)).ravel()
         doubt = np.maximum(doubt, 1e-9 * claimed)
         own = np.ravel(found.pattern) / doubt, np.maximum(1 / doubt - 1 / claimed, 0.0)
+        if np.median(own[1]) * claimed < _SHOWN:
+            continue
         sums.append(_apart(*own, _channels(field, np.shape(found.pattern))))
     if len(sums) < 2:
         return None
