@@ -23,6 +23,7 @@ from cannoise_jax.signatures.fields import Fields
 
 SCALINGS = ("additive", "signal", "exposure")
 """How a pattern grows: not, with the light, with the exposure."""
+_NONE = np.zeros((1, 1), np.float32)
 
 
 def response(field: Fields, scaling: str) -> np.ndarray:
@@ -38,7 +39,7 @@ def shows(field: Fields, scaling: str) -> bool:
         return False
     if field.answers.mixed:  # what others share with it was taken out of all
         return True
-    return {"signal": field.lit, "exposure": bool(field.exposure_s)}.get(scaling, True)
+    return _has(field, scaling)
 
 
 def stays(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
@@ -55,7 +56,7 @@ def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]
         out = _unit_effect(field, scaling)
     else:
         first = zip(mixed[SCALINGS.index(scaling)], SCALINGS, strict=True)
-        out = np.sum([share * _unit_effect(field, s) for share, s in first], 0)
+        out = sum((share * _unit_effect(field, s) for share, s in first if _has(field, s)), _NONE)
     return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
 
 
@@ -65,6 +66,11 @@ def _unit_effect(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
     if scaling == "signal":
         return field.signal if field.lit else np.zeros((1, 1), np.float32)
     return np.full((1, 1), 1.0 if scaling == "additive" else field.exposure_s or 0.0, np.float32)
+
+
+def _has(field: Fields, scaling: str) -> bool:
+    """Whether an effect that scales so adds anything to the mean."""
+    return {"signal": field.lit, "exposure": bool(field.exposure_s)}.get(scaling, True)
 
 
 def _as_lines(values: np.ndarray, axis: str) -> np.ndarray:
@@ -170,23 +176,50 @@ def _mixed(
         before = np.broadcast_to(np.eye(3, dtype=np.float32)[:, :, None, None], (3, 3, *size))
     along = along_fields(fields, axis, scaling)
     own = before[SCALINGS.index(scaling)]
-    falls = np.stack([taken(along((axis, s))) for s in SCALINGS])
+    falls = np.stack([taken(along(s)) for s in SCALINGS])
     return (before - falls[:, None] * own).astype(np.float32)
 
 
 def along_fields(
     fields: tuple[Fields, ...], axis: str, scaling: str
-) -> Callable[[tuple[str, str]], np.ndarray]:
-    """By kind of pattern: the sum over recordings of its responses times those of this one."""
-    shown = [f for f in fields if f.static is not None]
+) -> Callable[[str], Float[np.ndarray, "h w"]]:
+    """By scaling: the sum over recordings of what the static part answers to a pattern of pixels, rows or
+    columns that scales so, times what it answers to this one.
 
-    def along(key: tuple[str, str]) -> np.ndarray:
-        return sum(
-            (f.frames * stays(f, axis, scaling).astype(np.float64) * stays(f, *key) for f in shown),
-            np.zeros(shown[0].mean.shape),
-        )
+    What a pattern looks like as the three that there are, M, is the same in all recordings: the sum is
+    M G M^T, with the sums G over recordings of products of the three as they were at first.
+    """
+    products = _at_first(fields, axis)
+    mixed = next(
+        (m for f in fields if (m := f.answers.mixed.get(axis, f.answers.mixed.get("pixel"))) is not None),
+        None,
+    )
+    if mixed is None:
+        return lambda other: products[frozenset((scaling, other))]
+    own = mixed[SCALINGS.index(scaling)]
+    mine = [
+        sum((share * products[frozenset((a, b))] for share, a in zip(own, SCALINGS, strict=True)), _NONE)
+        for b in SCALINGS
+    ]
+    return lambda other: sum((s * m for s, m in zip(mixed[SCALINGS.index(other)], mine, strict=True)), _NONE)
 
-    return along
+
+def _at_first(fields: tuple[Fields, ...], axis: str) -> dict[frozenset[str], Float[np.ndarray, "h w"]]:
+    """By two scalings: sums over recordings of the products of what they answer to both before anything was
+    taken out of all of them."""
+    size = fields[0].mean.shape
+    out = {frozenset((a, b)): np.zeros(size) for a in SCALINGS for b in SCALINGS}
+    for f in fields:
+        if f.static is None:
+            continue
+        square = f.frames * f.weight.astype(np.float64) ** 2
+        if axis in f.answers.kept:
+            square = square * _as_lines(f.answers.kept[axis].astype(np.float64), axis) ** 2
+        for pair in out:
+            a, b = min(pair), max(pair)
+            if _has(f, a) and _has(f, b):
+                out[pair] += square * _unit_effect(f, a) * _unit_effect(f, b)
+    return out
 
 
 def through(field: Fields, axis: str, function: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "g"]:

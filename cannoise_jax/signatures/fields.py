@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import KINDS, LIT
+from cannoise_jax.signatures.remembered import remembered
 
 
 class Answers(NamedTuple):
@@ -76,13 +77,20 @@ class Fields(NamedTuple):
 
     @property
     def weight(self) -> Float[np.ndarray, "h w"]:
-        """1 / sigma where usable, else 0; DN^-1."""
-        return self.usable / self.sigma
+        """1 / sigma where usable, else 0; DN^-1. Read-only."""
+        return _weight(self)
 
     @property
     def relative(self) -> Float[np.ndarray, "h w"]:
         """signal / sigma where usable, else 0: response of the standardised field to a relative change."""
         return self.usable * self.signal / self.sigma
+
+
+@remembered("usable", "sigma")
+def _weight(field: Fields) -> Float[np.ndarray, "h w"]:
+    out = field.usable / field.sigma
+    out.setflags(write=False)
+    return out
 
 
 def longest_exposure(fields: Sequence[Fields]) -> float:

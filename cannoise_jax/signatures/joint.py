@@ -212,7 +212,7 @@ def _along(
     fields: tuple[Fields, ...], scaling: str, other: str, axis: str = "pixel"
 ) -> Float[np.ndarray, "h w"]:
     """Sum over the recordings of what is left of the responses of pixels to patterns of two scalings."""
-    return along_fields(fields, axis, scaling)((axis, other))
+    return along_fields(fields, axis, scaling)(other)
 
 
 def _posterior(

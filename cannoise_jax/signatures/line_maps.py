@@ -58,7 +58,7 @@ def static_absorb(
         return fields
     groups = lines(axis, fields[0].mean.shape)
     kept, noise = sums.kept, sums.noise
-    information = groups.sums(along_fields(fields, axis, scaling)((axis, scaling)) * kept) / noise
+    information = groups.sums(along_fields(fields, axis, scaling)(scaling) * kept) / noise
     share = (1 - 1 / np.sqrt(1 + score.payload * information)) / np.maximum(information, 1e-30)
 
     def taken(values: np.ndarray) -> np.ndarray:

@@ -6,9 +6,10 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from cannoise_jax.signatures.fields import Fields
+if TYPE_CHECKING:
+    from cannoise_jax.signatures.fields import Fields
 
 _MOST = 64
 """Recordings whose results are kept."""

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy import fft, stats
 
 from cannoise_jax.discovery.compare.light import Light, light_for
+from cannoise_jax.discovery.compare.pixel_noise import beyond, uneven
 from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import Pattern
 from cannoise_jax.discovery.compare.sources import Source
@@ -36,6 +37,7 @@ class Part(NamedTuple):
     read, own: variance of the simulator's read noise, and of all its noise, DN^2; gain: DN/e-.
     unit: variance of every pixel over the mean, by which all of these are divided.
     loud: variance of every pixel over the bulk's as the simulator has it, 1 where it does not stand out.
+    uneven: variance of the pixels' variances over the bulk's squared, beyond the simulator's.
     """
 
     dark: bool
@@ -51,6 +53,7 @@ class Part(NamedTuple):
     gain: float
     unit: Float[np.ndarray, "h w"]
     loud: Float[np.ndarray, "h w"]
+    uneven: float
 
 
 def parts_of(
@@ -132,7 +135,11 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
     # Pixels that the simulator already has noisier than the others are held against what it gives them.
     loud = np.ones_like(own)
+    unlike = 0.0
     if dof:
+        unlike = beyond(
+            uneven(raw.contrasts, raw.usable, bulk), uneven(drawn.contrasts, drawn.usable, typical)
+        )
         theirs = theirs / max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)
         loud = np.where(stand_out(theirs, dof), theirs, 1.0)
     ratio = own / max(bulk, 1e-12) / loud
@@ -141,7 +148,7 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     gain = source.gain or 0.0
     return Part(
         dark, pattern, settings.exposure_s, signal, excess, ratio, bulk, n,
-        read, white, gain, unit, loud,
+        read, white, gain, unit, loud, unlike,
     )  # fmt: skip
 
 

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from cannoise_jax.discovery.compare.parts import Part, parts_of, stand_out
+from cannoise_jax.discovery.compare.parts import Part, parts_of
+from cannoise_jax.discovery.compare.pixel_noise import Variances, variances
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, missing, smooth
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
@@ -51,7 +52,7 @@ def with_remainder(
     # of it: the noise in the mean of a single frame is what the simulator says.
     rest = parts_of(capture, modelled(_added(model, less), key), tell)
     parts = (
-        [r._replace(pattern=w.pattern) for r, w in zip(own, plain, strict=True)]
+        [r._replace(pattern=w.pattern, uneven=w.uneven) for r, w in zip(own, plain, strict=True)]
         for own, plain in zip(rest, whole, strict=True)
     )
     maps = _measured(capture, *parts)
@@ -83,11 +84,13 @@ def _shares(capture: CaptureSet, darks: list[Part], lit: list[Part]) -> dict[str
 
 
 def _left(parts: list[Part], dark: bool) -> float:
-    """Share of the variance of the baseline's noise (of darks its read noise) that may stay."""
+    """Share of the variance of the baseline's noise (of darks its read noise) that may stay: quiet pixels
+    have less than the others."""
     weight = [p.contrasts for p in parts]
     level = float(np.average([p.level for p in parts], weights=weight))
     own = float(np.average([p.read if dark else p.own for p in parts], weights=weight))
-    missing = _SPARE * level - float(np.quantile(_spectrum(parts, False), _LOWEST))
+    missing = (_SPARE + 1 - _pixels(parts).lowest) * level
+    missing -= float(np.quantile(_spectrum(parts, False), _LOWEST))
     return float(np.clip(1 - missing / max(own, 1e-12), _LEAST_LEFT, 1.0))
 
 
@@ -112,8 +115,8 @@ def _of_darks(darks: list[Part]) -> dict[str, np.ndarray]:
     """Offset and rate by least squares over the exposures, noise of single pixels and the shared spectrum."""
     offset, rate = _fixed(darks)
     growing, still = _still(darks, rate)
-    own, growth = _alone(still)
-    spectrum = np.maximum(_spectrum(still, True), 0)
+    own, growth, shared = _alone(still)
+    spectrum = np.maximum(_spectrum(still, True) - shared, 0)
     return {"offset": offset, "rate": rate, "spread": own, "growth": growth + growing, "spectrum": spectrum}
 
 
@@ -180,11 +183,22 @@ def _less(p: Part, growing: np.ndarray) -> Part:
     return p._replace(excess=p.excess - _bulk(grown), ratio=ratio, level=level, unit=unit)
 
 
-def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
-    """Variance (DN^2) that single pixels have beyond what is expected of them, and by how much it grows in a
-    second: of pixels that stand out in all darks together."""
-    dof = sum(p.contrasts for p in darks)
-    odd = stand_out(np.sum([p.contrasts * p.ratio for p in darks], 0) / dof, dof)
+def _pixels(parts: list[Part]) -> Variances:
+    """Variance of every pixel over the bulk's, of all recordings together."""
+    number = [p.contrasts for p in parts]
+    ratio = np.average(np.stack([p.ratio for p in parts]), axis=0, weights=number)
+    return variances(ratio, sum(number), float(np.average([p.uneven for p in parts], weights=number)), 4)
+
+
+def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Variance (DN^2) that single pixels have beyond the quietest, by how much it grows in a second (of
+    pixels that stand out in all darks together), and its mean over the others, which all noise has already.
+    """
+    pixels = _pixels(darks)
+    low, level = (
+        pixels.lowest,
+        float(np.average([p.level for p in darks], weights=[p.contrasts for p in darks])),
+    )
     times = np.array([p.exposure_s for p in darks])[:, None, None]
     beyond = np.stack([p.level * p.unit * (p.ratio - 1) for p in darks])
     weight = np.stack([p.contrasts / (p.level * p.unit) ** 2 for p in darks])
@@ -193,14 +207,19 @@ def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
     growth = np.sum(weight * (times - centre) * beyond, 0) / np.maximum(spread, 1e-30)
     growth = np.maximum(growth, 0.0) * (spread > 0)
     own = np.sum(weight * (beyond - times * growth), 0) / weight.sum(0)
-    return np.where(odd, np.maximum(own, 0), 0.0), np.where(odd, growth, 0.0)
+    calm = level * np.maximum(pixels.values - low, 0)
+    own = np.where(pixels.odd, np.maximum(own, 0) + level * (1 - low), calm)
+    return own, np.where(pixels.odd, growth, 0.0), float(calm[~pixels.odd].mean())
 
 
 def _of_lit(p: Part) -> tuple[np.ndarray, ...]:
     """The maps of `LIT` of one lit recording."""
     fixed = np.zeros(p.signal.shape) if p.pattern is None else missing(p.pattern, 3)
-    alone = np.where(stand_out(p.ratio, p.contrasts), p.level * p.loud * np.maximum(p.ratio - 1, 0), 0.0)
-    return p.signal, fixed, alone, np.maximum(_spectrum([p], False), 0), p.unit
+    pixels = _pixels([p])
+    calm = p.level * np.maximum(pixels.values - pixels.lowest, 0)
+    loud = p.level * (p.loud * np.maximum(p.ratio - 1, 0) + 1 - pixels.lowest)
+    power = np.maximum(_spectrum([p], False) - float(calm[~pixels.odd].mean()), 0)
+    return p.signal, fixed, np.where(pixels.odd, loud, calm), power, p.unit
 
 
 def _spectrum(parts: list[Part], frames_too: bool) -> np.ndarray:

@@ -78,10 +78,11 @@ def known(
     signatures: tuple[Signature, ...],
 ) -> dict[str, Score]:
     """Scores that stand because nothing that they read of the fields has changed."""
-    pairs = list(zip(before, after, strict=True))
-    same = {what for what in Fields._fields if all(getattr(a, what) is getattr(b, what) for a, b in pairs)}
+    changed = _changed(before, after)
     return {
-        s.name: located.scores[s.name] for s in signatures if s.name in located.scores and s.reads <= same
+        s.name: located.scores[s.name]
+        for s in signatures
+        if s.name in located.scores and not s.reads & changed
     }
 
 
@@ -248,20 +249,41 @@ def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
     return out
 
 
+def _changed(before: tuple[Fields, ...], after: tuple[Fields, ...]) -> frozenset[str]:
+    """What of the fields is not the same any more."""
+    pairs = list(zip(before, after, strict=True))
+    return frozenset(n for n in Fields._fields if any(getattr(a, n) is not getattr(b, n) for a, b in pairs))
+
+
+def _bearing(
+    steps: list[Step], changed: list[frozenset[str]], taken: list[int], reads: frozenset[str]
+) -> list[int]:
+    """Of the steps that are taken out those that change anything of what is read, or of what those read that
+    do. Of the last step it is not known what it changes."""
+    out = []
+    for n in reversed(taken):
+        if n >= len(changed) or changed[n] & reads:
+            out.append(n)
+            reads = reads | steps[n].named.signature.reads
+    return out[::-1]
+
+
 def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
     that the others leave nothing to look at keeps the p-value of its step. What is left of an effect that is
     known but approximately, and has no name, does not make it superfluous."""
+    changed = [_changed(step.before, after.before) for step, after in zip(steps, steps[1:], strict=False)]
 
     def alone(k: int) -> Step:
         step = steps[k]
         if step.late:
             return step
-        fields = step.before
-        for later in steps[k + 1 :]:
-            if step.named.signature.approximate and later.named.mechanism == UNKNOWN:
-                continue
-            fields = without(later.named, fields, fields)
+        fields, approximate = step.before, step.named.signature.approximate
+        taken = [
+            n for n in range(k + 1, len(steps)) if not (approximate and steps[n].named.mechanism == UNKNOWN)
+        ]
+        for n in _bearing(steps, changed, taken, step.named.signature.reads):
+            fields = without(steps[n].named, fields, fields)
         score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
         share = step.named.signature.weight
         return step if score is None else step._replace(log_p=sidak(score.log_p, tests / share))

@@ -1,0 +1,94 @@
+"""How unlike in noise the pixels of a sensor are, beyond what few frames show by chance.
+
+The variance v of a pixel, over that of the bulk, is taken to follow an inverse gamma law of mean 1 and
+variance u (shape a = 2 + 1/u), so that s, the mean square of n contrasts, follows (a - 1)/a F(n, 2a), and v
+given s is
+
+    v ~ inverse gamma of shape a + n/2 and scale a - 1 + n s/2
+
+u is the covariance of the mean squares of two halves of the contrasts: noise with tails alone has none of it
+but for what contrasts of the same frames share, and that the simulator's draws have too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import stats
+
+from cannoise_jax.discovery.compare.shapes import SURE
+
+_FEWEST = 4
+"""Contrasts from which on their halves are compared."""
+_LEAST = 2e-3
+"""Variance of the variances below which pixels count as alike: noise of 4 % more or less."""
+_ODD = 1e-3
+"""Chance from which on a pixel stands out of the others."""
+_ROUNDS = 4
+"""In which pixels that stand out are told anew: where variances scatter by 0.1 the first finds half of it."""
+_LOWEST = 0.02
+"""Quantile of the variances that stands for the quietest pixels: of thousands the least is one that scatters
+most."""
+
+
+class Uneven(NamedTuple):
+    """Variance of the pixels' variances, in units of the bulk's squared, and its standard error."""
+
+    value: float
+    error: float
+
+
+class Variances(NamedTuple):
+    """Variance of every pixel over that of the bulk; odd: pixels that stand out; lowest: of the others."""
+
+    values: Float[np.ndarray, "h w"]
+    odd: Bool[np.ndarray, "h w"]
+    lowest: float
+
+
+def uneven(contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"], bulk: float) -> Uneven:
+    """How unlike the pixels are, those aside that stand out; 0 of too few contrasts."""
+    n = len(contrasts)
+    if n < _FEWEST or not usable.any():
+        return Uneven(0.0, 0.0)
+    halves = [np.mean(part**2, 0)[usable] / max(bulk, 1e-30) for part in np.array_split(contrasts, 2)]
+    mean, value, error = (halves[0] + halves[1]) / 2, 0.0, 0.0
+    for _ in range(_ROUNDS):
+        kept = mean < _limit(n, max(value, 0.0))
+        first, second = (half[kept] - half[kept].mean() for half in halves)
+        product = first * second
+        value, error = float(product.mean()), float(product.std()) / np.sqrt(product.size)
+    return Uneven(value, error)
+
+
+def _limit(dof: int, spread: float) -> float:
+    """Mean square from which on a pixel stands out of others that are as unlike as that."""
+    alike = float(stats.chi2.isf(_ODD, dof)) / dof
+    if not spread:
+        return alike
+    shape = 2 + 1 / spread
+    return max((shape - 1) / shape * float(stats.f.isf(_ODD, dof, 2 * shape)), alike)
+
+
+def beyond(recorded: Uneven, simulated: Uneven) -> float:
+    """By how much the recorded pixels are less alike than the simulated; 0 where that may be chance."""
+    more, error = recorded.value - simulated.value, np.hypot(recorded.error, simulated.error)
+    return more if more > max(SURE * error, _LEAST) else 0.0
+
+
+def variances(ratio: Float[np.ndarray, "h w"], dof: int, spread: float, seed: int) -> Variances:
+    """Variance of every pixel, drawn given what its contrasts show; one where pixels are alike.
+
+    ratio: mean square of the contrasts of every pixel over that of the bulk; dof: their number; spread: u.
+    """
+    odd = ratio > _limit(dof, spread)
+    if not spread:
+        return Variances(np.where(odd, ratio, 1.0), odd, 1.0)
+    shape = 2 + 1 / spread
+    mean = float(ratio[~odd].mean())
+    scale = (shape - 1) * mean + dof * ratio / 2
+    drawn = scale / np.random.default_rng(seed).gamma(shape + dof / 2, 1.0, ratio.shape)
+    values = np.where(odd, ratio, drawn)
+    return Variances(values, odd, min(float(np.quantile(values[~odd], _LOWEST)), 1.0))

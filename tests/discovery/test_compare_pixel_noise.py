@@ -1,0 +1,56 @@
+"""Pixels unlike in noise: how unlike is told beside the chance of few frames, and drawn as unlike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.compare.pixel_noise import beyond, uneven, variances
+
+SIZE = (160, 192)
+ALL = np.ones(SIZE, bool)
+
+
+def contrasts(rng, spread, count, law="gamma"):
+    """Of pixels whose variances scatter by this much, of an inverse gamma or a log-normal law, and these."""
+    if law == "gamma":
+        shape = 2 + 1 / spread
+        true = (shape - 1) / rng.gamma(shape, 1.0, SIZE)
+    else:
+        wide = np.sqrt(np.log1p(spread))
+        true = np.exp(wide * rng.standard_normal(SIZE) - wide**2 / 2)
+    return np.sqrt(true) * rng.standard_normal((count, *SIZE)), true
+
+
+@pytest.mark.parametrize("law", ["gamma", "log-normal"])
+@pytest.mark.parametrize(("spread", "count"), [(0.05, 8), (0.1, 8), (0.1, 30)])
+def test_pixels_are_as_unlike_as_they_were_made(law, spread, count):
+    rng = np.random.default_rng(count)
+    values, true = contrasts(rng, spread, count, law)
+    alike = rng.standard_normal((count, *SIZE))
+    found = beyond(uneven(values, ALL, 1.0), uneven(alike, ALL, 1.0))
+    assert found == pytest.approx(spread, rel=0.35)
+    drawn = variances(np.mean(values**2, 0), count, found, 1)
+    bulk = ~drawn.odd
+    assert np.mean(drawn.values[bulk]) == pytest.approx(np.mean(true[bulk]), rel=0.02)
+    assert np.std(drawn.values[bulk]) == pytest.approx(np.std(true[bulk]), rel=0.2)
+    assert drawn.lowest == pytest.approx(np.quantile(true[bulk], 0.02), abs=0.08)
+    known = np.corrcoef(drawn.values[bulk], true[bulk])[0, 1]
+    assert known == pytest.approx(spread / (spread + 2 / count), abs=0.12)
+
+
+def test_pixels_that_are_alike_are_left_alike():
+    rng = np.random.default_rng(3)
+    one, two = rng.standard_normal((2, 8, *SIZE))
+    found = beyond(uneven(one, ALL, 1.0), uneven(two, ALL, 1.0))
+    drawn = variances(np.mean(one**2, 0), 8, found, 1)
+    assert found == 0 and drawn.lowest == 1 and (drawn.values[~drawn.odd] == 1).all()
+    assert drawn.odd.mean() == pytest.approx(1e-3, abs=1e-3)
+
+
+def test_tails_of_noise_that_the_simulator_has_as_well_are_no_matter_of_pixels():
+    """Contrasts of the same frames share a frame far out."""
+    rng = np.random.default_rng(4)
+    frames = rng.standard_t(6, (2, 9, *SIZE)) / np.sqrt(1.5)
+    recorded, simulated = frames[:, 1:] - frames.mean(1, keepdims=True)
+    assert beyond(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0)) == 0
