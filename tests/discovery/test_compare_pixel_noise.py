@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.compare.pixel_noise import beyond, uneven, variances
+from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, uneven, variances
 
 SIZE = (160, 192)
 ALL = np.ones(SIZE, bool)
@@ -28,8 +28,8 @@ def test_pixels_are_as_unlike_as_they_were_made(law, spread, count):
     rng = np.random.default_rng(count)
     values, true = contrasts(rng, spread, count, law)
     alike = rng.standard_normal((count, *SIZE))
-    found = beyond(uneven(values, ALL, 1.0), uneven(alike, ALL, 1.0))
-    assert found == pytest.approx(spread, rel=0.35)
+    found = compared(uneven(values, ALL, 1.0), uneven(alike, ALL, 1.0))
+    assert found.value == pytest.approx(spread, rel=0.35) and not found.drawn
     drawn = variances(np.mean(values**2, 0), count, found, 1)
     bulk = ~drawn.odd
     assert np.mean(drawn.values[bulk]) == pytest.approx(np.mean(true[bulk]), rel=0.02)
@@ -42,9 +42,9 @@ def test_pixels_are_as_unlike_as_they_were_made(law, spread, count):
 def test_pixels_that_are_alike_are_left_alike():
     rng = np.random.default_rng(3)
     one, two = rng.standard_normal((2, 8, *SIZE))
-    found = beyond(uneven(one, ALL, 1.0), uneven(two, ALL, 1.0))
+    found = compared(uneven(one, ALL, 1.0), uneven(two, ALL, 1.0))
     drawn = variances(np.mean(one**2, 0), 8, found, 1)
-    assert found == 0 and drawn.lowest == 1 and (drawn.values[~drawn.odd] == 1).all()
+    assert found == Spread(0.0, False) and drawn.lowest == 1 and (drawn.values[~drawn.odd] == 1).all()
     assert drawn.odd.mean() == pytest.approx(1e-3, abs=1e-3)
 
 
@@ -53,4 +53,16 @@ def test_tails_of_noise_that_the_simulator_has_as_well_are_no_matter_of_pixels()
     rng = np.random.default_rng(4)
     frames = rng.standard_t(6, (2, 9, *SIZE)) / np.sqrt(1.5)
     recorded, simulated = frames[:, 1:] - frames.mean(1, keepdims=True)
-    assert beyond(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0)) == 0
+    found = compared(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0))
+    assert variances(np.mean(recorded**2, 0), 8, found, 1).lowest == 1
+
+
+def test_a_simulator_that_draws_pixels_unlike_is_given_no_more_of_it():
+    rng = np.random.default_rng(6)
+    recorded, simulated = (contrasts(rng, 0.1, 8)[0] for _ in range(2))
+    found = compared(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0))
+    assert found.drawn
+    drawn = variances(np.mean(recorded**2, 0), 8, found, 1)
+    assert (drawn.values[~drawn.odd] == 1).all() and drawn.lowest == 1
+    # Those that stand out do so of pixels that are unlike.
+    assert drawn.odd.mean() == pytest.approx(1e-3, abs=1e-3)

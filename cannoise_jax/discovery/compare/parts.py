@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from scipy import fft, stats
 
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.pixel_noise import beyond, uneven
+from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, uneven
 from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import Pattern
 from cannoise_jax.discovery.compare.sources import Source
@@ -37,7 +37,7 @@ class Part(NamedTuple):
     read, own: variance of the simulator's read noise, and of all its noise, DN^2; gain: DN/e-.
     unit: variance of every pixel over the mean, by which all of these are divided.
     loud: variance of every pixel over the bulk's as the simulator has it, 1 where it does not stand out.
-    uneven: variance of the pixels' variances over the bulk's squared, beyond the simulator's.
+    uneven: variance of the pixels' variances over the bulk's squared.
     """
 
     dark: bool
@@ -53,7 +53,7 @@ class Part(NamedTuple):
     gain: float
     unit: Float[np.ndarray, "h w"]
     loud: Float[np.ndarray, "h w"]
-    uneven: float
+    uneven: Spread
 
 
 def parts_of(
@@ -135,9 +135,9 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
     # Pixels that the simulator already has noisier than the others are held against what it gives them.
     loud = np.ones_like(own)
-    unlike = 0.0
+    unlike = Spread(0.0, False)
     if dof:
-        unlike = beyond(
+        unlike = compared(
             uneven(raw.contrasts, raw.usable, bulk), uneven(drawn.contrasts, drawn.usable, typical)
         )
         theirs = theirs / max(bulk_variance(theirs.ravel(), dof), 1e-6 * step**2)

@@ -72,21 +72,32 @@ def _limit(dof: int, spread: float) -> float:
     return max((shape - 1) / shape * float(stats.f.isf(_ODD, dof, 2 * shape)), alike)
 
 
-def beyond(recorded: Uneven, simulated: Uneven) -> float:
-    """By how much the recorded pixels are less alike than the simulated; 0 where that may be chance."""
-    more, error = recorded.value - simulated.value, np.hypot(recorded.error, simulated.error)
-    return more if more > max(SURE * error, _LEAST) else 0.0
+class Spread(NamedTuple):
+    """Variance of the pixels' variances, 0 where that may be chance; drawn: whether the simulator draws
+    pixels that are unlike, from a law of its own, or tails that look like that in few frames."""
+
+    value: float
+    drawn: bool
 
 
-def variances(ratio: Float[np.ndarray, "h w"], dof: int, spread: float, seed: int) -> Variances:
-    """Variance of every pixel, drawn given what its contrasts show; one where pixels are alike.
+def compared(recorded: Uneven, simulated: Uneven) -> Spread:
+    """How unlike the recorded pixels are, beside the simulated."""
+    own = bool(simulated.value > max(SURE * simulated.error, _LEAST))
+    more = recorded.value - (0.0 if own else simulated.value)
+    error = np.hypot(recorded.error, simulated.error)
+    return Spread(more if more > max(SURE * error, _LEAST) else 0.0, own)
+
+
+def variances(ratio: Float[np.ndarray, "h w"], dof: int, spread: Spread, seed: int) -> Variances:
+    """Variance of every pixel, drawn given what its contrasts show; one where pixels are alike, and where the
+    simulator draws them unlike: once more would be too much.
 
     ratio: mean square of the contrasts of every pixel over that of the bulk; dof: their number; spread: u.
     """
-    odd = ratio > _limit(dof, spread)
-    if not spread:
+    odd = ratio > _limit(dof, spread.value)
+    if not spread.value or spread.drawn:
         return Variances(np.where(odd, ratio, 1.0), odd, 1.0)
-    shape = 2 + 1 / spread
+    shape = 2 + 1 / spread.value
     mean = float(ratio[~odd].mean())
     scale = (shape - 1) * mean + dof * ratio / 2
     drawn = scale / np.random.default_rng(seed).gamma(shape + dof / 2, 1.0, ratio.shape)

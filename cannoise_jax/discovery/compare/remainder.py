@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.parts import Part, parts_of
-from cannoise_jax.discovery.compare.pixel_noise import Variances, variances
+from cannoise_jax.discovery.compare.pixel_noise import Spread, Variances, variances
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, missing, smooth
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
@@ -187,7 +187,8 @@ def _pixels(parts: list[Part]) -> Variances:
     """Variance of every pixel over the bulk's, of all recordings together."""
     number = [p.contrasts for p in parts]
     ratio = np.average(np.stack([p.ratio for p in parts]), axis=0, weights=number)
-    return variances(ratio, sum(number), float(np.average([p.uneven for p in parts], weights=number)), 4)
+    value = float(np.average([p.uneven.value for p in parts], weights=number))
+    return variances(ratio, sum(number), Spread(value, any(p.uneven.drawn for p in parts)), 4)
 
 
 def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray, float]:
