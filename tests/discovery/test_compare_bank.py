@@ -132,6 +132,21 @@ def test_light_is_a_nuisance_and_its_degree_is_chosen_from_the_flat():
     assert np.abs(light.fit(5000 * vignette, usable) - 5000 * vignette).max() < 20
 
 
+@pytest.mark.parametrize("size", [(240, 320), (178, 334), (96, 128), (90, 70)])
+def test_light_is_fitted_to_the_very_edges(size):
+    """Whatever the number of pixels that no whole cell holds."""
+    rng = np.random.default_rng(size[0])
+    y, x = np.mgrid[: size[0], : size[1]]
+    angle = np.arctan(np.hypot((y - 0.46 * size[0]) / size[1], (x - 0.53 * size[1]) / size[1]) * 1.1)
+    mean, usable = 900 * np.cos(angle) ** 4, np.ones(size, bool)
+    noisy = mean + 5 * rng.standard_normal(size)
+    light = light_of(noisy, usable)
+    off = light.fit(noisy, usable) - mean
+    edge = np.ones(size, bool)
+    edge[12:-12, 12:-12] = False
+    assert np.sqrt(np.mean(off[edge] ** 2)) < 0.8 * 5
+
+
 def test_a_folder_of_simulated_frames_is_compared_too(plain):
     """Frames of another unit of the same law match; those of a noisier camera have too much noise."""
     assert compare(capture_set(40, kinds="df"), capture_set(41, kinds="df"), KEY).verdict == "match"

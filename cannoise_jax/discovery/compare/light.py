@@ -71,11 +71,12 @@ def light_for(r: Recording, mean: np.ndarray, usable: np.ndarray, dark: bool) ->
 
 class Cells(NamedTuple):
     """Means of cells of 8 x 8 pixels of one site (of fewer in small frames), pixels that stand out left
-    aside, and their numbers; size: of the site."""
+    aside, and their numbers; size: of the site; cell: of a cell, the last ones may be smaller."""
 
     value: Float[np.ndarray, "a b"]
     weight: Float[np.ndarray, "a b"]
     size: tuple[int, int]
+    cell: tuple[int, int]
 
 
 def light_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> Light:
@@ -107,10 +108,7 @@ def surface(mean: Float[np.ndarray, "a b"], usable: Bool[np.ndarray, "a b"], deg
 
 def _fit(cells: Cells, degree: int) -> tuple[np.ndarray, float, int, int]:
     """Coefficients of the products, mean square left over the cells, cells and terms."""
-    bases = [
-        _cell_means(_legendre(n, degree)[:, : k * (n // k)], k)
-        for n, k in zip(cells.size, cells.value.shape, strict=True)
-    ]
+    bases = [_cell_means(_legendre(n, degree), k) for n, k in zip(cells.size, cells.cell, strict=True)]
     pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     basis = np.stack([np.outer(bases[0][i], bases[1][j]).ravel() for i, j in pairs], 1)
     values, root = cells.value.ravel(), np.sqrt(cells.weight.ravel())
@@ -125,22 +123,23 @@ def _fit(cells: Cells, degree: int) -> tuple[np.ndarray, float, int, int]:
 
 
 def cells_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> Cells:
-    """Cells of one site; the pixels left over at the far edges join none."""
-    a, b = (max(n // _CELL, min(_FEWEST, n // 2), 1) for n in mean.shape)
-    cell = [mean.shape[0] // a, mean.shape[1] // b]
+    """Cells of one site, to the very edges: beyond its cells a surface of high degree runs away."""
+    height, width = (n // max(n // _CELL, min(_FEWEST, n // 2), 1) for n in mean.shape)
+    a, b = -(-mean.shape[0] // height), -(-mean.shape[1] // width)
+    beyond = [(0, a * height - mean.shape[0]), (0, b * width - mean.shape[1])]
 
     def cut(values):
-        blocks = values[: a * cell[0], : b * cell[1]].reshape(a, cell[0], b, cell[1])
+        blocks = values.reshape(a, height, b, width)
         return blocks.swapaxes(1, 2).reshape(a, b, -1)
 
-    values, ok = cut(mean).astype(np.float64), cut(usable)
+    values, ok = cut(np.pad(mean, beyond, mode="edge")).astype(np.float64), cut(np.pad(usable, beyond))
     centre = np.median(values, 2, keepdims=True)
     away = np.abs(values - centre)
     # Where most values are one code, the median of what is away from it is zero: then all count.
     spread = 1.4826 * np.median(away, 2, keepdims=True)
     ok = ok & (away <= np.where(spread > 0, 5 * spread, np.inf))
     weight = ok.sum(2)
-    return Cells(np.sum(values * ok, 2) / np.maximum(weight, 1), weight, mean.shape)  # type: ignore[arg-type]
+    return Cells(np.sum(values * ok, 2) / np.maximum(weight, 1), weight, mean.shape, (height, width))  # type: ignore[arg-type]
 
 
 def _bulk(values: np.ndarray) -> float:
@@ -157,9 +156,9 @@ def _legendre(side: int, degree: int) -> np.ndarray:
     return np.stack([np.polynomial.legendre.legval(at, np.eye(degree + 1)[k]) for k in range(degree + 1)])
 
 
-def _cell_means(basis: np.ndarray, cells: int) -> np.ndarray:
-    """The basis as means of cells sees it."""
-    return np.stack([part.mean(1) for part in np.array_split(basis, cells, axis=1)], 1)
+def _cell_means(basis: np.ndarray, cell: int) -> np.ndarray:
+    """The basis as means of cells of so many pixels sees it."""
+    return np.stack([basis[:, k : k + cell].mean(1) for k in range(0, basis.shape[1], cell)], 1)
 
 
 def _on_reference(mean: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> np.ndarray:
