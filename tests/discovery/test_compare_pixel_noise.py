@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, uneven, variances
+from cannoise_jax.signatures.fields import helmert
 
 SIZE = (160, 192)
 ALL = np.ones(SIZE, bool)
@@ -44,25 +45,42 @@ def test_pixels_that_are_alike_are_left_alike():
     one, two = rng.standard_normal((2, 8, *SIZE))
     found = compared(uneven(one, ALL, 1.0), uneven(two, ALL, 1.0))
     drawn = variances(np.mean(one**2, 0), 8, found, 1)
-    assert found == Spread(0.0, False) and drawn.lowest == 1 and (drawn.values[~drawn.odd] == 1).all()
+    assert found == Spread(0.0, 0.0) and drawn.lowest == 1 and (drawn.values[~drawn.odd] == 1).all()
     assert drawn.odd.mean() == pytest.approx(1e-3, abs=1e-3)
 
 
-def test_tails_of_noise_that_the_simulator_has_as_well_are_no_matter_of_pixels():
-    """Contrasts of the same frames share a frame far out."""
+def test_tails_of_noise_are_no_matter_of_pixels():
+    """Contrasts of the same frames share a frame far out: their squares go together."""
     rng = np.random.default_rng(4)
-    frames = rng.standard_t(6, (2, 9, *SIZE)) / np.sqrt(1.5)
-    recorded, simulated = frames[:, 1:] - frames.mean(1, keepdims=True)
-    found = compared(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0))
-    assert variances(np.mean(recorded**2, 0), 8, found, 1).lowest == 1
+    frames = rng.standard_t(6, (9, *SIZE)) / np.sqrt(1.5)
+    matrix = helmert(9)
+    values = np.einsum("nt,tij->nij", matrix, frames)
+    halves = [np.mean(part**2, 0) for part in np.array_split(values, 2)]
+    assert np.cov(halves[0].ravel(), halves[1].ravel())[0, 1] > 0.05
+    found = uneven(values, ALL, 1.0)
+    assert abs(found.value) < 4 * found.error
 
 
 def test_a_simulator_that_draws_pixels_unlike_is_given_no_more_of_it():
     rng = np.random.default_rng(6)
     recorded, simulated = (contrasts(rng, 0.1, 8)[0] for _ in range(2))
     found = compared(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0))
-    assert found.drawn
+    assert found.value == found.drawn > 0.05
     drawn = variances(np.mean(recorded**2, 0), 8, found, 1)
     assert (drawn.values[~drawn.odd] == 1).all() and drawn.lowest == 1
     # Those that stand out do so of pixels that are unlike.
     assert drawn.odd.mean() == pytest.approx(1e-3, abs=1e-3)
+
+
+def test_what_pixels_are_more_unlike_than_simulated_is_drawn_besides():
+    """Together with the simulator's own law, of other pixels, they are as unlike as recorded."""
+    rng = np.random.default_rng(8)
+    own = contrasts(rng, 0.1, 8)[1]
+    simulated = np.sqrt(contrasts(rng, 0.1, 8)[1]) * rng.standard_normal((8, *SIZE))
+    true = own * contrasts(rng, 0.15, 8)[1]
+    recorded = np.sqrt(true) * rng.standard_normal((8, *SIZE))
+    found = compared(uneven(recorded, ALL, 1.0), uneven(simulated, ALL, 1.0))
+    drawn = variances(np.mean(recorded**2, 0), 8, found, 1)
+    bulk = ~drawn.odd
+    together = drawn.values * contrasts(rng, 0.1, 8)[1]
+    assert np.std(together[bulk]) == pytest.approx(np.std(true[bulk]), rel=0.2)

@@ -135,7 +135,7 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
     # Pixels that the simulator already has noisier than the others are held against what it gives them.
     loud = np.ones_like(own)
-    unlike = Spread(0.0, False)
+    unlike = Spread(0.0, 0.0)
     if dof:
         unlike = compared(
             uneven(raw.contrasts, raw.usable, bulk), uneven(drawn.contrasts, drawn.usable, typical)

@@ -6,8 +6,8 @@ given s is
 
     v ~ inverse gamma of shape a + n/2 and scale a - 1 + n s/2
 
-u is the covariance of the mean squares of two halves of the contrasts: noise with tails alone has none of it
-but for what contrasts of the same frames share, and that the simulator's draws have too.
+u is the covariance of the mean squares of two halves of the frames, of differences between two frames
+that no other difference has: tails of the noise have no part in it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.discovery.compare.shapes import SURE
+from cannoise_jax.signatures.fields import helmert
 
 _FEWEST = 4
-"""Contrasts from which on their halves are compared."""
+"""Frames from which on their halves are compared."""
 _LEAST = 2e-3
 """Variance of the variances below which pixels count as alike: noise of 4 % more or less."""
 _ODD = 1e-3
@@ -41,19 +42,27 @@ class Uneven(NamedTuple):
 
 
 class Variances(NamedTuple):
-    """Variance of every pixel over that of the bulk; odd: pixels that stand out; lowest: of the others."""
+    """Variance of every pixel over that of the bulk; odd: pixels that stand out; lowest: of the others; kept:
+    pixels that would not stand out if all were alike."""
 
     values: Float[np.ndarray, "h w"]
     odd: Bool[np.ndarray, "h w"]
     lowest: float
+    kept: Bool[np.ndarray, "h w"]
 
 
 def uneven(contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"], bulk: float) -> Uneven:
-    """How unlike the pixels are, those aside that stand out; 0 of too few contrasts."""
-    n = len(contrasts)
-    if n < _FEWEST or not usable.any():
+    """How unlike the pixels are, those aside that stand out; 0 of too few frames. contrasts: Helmert's, of
+    n + 1 frames."""
+    frames = len(contrasts) + 1
+    if frames < _FEWEST or not usable.any():
         return Uneven(0.0, 0.0)
-    halves = [np.mean(part**2, 0)[usable] / max(bulk, 1e-30) for part in np.array_split(contrasts, 2)]
+    matrix, n = helmert(frames), frames // 2
+    pairs = (matrix[:, 1 : 2 * n : 2] - matrix[:, 0 : 2 * n : 2]).T.astype(np.float32) / np.sqrt(
+        np.float32(2)
+    )
+    apart = np.einsum("kn,nij->kij", pairs, contrasts)
+    halves = [np.mean(part**2, 0)[usable] / max(bulk, 1e-30) for part in np.array_split(apart, 2)]
     mean, value, error = (halves[0] + halves[1]) / 2, 0.0, 0.0
     for _ in range(_ROUNDS):
         kept = mean < _limit(n, max(value, 0.0))
@@ -63,7 +72,7 @@ def uneven(contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"
     return Uneven(value, error)
 
 
-def _limit(dof: int, spread: float) -> float:
+def _limit(dof: float, spread: float) -> float:
     """Mean square from which on a pixel stands out of others that are as unlike as that."""
     alike = float(stats.chi2.isf(_ODD, dof)) / dof
     if not spread:
@@ -73,33 +82,35 @@ def _limit(dof: int, spread: float) -> float:
 
 
 class Spread(NamedTuple):
-    """Variance of the pixels' variances, 0 where that may be chance; drawn: whether the simulator draws
-    pixels that are unlike, from a law of its own, or tails that look like that in few frames."""
+    """Variance of the pixels' variances, recorded and as the simulator draws it by a law of its own, 0
+    where that may be chance; the first is no smaller."""
 
     value: float
-    drawn: bool
+    drawn: float
 
 
 def compared(recorded: Uneven, simulated: Uneven) -> Spread:
     """How unlike the recorded pixels are, beside the simulated."""
-    own = bool(simulated.value > max(SURE * simulated.error, _LEAST))
-    more = recorded.value - (0.0 if own else simulated.value)
-    error = np.hypot(recorded.error, simulated.error)
-    return Spread(more if more > max(SURE * error, _LEAST) else 0.0, own)
+    own = simulated.value if simulated.value > max(SURE * simulated.error, _LEAST) else 0.0
+    more, error = recorded.value - simulated.value, np.hypot(recorded.error, simulated.error)
+    return Spread(own + (more if more > max(SURE * error, _LEAST) else 0.0), own)
 
 
-def variances(ratio: Float[np.ndarray, "h w"], dof: int, spread: Spread, seed: int) -> Variances:
-    """Variance of every pixel, drawn given what its contrasts show; one where pixels are alike, and where the
-    simulator draws them unlike: once more would be too much.
+def variances(ratio: Float[np.ndarray, "h w"], dof: float, spread: Spread, seed: int) -> Variances:
+    """Variance of every pixel beside what the simulator draws, itself drawn given what its contrasts show;
+    one where pixels are no more unlike than simulated ones.
 
-    ratio: mean square of the contrasts of every pixel over that of the bulk; dof: their number; spread: u.
+    What simulated pixels are unlike by is no matter of this pixel: it makes the mean square less certain,
+    like fewer contrasts. ratio: mean square of the contrasts of every pixel over that of the bulk; dof: their
+    number; spread: u.
     """
-    odd = ratio > _limit(dof, spread.value)
-    if not spread.value or spread.drawn:
-        return Variances(np.where(odd, ratio, 1.0), odd, 1.0)
-    shape = 2 + 1 / spread.value
+    odd, kept = ratio > _limit(dof, spread.value), ratio <= _limit(dof, 0.0)
+    more = spread.value - spread.drawn
+    if not more > 0:
+        return Variances(np.where(odd, ratio, 1.0), odd, 1.0, kept)
+    shape, dof = 2 + 1 / more, 2 / (2 / dof + spread.drawn)
     mean = float(ratio[~odd].mean())
     scale = (shape - 1) * mean + dof * ratio / 2
     drawn = scale / np.random.default_rng(seed).gamma(shape + dof / 2, 1.0, ratio.shape)
     values = np.where(odd, ratio, drawn)
-    return Variances(values, odd, min(float(np.quantile(values[~odd], _LOWEST)), 1.0))
+    return Variances(values, odd, min(float(np.quantile(values[~odd], _LOWEST)), 1.0), kept)

@@ -187,8 +187,8 @@ def _pixels(parts: list[Part]) -> Variances:
     """Variance of every pixel over the bulk's, of all recordings together."""
     number = [p.contrasts for p in parts]
     ratio = np.average(np.stack([p.ratio for p in parts]), axis=0, weights=number)
-    value = float(np.average([p.uneven.value for p in parts], weights=number))
-    return variances(ratio, sum(number), Spread(value, any(p.uneven.drawn for p in parts)), 4)
+    value, drawn = np.average(np.array([p.uneven for p in parts]), axis=0, weights=number)
+    return variances(ratio, sum(number), Spread(float(value), float(drawn)), 4)
 
 
 def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray, float]:
@@ -210,7 +210,7 @@ def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray, float]:
     own = np.sum(weight * (beyond - times * growth), 0) / weight.sum(0)
     calm = level * np.maximum(pixels.values - low, 0)
     own = np.where(pixels.odd, np.maximum(own, 0) + level * (1 - low), calm)
-    return own, np.where(pixels.odd, growth, 0.0), float(calm[~pixels.odd].mean())
+    return own, np.where(pixels.odd, growth, 0.0), float(calm[pixels.kept].mean())
 
 
 def _of_lit(p: Part) -> tuple[np.ndarray, ...]:
@@ -219,7 +219,7 @@ def _of_lit(p: Part) -> tuple[np.ndarray, ...]:
     pixels = _pixels([p])
     calm = p.level * np.maximum(pixels.values - pixels.lowest, 0)
     loud = p.level * (p.loud * np.maximum(p.ratio - 1, 0) + 1 - pixels.lowest)
-    power = np.maximum(_spectrum([p], False) - float(calm[~pixels.odd].mean()), 0)
+    power = np.maximum(_spectrum([p], False) - float(calm[pixels.kept].mean()), 0)
     return p.signal, fixed, np.where(pixels.odd, loud, calm), power, p.unit
 
 
