@@ -269,6 +269,15 @@ def test_text_names_every_file_and_note(tmp_path):
     assert said.count("note: ") == len(plan.notes)
 
 
+def test_exposures_that_nothing_states_are_said(tmp_path):
+    stated, silent = (
+        plan_folder(night(tmp_path / n, **more)) for n, more in (("a", {}), ("b", {"EXPTIME": ""}))
+    )
+    assert "no exposure time" not in notes(stated)
+    (said,) = [note for note in silent.notes if "no exposure time in headers or names" in note]
+    assert said.startswith("flat, dark: ") and not silent.problems
+
+
 def test_a_real_night(real_data):
     plan = plan_folder(real_data / "night_fits")
     assert labels(plan) == {"flat_23s_Visible_-5C": 2, "dark_60s_-5C": 2, "dark_300s_-5C": 1, "bias_-5C": 2}
