@@ -81,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")
-    print(f"{beside['sheet']}: EMVA 1288 sheet")
+    print(f"{beside['sheet']}: EMVA 1288 sheet, its numbers in {beside['data'].name}")
     print(f"{beside['csv']}, {beside['profile'].name}, {beside['darktable'].name}: noise profiles")
     return 0
 

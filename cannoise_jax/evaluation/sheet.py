@@ -26,7 +26,7 @@ def _figures(s: dict[str, Any]) -> list[dict[str, str]]:
     colour = [1, 2, 3, 4] if not mono else [0, 0, 0, 0]
     label = [""] * 4 if mono else names
     t, out = s["transfer"], []
-    transfer, snr = [], []
+    transfer, snr, ideal = [], [], []
     for c in chosen:
         mean, variance = np.array(t["mean"][c]), np.array(t["variance"][c])
         transfer.append(Series(label[c], mean, variance, colour[c]))
@@ -39,11 +39,11 @@ def _figures(s: dict[str, Any]) -> list[dict[str, str]]:
             model = s["gain"][c] * x + s["read_noise_dn"][c] ** 2
             snr.append(Series("", x, x / np.sqrt(model), colour[c], line=True))
             if c == chosen[0]:
-                ideal = np.sqrt(x / s["gain"][c])
-                snr.append(Series("shot noise alone", x, ideal, 5, line=True, dashed=True))
+                alone = np.sqrt(x / s["gain"][c])
+                ideal.append(Series("shot noise alone", x, alone, 5, line=True, dashed=True))
     out.append(_figure("Photon transfer", plot(transfer, "signal above black, DN", "temporal variance, DN²"),
                        "Points: recordings. Line: K times signal plus the dark variance."))  # fmt: skip
-    out.append(_figure("SNR", plot(snr, "signal above black, DN", "SNR", log_x=True, log_y=True),
+    out.append(_figure("SNR", plot([*snr, *ideal], "signal above black, DN", "SNR", log_x=True, log_y=True),
                        "Temporal noise only. Line: of the fitted gain and dark noise."))  # fmt: skip
     line = s["linearity"]
     if line:
@@ -72,7 +72,8 @@ def _figures(s: dict[str, Any]) -> list[dict[str, str]]:
         out.append(_figure("Dark signal", plot(means, "exposure, s", "mean of the darks, DN"),
                            "Where the chip clamps black, the variance tells the dark current."))  # fmt: skip
         spread = [Series(label[c], dark["seconds"], dark["variance"][c], colour[c]) for c in chosen]
-        out.append(_figure("Dark variance", plot(spread, "exposure, s", "temporal variance, DN²"), ""))
+        out.append(_figure("Dark variance", plot(spread, "exposure, s", "temporal variance, DN²"),
+                           "Of exposures with two frames or more."))  # fmt: skip
     for kind, unit in (("dark", "DN"), ("flat", "%")):
         found = s["spectra"].get(kind)
         if not found:

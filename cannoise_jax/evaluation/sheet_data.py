@@ -65,7 +65,7 @@ def _setting(t: PhotonTransfer) -> dict[str, Any]:
         "channels": list(names),
         "size": list(first.size),
         "cfa": t.cfa,
-        "recordings": [_recording(s) for s in t.statistics],
+        "recordings": sorted(map(_recording, t.statistics), key=_order),
         "table": _table(t, base, straight),
         "gain": base.gain.tolist() if base else None,
         "read_noise_dn": base.read_noise.tolist() if base else None,
@@ -85,6 +85,11 @@ def _recording(s: FrameStatistics) -> dict[str, Any]:
         "temperature_c": r.temperature_c,
         "level_dn": [float(v) for v in s.level],
     }
+
+
+def _order(recording: dict[str, Any]) -> tuple[str, bool, float, float]:
+    seconds = recording["exposure_s"]
+    return recording["kind"], seconds is None, seconds or 0.0, max(recording["level_dn"])
 
 
 def _points(lit: Sequence[FrameStatistics], black: Sequence[float]) -> dict[str, list[list[float]]]:

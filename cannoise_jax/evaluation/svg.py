@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 _WIDTH, _HEIGHT = 420, 290
-_LEFT, _RIGHT, _TOP, _BOTTOM = 66, 14, 14, 46
+_LEFT, _RIGHT, _TOP, _BOTTOM = 66, 24, 14, 46
 _LINE, _LETTER = 15, 6.5
 """Height of a line and width of a letter of the legend."""
 

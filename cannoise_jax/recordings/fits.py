@@ -135,6 +135,11 @@ def _check_raw(path: str | Path, header: fits.Header) -> None:
         raise BadInput(f"{path}: calibrated values ({marked}): give the raw frames of the camera")
     if scale != 1:
         raise BadInput(f"{path}: rescaled values (BSCALE {scale:g}, BZERO {zero:g}): give the raw frames")
+    if zero and int(header["BITPIX"]) < 0:
+        raise BadInput(
+            f"{path}: floating-point values with BZERO {zero:g}, which belongs to integers: whether it is in "
+            "the values already nobody can tell: give the raw frames, or take BZERO out of the header"
+        )
 
 
 def _check_colours(path: str | Path, hdu: Any, header: fits.Header) -> str | None:

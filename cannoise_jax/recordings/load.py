@@ -63,8 +63,20 @@ def suffix_of(path: Path) -> str:
 
 
 def is_supported(path: Path) -> bool:
-    """Whether the suffix is that of a format that can be read."""
-    return suffix_of(path) in _READERS
+    """Whether the suffix is that of a format that can be read, and the file not the maps of a camera model,
+    which users keep with the recordings that it was measured on."""
+    return suffix_of(path) in _READERS and not _is_of_a_model(path)
+
+
+def _is_of_a_model(path: Path) -> bool:
+    model = path.with_suffix(".json")
+    if path.suffix.lower() != ".npz" or not model.is_file():
+        return False
+    try:
+        with model.open("rb") as file:
+            return b'"cannoise/sensor/' in file.read(256)
+    except OSError:
+        return False
 
 
 def instead_of(suffix: str) -> str | None:

@@ -8,9 +8,11 @@ a recording of one frame.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import struct
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -124,7 +126,7 @@ def side_car(path: str | Path) -> dict[str, Any]:
 def _loaded(path: str | Path) -> Any:
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    with reading(path, "not a readable NumPy file"):
+    with reading(path, "not a readable NumPy file"), _no_objects(path):
         loaded = np.load(path, mmap_mode="r", allow_pickle=False)
     if isinstance(loaded, np.ndarray) != (Path(path).suffix.lower() == ".npy"):
         raise BadInput(f"{path}: the content does not fit the suffix")
@@ -132,8 +134,27 @@ def _loaded(path: str | Path) -> Any:
 
 
 def _read_npz(path: str, name: str) -> np.ndarray:
-    with reading(path, f"cannot read {name}"), np.load(path, allow_pickle=False) as archive:
+    with (
+        reading(path, f"cannot read {name}"),
+        _no_objects(path),
+        np.load(path, allow_pickle=False) as archive,
+    ):
         return archive[name]
+
+
+@contextlib.contextmanager
+def _no_objects(path: str | Path) -> Iterator[None]:
+    """Says of an array of Python objects what to do, which NumPy does not."""
+    try:
+        yield
+    except ValueError as error:
+        if "(object)" in str(error):  # NumPy takes what it does not know for a pickle
+            raise ValueError("it begins as neither .npy nor .npz do") from error
+        if "object" not in str(error).lower():
+            raise
+        raise BadInput(
+            f"{path}: holds Python objects, which are not read: save the frames alone, as an array of uint16"
+        ) from error
 
 
 def _read_page(number: int, *, path: str) -> np.ndarray:

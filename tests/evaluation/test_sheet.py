@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,6 +81,23 @@ def test_the_page_holds_every_figure_and_no_other_file(transfers):
     assert "nan" not in page.lower().replace("nance", "")
 
 
+def test_the_printed_table_is_not_cut_off(transfers):
+    """Paper does not scroll: every column must be able to wrap, and intervals stay in one piece."""
+    page = sheet_page("Acme X", sheet_data(transfers))
+    printed = page[page.index("@media print { figure") :].partition("\n}")[0]
+    assert ".scroll { overflow: visible; }" in printed and "td.n { white-space: normal; }" in printed
+    cells = re.findall(r'<td class="n" data-of="R">(.*?)</td>', page)
+    assert cells and all(
+        re.fullmatch(r'\S+( <span class="i">\[\S+, \S+\]</span>)?|not measurable', c) for c in cells
+    )
+
+
+def test_recordings_are_listed_by_kind_and_exposure(transfers):
+    (setting,) = sheet_data([replace(transfers[0], statistics=transfers[0].statistics[::-1])])
+    listed = [(r["kind"], r["exposure_s"]) for r in setting["recordings"]]
+    assert listed == sorted(listed) and len(listed) == 8
+
+
 def test_what_was_not_recorded_is_said():
     (setting,) = sheet_data(photon_transfer(CaptureSet("Acme X", (made(0.0, "dark", 0.01),))))
     assert "even, steady light" in row(setting, "K,", "DN/e-")["record"]
@@ -120,6 +138,14 @@ def test_a_plot_leaves_out_what_its_axes_cannot_show():
     assert plot([Series("a", [], [])], "x", "y") == ""
     one = plot([Series("", [3.0], [5.0])], "x", "y")
     assert one.count("<circle") == 1 and "nan" not in one
+
+
+def test_every_number_of_an_axis_lies_within_the_figure():
+    for top in (9.0, 37_900.0, 1e5, 2.2e7):
+        svg = plot([Series("", [0.0, top], [0.0, top], line=True)], "x", "y")
+        width = float(re.search(r'viewBox="0 0 (\d+)', svg)[1])
+        along = re.findall(r'class="tick" x="([\d.]+)" y="[\d.]+" text-anchor="middle">([^<]+)<', svg)
+        assert all(3.7 * len(text) <= float(x) <= width - 3.7 * len(text) for x, text in along)
 
 
 @pytest.mark.parametrize("falling, side", [(False, "left"), (True, "right")])

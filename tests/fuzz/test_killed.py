@@ -6,6 +6,7 @@ import hashlib
 import json
 import random
 import shutil
+import time
 from pathlib import Path
 
 import jax
@@ -130,8 +131,8 @@ def test_training_that_is_killed_ends_at_the_same_bits(worker, tmp_path, request
 
 
 @pytest.mark.slow
-def test_the_command_train_that_is_killed_ends_at_the_same_bits(worker, tmp_path, tables):
-    """Networks, data and checkpoints of the tiny config."""
+def test_the_command_train_that_is_killed_ends_at_the_same_bits(worker, tmp_path, request, tables):
+    """Networks, data and checkpoints of the tiny config; as often as --minutes allows."""
     folder, rng, killed_, rounds = prepared(tmp_path / "case"), random.Random(7), 0, 0
     steps = ["--config.steps=12", "--config.checkpoint_every=2", "--config.evaluate_every=6"]
     config = str(ROOT / "configs" / "ci.py")
@@ -147,7 +148,8 @@ def test_the_command_train_that_is_killed_ends_at_the_same_bits(worker, tmp_path
     shutil.rmtree(folder / "out" / "w")
     whole = worker.run(case, folder, 1000, cpu=1000)
     assert whole["status"] == 0 and bits() == expected, whole["err"][-600:]
-    while killed_ < MANY:
+    end = time.monotonic() + 60 * request.config.getoption("--minutes")
+    while killed_ < MANY and (time.monotonic() < end or not killed_):
         rounds += 1
         if model.exists():
             assert bits() == expected

@@ -18,6 +18,7 @@ from cannoise_jax.physics.transfer.estimators.charge import hot_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 SIZE, RATE = (96, 128), 20.0
@@ -50,6 +51,27 @@ def calibrated(request):
     transfers = photon_transfer(CaptureSet("c", tuple(recordings)))
     findings = find_mechanisms(transfers[0].statistics, transfers[0].baseline, LISTED)
     return transfers, findings, sensor_model(transfers, findings), recordings
+
+
+def test_a_dark_of_one_frame_is_asked_for_once_more(calibrated):
+    """Where the exposures are there and only a repeat is missing, not the whole series is asked for."""
+    *_, recordings = calibrated
+    longest = max(r.exposure_s for r in recordings)
+    short = [
+        dataclasses.replace(r, frames=r.frames[:1]) if r.exposure_s == longest else r for r in recordings
+    ]
+    said = format_transfer(photon_transfer(CaptureSet("c", tuple(short)))[0])
+    assert f"record a second dark of {longest:g} s" in said
+    two = [r for r in recordings if r.exposure_s != longest]
+    assert "record darks at three or more" in format_transfer(photon_transfer(CaptureSet("c", tuple(two)))[0])
+
+
+def test_a_table_without_a_line_is_left_out(calibrated):
+    *_, recordings = calibrated
+    single = [dataclasses.replace(r, frames=r.frames[:1]) for r in recordings if r.kind == "flat"]
+    said = format_transfer(photon_transfer(CaptureSet("c", tuple(single)))[0]).splitlines()
+    assert not any(line.split()[:1] == ["unit"] for line in said) and "Not measurable:" in said
+    assert not any(line.startswith("temporal dark noise:") for line in said)
 
 
 def test_darks_come_back_as_dark_as_they_were(calibrated):

@@ -119,6 +119,18 @@ def test_rescaled_values(tmp_path):
         load_recording(tmp_path / "a.fits", cfa="MONO", **LEVELS)
 
 
+@pytest.mark.parametrize("bits", [-32, -64])
+def test_floating_point_values_with_the_zero_of_integers(tmp_path, bits):
+    """Read by the letter, a BZERO that was left over would lift every value by 32768."""
+    write(tmp_path / "a.fits", FRAMES.astype(f"f{-bits // 8}"))
+    content = bytearray((tmp_path / "a.fits").read_bytes())
+    end = next(at for at in range(0, 2880, 80) if content[at : at + 8] == b"END     ")
+    content[end : end + 160] = b"BZERO   =              32768.0".ljust(80) + b"END".ljust(80)
+    (tmp_path / "a.fits").write_bytes(content)
+    with pytest.raises(BadInput, match="floating-point values with BZERO 32768"):
+        load_recording(tmp_path / "a.fits", cfa="MONO", **LEVELS)
+
+
 def test_missing_metadata_names_its_flag(tmp_path):
     path = write(tmp_path / "a.fits", FRAMES)
     for given, flag in (

@@ -8,7 +8,7 @@ be used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,8 +49,10 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
         key=lambda s: s.recording.exposure_s or 0.0,
     )
-    if len({s.recording.exposure_s for s in series}) < 3:
-        return NotMeasurable(RECORD)
+    repeated = {s.recording.exposure_s for s in series}
+    if len(repeated) < 3:
+        single = {s.recording.exposure_s for s in darks} - repeated - {None}
+        return NotMeasurable(_second(single) if len(repeated) + len(single) > 2 else RECORD)
     longest = site(series[-1].mean, channel)
     middle = np.median(longest)
     keep = longest < middle + _HOT * robust_std(longest, middle)
@@ -64,6 +66,11 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         doubt = mean_error(s, channel) / gain
         rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
     return Series(*np.array(rows, np.float64).T)
+
+
+def _second(seconds: Collection[float | None]) -> str:
+    times = ", ".join(f"{s:g}" for s in sorted(s for s in seconds if s is not None))
+    return f"record a second dark of {times} s: three exposure times need 2 frames each or more"
 
 
 def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Estimate, bool, str]:

@@ -25,11 +25,12 @@ def format_transfer(result: PhotonTransfer) -> str:
         reasons = {q.outcome.record for q in group if isinstance(q.outcome, NotMeasurable)}
         if any(isinstance(q.outcome, Estimate) for q in group):
             lines.append([name, unit, *cells])
+            notes += [f"{name}: {note}" for note in _notes(group)]
         for reason in sorted(reasons):
             missing.setdefault(reason, []).append(f"{name} ({unit})" if len(reasons) > 1 else name)
-        notes += [f"{name}: {note}" for note in _notes(group)]
-    table = aligned(lines)
-    out = [f"{result.camera}{setting}: photon transfer (EMVA 1288 definitions), 90 % intervals", "", *table]
+    out = [f"{result.camera}{setting}: photon transfer (EMVA 1288 definitions), 90 % intervals"]
+    if len(lines) > 1:
+        out += ["", *aligned(lines)]
     darks = dark_lines(result.statistics)
     if darks:
         out += ["", "Darks over exposure, DN, all channels:", *aligned(darks)]

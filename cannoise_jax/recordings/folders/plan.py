@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
-from cannoise_jax.recordings.folders.kinds import LIT_DN, kinds_of, of_other_kinds
+from cannoise_jax.recordings.folders.kinds import kinds_of, of_other_kinds
+from cannoise_jax.recordings.folders.lacks import lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
-from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
-from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
@@ -81,7 +80,7 @@ def plan_folder(
     problems += of_other_kinds([g for one in sets for g in one.groups], stated)
     for one in sets[:1]:
         notes += one.levels.said
-        notes += _lacks(one)
+        notes += lacks(one.groups)
         problems += one.levels.missing
         problems += _apart(sets) if one.levels.missing else []
     notes += [words for one in sets[1:] for words in _borrowed(one, sets[0])]
@@ -256,33 +255,6 @@ def _of_another_camera(one: CaptureGroups, main: CaptureGroups) -> list[str]:
         return []
     names = listed([s.name for g in one.groups for s in g.shots])
     return [f"{names}, of {camera}: {words}; or leave out with --leave-out" for words in one.levels.missing]
-
-
-def _lacks(one: CaptureGroups) -> list[str]:
-    notes = []
-    groups = one.groups
-    single = [g.label for g in groups if g.frames == 1]
-    if single:
-        notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")
-    warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
-    if warm and max(warm) - min(warm) > ALIKE_KELVIN:
-        notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
-    flats = [s for g in groups if g.kind == "flat" for s in g.shots if not s.whole]
-    darks = [s for g in groups if g.kind in DARK for s in g.shots if not s.whole]
-    if flats and darks:
-        floor = max(max(s.medians) for s in darks)
-        dim = [s.name for s in flats if max(s.medians) <= floor]
-        if dim:
-            notes.append(f"{listed(dim)}: flats no brighter than the darks: check that the light was on")
-    by_kind = [[s for g in groups if g.kind == kind for s in g.shots if not s.whole] for kind in DARK]
-    if all(by_kind):
-        dark, bias = map(level_of, by_kind)
-        if bias > dark + max(LIT_DN, 0.1 * dark):
-            notes.append(
-                f"the biases ({bias:.0f} DN) lie above the darks ({dark:.0f} DN): of another offset or gain, "
-                "or lit: the black level is theirs"
-            )
-    return notes
 
 
 def _word(value: Any, name: str) -> str:

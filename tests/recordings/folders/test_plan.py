@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from cannoise_jax import SensorModel
+from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.folders.plan import check, plan_folder, text
 from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.load import load_capture_set
@@ -267,6 +269,29 @@ def test_text_names_every_file_and_note(tmp_path):
     said = text(plan)
     assert "Acme 100, 24 x 32, MONO" in said and "dark_1.fits to dark_2.fits" in said
     assert said.count("note: ") == len(plan.notes)
+
+
+def test_exposures_that_nothing_states_are_said(tmp_path):
+    stated, silent = (
+        plan_folder(night(tmp_path / n, **more)) for n, more in (("a", {}), ("b", {"EXPTIME": ""}))
+    )
+    assert "no exposure time" not in notes(stated)
+    (said,) = [note for note in silent.notes if "no exposure time in headers or names" in note]
+    assert said.startswith("flat, dark: ") and not silent.problems
+
+
+def test_a_camera_model_kept_with_its_recordings_is_none_of_them(tmp_path):
+    night(tmp_path / "in")
+    before = labels(plan_folder(tmp_path / "in"))
+    model = SensorModel.poisson_gaussian(2.0, 3.0, 1000, 65535, "MONO").with_mechanism("dsnu", sigma_dn=1.0)
+    write_sensor(tmp_path / "in" / "sensor.json", model.with_maps((24, 32)))
+    assert (tmp_path / "in" / "sensor.npz").is_file()
+    plan = plan_folder(tmp_path / "in")
+    assert labels(plan) == before and not plan.problems and "sensor.npz" not in text(plan)
+    for path in (tmp_path / "in").glob("*.fits"):
+        path.unlink()
+    with pytest.raises(BadInput, match="holds no recordings"):
+        load_capture_set(tmp_path / "in")
 
 
 def test_a_real_night(real_data):

@@ -1,0 +1,45 @@
+"""What the recordings of a folder lack for the measurements that they are made for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cannoise_jax.recordings.folders.groups import Group
+from cannoise_jax.recordings.folders.kinds import LIT_DN
+from cannoise_jax.recordings.folders.lights import level_of
+from cannoise_jax.recordings.folders.names import listed
+from cannoise_jax.recordings.join import ALIKE_KELVIN
+from cannoise_jax.recordings.recording import DARK
+
+
+def lacks(groups: Sequence[Group]) -> list[str]:
+    """What the recordings of one set lack, or what looks odd of them, a line each."""
+    notes = []
+    single = [g.label for g in groups if g.frames == 1]
+    if single:
+        notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")
+    timeless = [g.label for g in groups if g.kind in ("dark", "flat") and g.settings["exposure_s"] is None]
+    if timeless:
+        notes.append(
+            f"{listed(timeless)}: no exposure time in headers or names: what grows with it is not measured; "
+            "bin/convert IN... OUT.h5 --exposure SECONDS states it"
+        )
+    warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
+    if warm and max(warm) - min(warm) > ALIKE_KELVIN:
+        notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
+    flats = [s for g in groups if g.kind == "flat" for s in g.shots if not s.whole]
+    darks = [s for g in groups if g.kind in DARK for s in g.shots if not s.whole]
+    if flats and darks:
+        floor = max(max(s.medians) for s in darks)
+        dim = [s.name for s in flats if max(s.medians) <= floor]
+        if dim:
+            notes.append(f"{listed(dim)}: flats no brighter than the darks: check that the light was on")
+    by_kind = [[s for g in groups if g.kind == kind for s in g.shots if not s.whole] for kind in DARK]
+    if all(by_kind):
+        dark, bias = map(level_of, by_kind)
+        if bias > dark + max(LIT_DN, 0.1 * dark):
+            notes.append(
+                f"the biases ({bias:.0f} DN) lie above the darks ({dark:.0f} DN): of another offset or gain, "
+                "or lit: the black level is theirs"
+            )
+    return notes
