@@ -31,10 +31,11 @@ _SHARED = 0.5
 """Share of a pattern's variance that recordings have in common, below which it is not the same in all."""
 _SURE = 4.0
 """Standard deviations from which on that is no chance."""
-_SHOWN = 0.2
+_SHOWN = 0.05
 """Share of the noise of a recording's mean that the pattern has there, from which on it says whether the
 pattern is in it. Other patterns correlate by some 0.02 with it (dark current of the KAF-1001E with its PRNU):
-where the pattern has 0.0005, as a flat of 23 s has of dark current, that is more than the pattern itself."""
+there that is less than half of the pattern; where it has 0.0005, as dark current in a flat of 23 s, far more.
+"""
 _FEWEST = 32
 """Lines or pixels from which on that is told."""
 _OF_LEVEL = 0.25
