@@ -50,14 +50,20 @@ def stays(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:
 
 def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]:
     """The same in DN, whatever the noise is taken to be."""
-    answers = field.answers
-    mixed = answers.mixed.get(axis, answers.mixed.get("pixel"))
+    answers, mixed = field.answers, _looks((field,), axis)
     if mixed is None:
         out = _unit_effect(field, scaling)
     else:
         first = zip(mixed[SCALINGS.index(scaling)], SCALINGS, strict=True)
         out = sum((share * _unit_effect(field, s) for share, s in first if _has(field, s)), _NONE)
     return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
+
+
+def _looks(fields: tuple[Fields, ...], axis: str) -> Float[np.ndarray, "3 3 h w"] | None:
+    """What patterns of pixels, rows or columns look like, the same in all recordings; None where nothing was
+    taken out."""
+    known = next((f.answers.mixed for f in fields if f.answers.mixed), {})
+    return known.get(axis, known.get("pixel"))
 
 
 def _unit_effect(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
@@ -170,8 +176,7 @@ def _mixed(
     """What patterns look like once one that scales so is whitened. taken: of the sums over recordings of its
     response times another, the share of it that goes."""
     size = fields[0].mean.shape
-    known = next((f.answers.mixed for f in fields if f.answers.mixed), {})
-    before = known.get(axis, known.get("pixel"))
+    before = _looks(fields, axis)
     if before is None:
         before = np.broadcast_to(np.eye(3, dtype=np.float32)[:, :, None, None], (3, 3, *size))
     along = along_fields(fields, axis, scaling)
@@ -190,10 +195,7 @@ def along_fields(
     M G M^T, with the sums G over recordings of products of the three as they were at first.
     """
     products = _at_first(fields, axis)
-    mixed = next(
-        (m for f in fields if (m := f.answers.mixed.get(axis, f.answers.mixed.get("pixel"))) is not None),
-        None,
-    )
+    mixed = _looks(fields, axis)
     if mixed is None:
         return lambda other: products[frozenset((scaling, other))]
     own = mixed[SCALINGS.index(scaling)]

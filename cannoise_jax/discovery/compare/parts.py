@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import fft, stats
+from jaxtyping import Float
+from scipy import fft
 
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, uneven
+from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, stand_out, uneven
 from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import Pattern
 from cannoise_jax.discovery.compare.sources import Source
@@ -169,8 +169,3 @@ def _power(raw: Raw, own: Float[np.ndarray, "h w"], bulk: float) -> Float[np.nda
     for c in raw.contrasts:
         total += np.abs(fft.fft2(c * kept)) ** 2
     return total / (n * raw.mean.size * max(float(kept.mean()), 1e-6))
-
-
-def stand_out(ratio: np.ndarray, dof: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels noisier than the bulk by more than chance makes them."""
-    return ratio > stats.chi2.isf(1e-3, dof) / dof

@@ -50,6 +50,16 @@ class Variances(NamedTuple):
     lowest: float
     kept: Bool[np.ndarray, "h w"]
 
+    @property
+    def beyond(self) -> Float[np.ndarray, "h w"]:
+        """What pixels have beyond the quietest."""
+        return np.maximum(self.values - self.lowest, 0)
+
+    @property
+    def shared(self) -> float:
+        """What those that are kept have of that on average."""
+        return float(self.beyond[self.kept].mean())
+
 
 def uneven(contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"], bulk: float) -> Uneven:
     """How unlike the pixels are, those aside that stand out; 0 of too few frames. contrasts: Helmert's, of
@@ -65,20 +75,20 @@ def uneven(contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"
     halves = [np.mean(part**2, 0)[usable] / max(bulk, 1e-30) for part in np.array_split(apart, 2)]
     mean, value, error = (halves[0] + halves[1]) / 2, 0.0, 0.0
     for _ in range(_ROUNDS):
-        kept = mean < _limit(n, max(value, 0.0))
+        kept = ~stand_out(mean, n, max(value, 0.0))
         first, second = (half[kept] - half[kept].mean() for half in halves)
         product = first * second
         value, error = float(product.mean()), float(product.std()) / np.sqrt(product.size)
     return Uneven(value, error)
 
 
-def _limit(dof: float, spread: float) -> float:
-    """Mean square from which on a pixel stands out of others that are as unlike as that."""
-    alike = float(stats.chi2.isf(_ODD, dof)) / dof
-    if not spread:
-        return alike
-    shape = 2 + 1 / spread
-    return max((shape - 1) / shape * float(stats.f.isf(_ODD, dof, 2 * shape)), alike)
+def stand_out(ratio: Float[np.ndarray, "*n"], dof: int, spread: float = 0.0) -> Bool[np.ndarray, "*n"]:
+    """Pixels noisier than the bulk by more than chance makes them, where pixels are as unlike as that."""
+    limit = float(stats.chi2.isf(_ODD, dof)) / dof
+    if spread:
+        shape = 2 + 1 / spread
+        limit = max((shape - 1) / shape * float(stats.f.isf(_ODD, dof, 2 * shape)), limit)
+    return ratio > limit
 
 
 class Spread(NamedTuple):
@@ -96,7 +106,7 @@ def compared(recorded: Uneven, simulated: Uneven) -> Spread:
     return Spread(own + (more if more > max(SURE * error, _LEAST) else 0.0), own)
 
 
-def variances(ratio: Float[np.ndarray, "h w"], dof: float, spread: Spread, seed: int) -> Variances:
+def variances(ratio: Float[np.ndarray, "h w"], dof: int, spread: Spread, seed: int) -> Variances:
     """Variance of every pixel beside what the simulator draws, itself drawn given what its contrasts show;
     one where pixels are no more unlike than simulated ones.
 
@@ -104,13 +114,13 @@ def variances(ratio: Float[np.ndarray, "h w"], dof: float, spread: Spread, seed:
     like fewer contrasts. ratio: mean square of the contrasts of every pixel over that of the bulk; dof: their
     number; spread: u.
     """
-    odd, kept = ratio > _limit(dof, spread.value), ratio <= _limit(dof, 0.0)
+    odd, kept = stand_out(ratio, dof, spread.value), ~stand_out(ratio, dof)
     more = spread.value - spread.drawn
     if not more > 0:
         return Variances(np.where(odd, ratio, 1.0), odd, 1.0, kept)
-    shape, dof = 2 + 1 / more, 2 / (2 / dof + spread.drawn)
+    shape, certain = 2 + 1 / more, 2 / (2 / dof + spread.drawn)
     mean = float(ratio[~odd].mean())
-    scale = (shape - 1) * mean + dof * ratio / 2
-    drawn = scale / np.random.default_rng(seed).gamma(shape + dof / 2, 1.0, ratio.shape)
+    scale = (shape - 1) * mean + certain * ratio / 2
+    drawn = scale / np.random.default_rng(seed).gamma(shape + certain / 2, 1.0, ratio.shape)
     values = np.where(odd, ratio, drawn)
     return Variances(values, odd, min(float(np.quantile(values[~odd], _LOWEST)), 1.0), kept)

@@ -11,6 +11,7 @@ noise is handed over to the spectrum first.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -45,17 +46,18 @@ def with_remainder(
     Maps are those of this camera unit and of frames of this size: other units draw none.
     """
     whole = parts_of(capture, modelled(model, key), tell)
-    less = _shares(capture, *whole)
-    if less is None:
+    if not any(p.contrasts for part in whole for p in part):
         return model
+    fixed = _fixed(whole[0]) if whole[0] else None
+    less = _shares(capture, *whole, fixed)
     # What is missing is measured beside what the baseline has left. What stays is measured beside the whole
     # of it: the noise in the mean of a single frame is what the simulator says.
     rest = parts_of(capture, modelled(_added(model, less), key), tell)
-    parts = (
+    darks, lit = (
         [r._replace(pattern=w.pattern, uneven=w.uneven) for r, w in zip(own, plain, strict=True)]
         for own, plain in zip(rest, whole, strict=True)
     )
-    maps = _measured(capture, *parts)
+    maps = _measured(capture, darks, lit, fixed)
     return _added(model, {**maps, **{name: less[name] for name in SHARES}})
 
 
@@ -64,16 +66,16 @@ def _added(model: SensorModel, maps: dict[str, np.ndarray]) -> SensorModel:
     return model.with_mechanism(RESIDUAL, maps=full)
 
 
-def _shares(capture: CaptureSet, darks: list[Part], lit: list[Part]) -> dict[str, np.ndarray] | None:
+def _shares(
+    capture: CaptureSet, darks: list[Part], lit: list[Part], fixed: _Fixed | None
+) -> dict[str, np.ndarray]:
     """Maps of `mechanisms.residual` that take away as much of the baseline's noise as the frames that look
-    have too little of at any spatial frequency, and nothing else; None where none shows new noise."""
-    if not any(p.contrasts for p in (*darks, *lit)):
-        return None
+    have too little of at any spatial frequency, and nothing else. fixed: of the darks."""
     maps = _empty(capture)
-    if darks:
+    if fixed is not None:
         zero = np.zeros(darks[0].signal.shape)
         maps.update(dict.fromkeys(("offset", "rate", "spread", "growth", "spectrum"), zero))
-        maps["keep"] = np.full((1, 1), _left(_still(darks, _fixed(darks)[1])[1], True))
+        maps["keep"] = np.full((1, 1), _left(_still(darks, fixed.rate)[1], True))
     for k, p in enumerate(lit):
         zero = np.zeros(p.signal.shape)
         left = np.full((1, 1), _left([p], False))
@@ -87,19 +89,25 @@ def _left(parts: list[Part], dark: bool) -> float:
     """Share of the variance of the baseline's noise (of darks its read noise) that may stay: quiet pixels
     have less than the others."""
     weight = [p.contrasts for p in parts]
-    level = float(np.average([p.level for p in parts], weights=weight))
     own = float(np.average([p.read if dark else p.own for p in parts], weights=weight))
-    missing = (_SPARE + 1 - _pixels(parts).lowest) * level
+    missing = (_SPARE + 1 - _pixels(parts).lowest) * _level(parts)
     missing -= float(np.quantile(_spectrum(parts, False), _LOWEST))
     return float(np.clip(1 - missing / max(own, 1e-12), _LEAST_LEFT, 1.0))
 
 
-def _measured(capture: CaptureSet, darks: list[Part], lit: list[Part]) -> dict[str, np.ndarray]:
+def _level(parts: list[Part]) -> float:
+    """Variance of the bulk, DN^2, of all recordings together."""
+    return float(np.average([p.level for p in parts], weights=[p.contrasts for p in parts]))
+
+
+def _measured(
+    capture: CaptureSet, darks: list[Part], lit: list[Part], fixed: _Fixed | None
+) -> dict[str, np.ndarray]:
     """All other maps of `mechanisms.residual`, of the frames that look beside draws of what the baseline has
     left."""
     maps = _empty(capture)
-    if darks:
-        maps.update(_of_darks(darks))
+    if fixed is not None:
+        maps.update(_of_darks(darks, fixed))
     for k, p in enumerate(lit):
         maps.update(zip([f"{n}{k}" for n in LIT], _of_lit(p), strict=False))
     return maps
@@ -111,17 +119,24 @@ def _empty(capture: CaptureSet) -> dict[str, np.ndarray]:
     return maps
 
 
-def _of_darks(darks: list[Part]) -> dict[str, np.ndarray]:
-    """Offset and rate by least squares over the exposures, noise of single pixels and the shared spectrum."""
-    offset, rate = _fixed(darks)
+def _of_darks(darks: list[Part], fixed: _Fixed) -> dict[str, np.ndarray]:
+    """What stays, noise of single pixels and the shared spectrum."""
+    offset, rate = fixed
     growing, still = _still(darks, rate)
     own, growth, shared = _alone(still)
     spectrum = np.maximum(_spectrum(still, True) - shared, 0)
     return {"offset": offset, "rate": rate, "spread": own, "growth": growth + growing, "spectrum": spectrum}
 
 
-def _fixed(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
+class _Fixed(NamedTuple):
     """What stays, DN, and what grows with the exposure, DN/s."""
+
+    offset: np.ndarray
+    rate: np.ndarray
+
+
+def _fixed(darks: list[Part]) -> _Fixed:
+    """Both by least squares over the exposures."""
     known = [p for p in darks if p.pattern is not None]
     patterns = [p.pattern for p in known if p.pattern is not None]
     weight = np.array([1 / (p.noise + p.simulated_noise) for p in patterns])
@@ -134,7 +149,7 @@ def _fixed(darks: list[Part]) -> tuple[np.ndarray, np.ndarray]:
         mean = mean - centre * slope
         rate = missing(patterns[0].combined(patterns[1:], slope), 1)
     offset = missing(patterns[0].combined(patterns[1:], mean), 2)
-    return offset, rate
+    return _Fixed(offset, rate)
 
 
 def _still(darks: list[Part], rate: np.ndarray) -> tuple[np.ndarray, list[Part]]:
@@ -195,11 +210,7 @@ def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray, float]:
     """Variance (DN^2) that single pixels have beyond the quietest, by how much it grows in a second (of
     pixels that stand out in all darks together), and its mean over the others, which all noise has already.
     """
-    pixels = _pixels(darks)
-    low, level = (
-        pixels.lowest,
-        float(np.average([p.level for p in darks], weights=[p.contrasts for p in darks])),
-    )
+    pixels, level = _pixels(darks), _level(darks)
     times = np.array([p.exposure_s for p in darks])[:, None, None]
     beyond = np.stack([p.level * p.unit * (p.ratio - 1) for p in darks])
     weight = np.stack([p.contrasts / (p.level * p.unit) ** 2 for p in darks])
@@ -208,19 +219,17 @@ def _alone(darks: list[Part]) -> tuple[np.ndarray, np.ndarray, float]:
     growth = np.sum(weight * (times - centre) * beyond, 0) / np.maximum(spread, 1e-30)
     growth = np.maximum(growth, 0.0) * (spread > 0)
     own = np.sum(weight * (beyond - times * growth), 0) / weight.sum(0)
-    calm = level * np.maximum(pixels.values - low, 0)
-    own = np.where(pixels.odd, np.maximum(own, 0) + level * (1 - low), calm)
-    return own, np.where(pixels.odd, growth, 0.0), float(calm[pixels.kept].mean())
+    own = np.where(pixels.odd, np.maximum(own, 0) + level * (1 - pixels.lowest), level * pixels.beyond)
+    return own, np.where(pixels.odd, growth, 0.0), level * pixels.shared
 
 
 def _of_lit(p: Part) -> tuple[np.ndarray, ...]:
     """The maps of `LIT` of one lit recording."""
     fixed = np.zeros(p.signal.shape) if p.pattern is None else missing(p.pattern, 3)
     pixels = _pixels([p])
-    calm = p.level * np.maximum(pixels.values - pixels.lowest, 0)
-    loud = p.level * (p.loud * np.maximum(p.ratio - 1, 0) + 1 - pixels.lowest)
-    power = np.maximum(_spectrum([p], False) - float(calm[pixels.kept].mean()), 0)
-    return p.signal, fixed, np.where(pixels.odd, loud, calm), power, p.unit
+    loud = p.loud * np.maximum(p.ratio - 1, 0) + 1 - pixels.lowest
+    power = np.maximum(_spectrum([p], False) - p.level * pixels.shared, 0)
+    return p.signal, fixed, p.level * np.where(pixels.odd, loud, pixels.beyond), power, p.unit
 
 
 def _spectrum(parts: list[Part], frames_too: bool) -> np.ndarray:
