@@ -35,6 +35,15 @@ def test_a_pattern_that_the_simulator_lacks_is_added_whole():
     assert np.corrcoef(added.ravel(), true.ravel())[0, 1] == pytest.approx(0.5, abs=0.03)
 
 
+def test_pixels_that_stand_out_are_kept_whatever_the_level():
+    rng = np.random.default_rng(11)
+    hot = rng.random(SIZE) < 0.01
+    recorded = 30 + rng.standard_normal(SIZE) + 20.0 * hot
+    added = missing(Pattern(recorded, np.zeros(SIZE), 1.0, 0.0), 1)
+    assert np.allclose(added[hot], recorded[hot])
+    assert np.std(added[~hot]) < 0.2
+
+
 @pytest.mark.parametrize("alike", [0.0, 0.8])
 def test_what_the_simulator_has_too_much_of_is_taken_out(alike):
     rng = np.random.default_rng(9)

@@ -71,8 +71,7 @@ def missing(pattern: Pattern, seed: int) -> Float[np.ndarray, "h w"]:
 
 
 def _far(values: Float[np.ndarray, "h w"], noise: float) -> Bool[np.ndarray, "h w"]:
-    away = np.abs(values - np.median(values))
-    return away > 5 * max(robust_std(values, 0), np.sqrt(noise))
+    return np.abs(values - np.median(values)) > 5 * max(robust_std(values), np.sqrt(noise))
 
 
 def _stays(share: np.ndarray, beyond: np.ndarray, more: np.ndarray, had: np.ndarray, pattern: Pattern):
