@@ -227,7 +227,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("compensated_dark_current",
              "Noise of a dark current whose mean the camera's black clamp subtracts: it grows with the "
              "exposure, the level of the darks does not.",
-             None, "sensor", "e-/s", "mean dark current, e-/s", listed=45, says_exposure=True),
+             None, "sensor", "e-/s", "mean dark current, e-/s", listed=47, says_exposure=True),
         COMPENSATED_DARK_CURRENT,
         needs="darks at two exposures or more, two frames of each, exposure_s stated, and flats for the gain",
         signatures=lambda recorded: looks.dark_noise.beside_level(

@@ -14,7 +14,7 @@ from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Para
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import codes, lines, spectra
-from cannoise_jax.vocabulary import RMS, Term
+from cannoise_jax.vocabulary import FRACTION, RMS, Term
 
 _EMVA_LINES = "EMVA 1288 release 4.0, section 8.2 (row and column nonuniformity)"
 _ELD = "Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, section 3"
@@ -281,6 +281,45 @@ ENTRIES: tuple[Entry, ...] = (
         estimator=Estimator(codes.amplifier_mismatch),
         examples=Examples("columns", dim=True, strong={"step_dn": 5.0},
                           cases=(Case({"step_dn": 1.0}, DARK),)),
+    ),
+    Entry(
+        Term("amplifier_drift",
+             "The offsets of regions read by different amplifiers move from frame to frame, each by itself.",
+             38, "sensor", "DN", RMS, listed=40),
+        mechanism_from_grammar(
+            Point("readout", "signal", "block", "redrawn"), id="amplifier_drift", default=0.5,
+            sentence="Each amplifier sets its own black level anew for every frame: regions step against "
+            "each other, by other amounts in the next frame.",
+            reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 6 (multiple "
+            "amplifiers)",
+            needs=("dark", "pair"), confused_with=("amplifier_mismatch", "offset_drift", "row_pink_noise"),
+            equation=r"y_{tij} \to y_{tij} + a_{t,k(i,j)},\quad a_{tk} \sim \mathcal{N}(0,\sigma^2)",
+        ),
+        needs="two frames or more at one setting",
+        signatures=looks.always(
+            looks.moving_taps.regions(name="taps_redrawn", parameter="sigma_dn", covers=looks.DARK_LEVELS),
+        ),
+        examples=Examples("columns", dim=True, strong={"sigma_dn": 3.0}),
+    ),
+    Entry(
+        Term("amplifier_gain",
+             "Regions read by different amplifiers differ in gain.",
+             38, "sensor", "1", FRACTION, ("prnu",), listed=41),
+        mechanism_from_grammar(
+            Point("readout", "signal", "block", "frozen", "multiply"), id="amplifier_gain", default=0.005,
+            sentence="Amplifiers are never quite alike: a flat shows steps where one region ends and the "
+            "next begins, in proportion to the light.",
+            reference="Janesick, Scientific Charge-Coupled Devices, SPIE Press 2001, chapter 6 (multiple "
+            "amplifiers)",
+            needs=("flat",), confused_with=("column_gain", "prnu", "amplifier_mismatch", "lens_shading"),
+            equation=r"y_{tij} \to y_{tij}\,(1 + g_{k(i,j)})",
+        ),
+        needs="flats of two frames or more",
+        signatures=looks.always(
+            looks.tap_gain.gains(name="tap_gains", parameter="sigma", covers=looks.LIGHT_LEVELS,
+                before=("column_relative_static", "row_relative_static")),
+        ),
+        examples=Examples("columns", shown={"sigma": 0.02}, strong={"sigma": 0.1}),
     ),
     Entry(
         Term("dual_gain",

@@ -164,7 +164,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("smear",
              "Bright pixels leak into their whole column.",
-             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=40),
+             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=42),
         SMEAR,
         needs="a scene with a saturated light source, two frames or more",
         signatures=looks.always(

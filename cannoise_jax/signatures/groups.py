@@ -125,7 +125,7 @@ def group_absorb(
     groups = layout(name, fields[0].mean.shape)
     if time == "redrawn":
         if name.startswith(("tile", "diagonal", "antidiagonal")):
-            return tuple(_whitened(f, groups, score.payload) for f in fields)
+            return tuple(whitened(f, groups, score.payload) for f in fields)
         return tuple(
             _apart(f, groups, score.payload, scaling) if f.lit or scaling == "additive" else f for f in fields
         )
@@ -144,7 +144,7 @@ def group_absorb(
     )
 
 
-def _whitened(field: Fields, groups: Groups, variance: float) -> Fields:
+def whitened(field: Fields, groups: Groups, variance: float) -> Fields:
     """Offsets of groups move the mean of the frame as well: that part is whitened with the rest. The modelled
     noise holds them too."""
     if len(field.contrasts):

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed, strength
@@ -40,22 +41,26 @@ class Taps(NamedTuple):
 
     def image(self, size: tuple[int, int]) -> np.ndarray:
         """The offset of every pixel [H, W], DN."""
-        return self.levels[_regions(size, self.levels.shape)]
+        return self.levels[regions_of(size, self.levels.shape)]
 
 
-def _regions(size: tuple[int, int], layout: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def regions_of(size: tuple[int, int], layout: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Region along rows [H, 1] and columns [1, W] of every pixel."""
     rows, columns = (np.arange(n) * k // n for n, k in zip(size, layout, strict=True))
     return rows[:, None], columns[None, :]
 
 
-@lru_cache(maxsize=8)
-def _smooth(size: tuple[int, int], layout: tuple[int, int]) -> np.ndarray:
-    """As many smooth shapes as the layout has offsets beyond their mean: products of Legendre polynomials."""
+def legendre(size: tuple[int, int], layout: tuple[int, int]) -> Float[np.ndarray, "n h w"]:
+    """As many smooth shapes as the layout has offsets, a constant first: products of Legendre polynomials."""
     y, x = (np.linspace(-1, 1, n) for n in size)
     along = [np.polynomial.legendre.legvander(v, k - 1) for v, k in zip((y, x), layout, strict=True)]
-    shapes = np.einsum("ia,jb->abij", *along).reshape(-1, *size)
-    return shapes[1:].astype(np.float32)
+    return np.einsum("ia,jb->abij", *along).reshape(-1, *size)
+
+
+@lru_cache(maxsize=8)
+def _smooth(size: tuple[int, int], layout: tuple[int, int]) -> np.ndarray:
+    """The same without the constant."""
+    return legendre(size, layout)[1:].astype(np.float32)
 
 
 def _explained(score: np.ndarray, information: np.ndarray, shapes: np.ndarray) -> float:
@@ -76,7 +81,7 @@ def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
     information = np.sum([f.frames * f.weight.astype(np.float64) ** 2 for f in dark], 0)
     best: tuple[float, float, int, Taps] | None = None
     for layout in LAYOUTS:
-        at = np.ravel_multi_index(np.broadcast_arrays(*_regions(size, layout)), layout).ravel()
+        at = np.ravel_multi_index(np.broadcast_arrays(*regions_of(size, layout)), layout).ravel()
         number = layout[0] * layout[1]
         u, i = (np.bincount(at, v.ravel(), number) for v in (score, information))
         if not i.min() > 1e-6 * i.sum():

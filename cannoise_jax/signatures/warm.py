@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.physics.robust import robust_std
@@ -57,8 +58,8 @@ def dark_map(fields: tuple[Fields, ...]) -> Heat | None:
 
 
 def _own(contrasts: np.ndarray, size: tuple[int, int], usable: np.ndarray) -> np.ndarray:
-    """Contrasts without what channels, rows and columns share: of far pixels no more than four standard
-    deviations, or they would spread over their lines."""
+    """Contrasts without what channels, rows, columns and small areas share: of far pixels no more than four
+    standard deviations, or they would spread over their lines."""
     near = contrasts.clip(-4, 4) * usable
     shared = np.zeros_like(contrasts)
     channel = channel_index(size)
@@ -69,7 +70,26 @@ def _own(contrasts: np.ndarray, size: tuple[int, int], usable: np.ndarray) -> np
     near = (near - shared) * usable
     row = near.sum(2, keepdims=True) / np.maximum(usable.sum(1)[None, :, None], 1)
     column = near.sum(1, keepdims=True) / np.maximum(usable.sum(0)[None, None, :], 1)
-    return (contrasts - shared - row - column) * usable
+    return _without_areas((contrasts - shared - row - column) * usable, usable)
+
+
+_AREA = 8
+"""Pixels a side of the areas whose means are no part of the map."""
+
+
+def _without_areas(
+    values: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "n h w"]:
+    """Without the means of small areas. What regions share moves from frame to frame, and what of it is left
+    in the mean of a few frames is in the map as well: their products are large by chance."""
+    edges = [np.arange(0, n, _AREA) for n in usable.shape]
+    size = [np.diff(np.append(at, n)) for at, n in zip(edges, usable.shape, strict=True)]
+
+    def sums(x: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(np.add.reduceat(x, edges[0], -2), edges[1], -1)
+
+    means = sums(values * usable) / np.maximum(sums(usable.astype(np.float32)), 1)
+    return (values - np.repeat(np.repeat(means, size[0], -2), size[1], -1)) * usable
 
 
 def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usable: np.ndarray):
@@ -78,6 +98,7 @@ def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usa
     template = level / f.sigma
     # An offset of the whole frame is no part of it.
     template = (template - np.sum(weight * template) / max(float(weight.sum()), 1e-9)) * usable
+    template = _without_areas(template, usable)
     return template, _own(c, f.mean.shape, usable), weight
 
 

@@ -225,6 +225,10 @@ SAMPLE = {
     "offset_drift": lambda rng, x, p, m, c: x + rng.normal(0, p["sigma_dn"], _per(x, 0)),
     "channel_offset": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"],
     "amplifier_mismatch": lambda rng, x, p, m, c: x + p["step_dn"] * m["field"],
+    "amplifier_drift": lambda rng, x, p, m, c: (
+        x + np.repeat(rng.normal(0, p["sigma_dn"], (len(x), 1, 2)), x.shape[2] // 2, axis=2)
+    ),
+    "amplifier_gain": lambda rng, x, p, m, c: x + (x - c["black"]) * p["sigma"] * m["field"],
     "lossy_compression": lossy_compression,
     "black_clipping": lambda rng, x, p, m, c: np.where(
         x < c["black"] + p["level_dn"], c["black"] + p["level_dn"], x
