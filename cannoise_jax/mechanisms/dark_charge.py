@@ -241,7 +241,8 @@ ENTRIES: tuple[Entry, ...] = (
         AMP_GLOW,
         needs="darks, best at a long exposure",
         signatures=looks.always(
-            looks.glow.from_edges(name="glow", parameter="e_per_s"),
+            looks.glow.from_edges(name="glow", parameter="e_per_s",
+                before=(*looks.MAPS, *looks.THERMAL_LINES)),
         ),
         estimator=Estimator(charge.amp_glow, gives_way_to=("hot_pixels",), maps=measured.glow),
         examples=Examples("columns", strong={"e_per_s": 200.0, "length": 0.4},

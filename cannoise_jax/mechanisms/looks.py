@@ -18,6 +18,7 @@ from cannoise_jax.signatures import (
     glow,
     groups,
     hot,
+    jumps_beside,
     lattice,
     levels,
     light,
@@ -52,13 +53,19 @@ LIGHT_LEVELS = ("greens", "shading", *SCALES)
 """Signatures of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
 channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
 part of the fitted read noise too, so a stated read noise is not judged beside it."""
-SHAPES = ("kurtosis", "light_tails", "pixel_spread", "skewness", "telegraph")
+SHAPES = ("kurtosis", "light_tails", "pixel_spread", "skewness", "telegraph", "telegraph_beside")
 """Signatures of the shape of the noise of single pixels."""
 HOT = ("hot_additive", "hot_thermal")
 NOISY = (*SHAPES, *HOT)
 """Those that cannot be trusted once one of them is in the model."""
+BUT_SPREAD = tuple(name for name in NOISY if name != "pixel_spread")
+"""The same but for the noise of single pixels, which is judged once those that jump are gone."""
 MAPS = ("pixel_additive_static", "pixel_thermal_static")
 """Signatures of maps of all pixels, which are judged once hot ones that stand out from them are gone."""
+THERMAL_LINES = ("row_thermal_static", "column_thermal_static")
+"""Signatures of charge that lines collect, which a glow along an edge is as well."""
+AREAS = ("tile_8_frozen", "tile_16_frozen", "tile_32_frozen", "tile_64_frozen")
+"""Signatures of offsets of small areas."""
 SCENES = ("reference_shift", "reference_blur", "reference_spread", "scene_static", "curvature", *SCALES)
 """Signatures of scenes against their references."""
 SLOW = (*MAPS, "pixel_relative_static", "scene_static")

@@ -276,7 +276,8 @@ ENTRIES: tuple[Entry, ...] = (
         needs="darks of two frames or more",
         signatures=looks.always(
             looks.means.halves(name="step", parameter="step_dn", covers=("taps",)),
-            looks.taps.regions(name="taps", parameter="step_dn", covers=("step",)),
+            looks.taps.regions(name="taps", parameter="step_dn", covers=("step",),
+                before=(*looks.AREAS, *looks.MAPS)),
         ),
         estimator=Estimator(codes.amplifier_mismatch),
         examples=Examples("columns", dim=True, strong={"step_dn": 5.0},

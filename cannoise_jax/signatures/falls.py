@@ -107,8 +107,9 @@ def _along(fields: tuple[Fields, ...], falls: np.ndarray, other: np.ndarray) -> 
 def _darks(fields: tuple[Fields, ...]) -> tuple[list[Fields], float | None]:
     """The darks, and the longest exposure where all are known."""
     dark = [as_it_stays(f) for f in fields if f.kind in DARK and f.static is not None]
-    known = [f.exposure_s for f in dark if f.exposure_s]
-    return dark, max(known) if known and len(known) == len(dark) else None
+    known = [f.exposure_s for f in dark if f.exposure_s is not None]
+    # A bias of no exposure has none of it, and known exposures that are all zero tell of no growth.
+    return dark, (max(known) or None) if known and len(known) == len(dark) else None
 
 
 def sums_of_all(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, float | None] | None:
@@ -139,4 +140,4 @@ def sums_of(fields: tuple[Fields, ...], g: np.ndarray) -> tuple[np.ndarray, np.n
 
 def over_longest(field: Fields, longest: float | None) -> float:
     """Glow of a dark over that of the longest one: it grows with the exposure."""
-    return (field.exposure_s or 1.0) / longest if longest else 1.0
+    return (field.exposure_s or 0.0) / longest if longest else 1.0

@@ -26,12 +26,14 @@ from cannoise_jax.signatures.falls import (
 )
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.handed import Addition, Found
+from cannoise_jax.signatures.heat import above_neighbours
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     template,
 )
 from cannoise_jax.signatures.means import minus, project
+from cannoise_jax.signatures.rare import spread_of
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -45,6 +47,9 @@ from cannoise_jax.signatures.signature import (
 
 _SHOWS_FORM = 20.0
 """Standard deviations from which a glow that is 5 % of itself off a template would be seen at one."""
+_BEFORE_MAPS = 8.0
+"""Standard deviations of a glow, of the levels of pixels as they scatter, from which on it is judged before
+maps of pixels, which hold it as well. Independent levels look like none of it."""
 _OPEN = 0.02
 """Posterior weight, against the best, down to which a template may be the glow."""
 
@@ -52,7 +57,7 @@ _OPEN = 0.02
 class Glow(NamedTuple):
     """The template that fits best (rms 1) and its strength at the longest exposure, DN; the longest exposure
     (None where unknown); weights: log posterior weight of every template. formed: whether it is a sum of
-    falls, whose form the darks show."""
+    falls, whose form the darks show. stands_out: from whatever levels the pixels have."""
 
     template: np.ndarray
     strength: float
@@ -60,6 +65,7 @@ class Glow(NamedTuple):
     weights: np.ndarray
     strengths: np.ndarray
     formed: bool = False
+    stands_out: bool = False
 
 
 def _weights(u: np.ndarray, i: np.ndarray) -> np.ndarray:
@@ -85,7 +91,9 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     amplitude, error = _strength(u, i, _weights(u, i))
     names, g = glow_templates(size)
     template, strength, formed = g[k].reshape(size), float(max(u[k] / i[k], 0.0)), z[k] > _SHOWS_FORM
+    stands_out = False
     if formed:
+        stands_out = z[k] > _BEFORE_MAPS * _scatter(fields)
         template = formed_fall(fields, names, g, k)
         strength, error = _one(fields, template)
         amplitude = strength
@@ -99,8 +107,16 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
         power=1,
         parameters={"glow": (amplitude, "DN", error)},
         where={"axis": "edge", "edge": names[k]},
-        payload=Glow(template, strength, longest, _weights(u, i), u / i, bool(formed)),
+        payload=Glow(template, strength, longest, _weights(u, i), u / i, bool(formed), bool(stands_out)),
     )
+
+
+def _scatter(fields: tuple[Fields, ...]) -> float:
+    """Spread of the levels of pixels beside those around them, in standard deviations of their noise."""
+    sums = above_neighbours(fields, "exposure" if any(f.exposure_s for f in fields) else "additive")
+    if sums is None or not (seen := sums.information > 0).any():
+        return 1.0
+    return spread_of(sums.score[seen] / np.sqrt(sums.information[seen]))
 
 
 def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float]:
@@ -192,8 +208,9 @@ def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
     return float(np.clip(shown, means.min(), means.max()))
 
 
-def from_edges(*, name: str, parameter: str) -> Signature:
-    """Light that falls off from a corner or an edge of the darks."""
+def from_edges(*, name: str, parameter: str, before: tuple[str, ...]) -> Signature:
+    """Light that falls off from a corner or an edge of the darks. before: signatures of patterns that hold it
+    as well, which are judged once it is gone."""
 
     def simulate(found: Found) -> Addition | None:
         if found.pattern is None:
@@ -223,4 +240,5 @@ def from_edges(*, name: str, parameter: str) -> Signature:
         strength=lambda found, looked, held: glow_again(found, held),
         detectable=BY_SHIFT,
         least=least,
+        before=lambda score: before if score.payload.stands_out else (),
     )

@@ -5,15 +5,62 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import special, stats
+from scipy.interpolate import RegularGridInterpolator
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.rare import log_ratio_of
 
 MOST_SHARE = 0.5
 """Most pixels that may be hot: more are the rule, and no outliers."""
+
+
+_BLOCK = 8
+"""Pixels of a site of the mosaic, a side, whose median is the level around them."""
+_MEDIAN = 1.57
+"""Variance of a median of normal values over that of their mean."""
+
+
+def above_neighbours(fields: tuple[Fields, ...], scaling: str) -> LineSums | None:
+    """Scores and information of what every pixel of the darks has beyond the level around it, as far as such
+    levels differ by more than noise: where the electronics glow all pixels are high, and none of them hot."""
+    sums = pixel_sums(fields, scaling, DARK)
+    if sums is None or min(sums.score.shape) < 4 * _BLOCK:
+        return sums
+    estimate = sums.score / np.maximum(sums.information, 1e-30)
+    around = np.zeros(estimate.shape)
+    for at in SITES:
+        around[at] = _around(estimate[at], sums.information[at])
+    return sums._replace(score=sums.score - sums.information * around)
+
+
+def _around(
+    values: Float[np.ndarray, "h w"], information: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w"]:
+    """Medians of blocks, linear between their middles, shrunk by what of them is chance."""
+    edges = [np.linspace(0, n, n // _BLOCK + 1).astype(int) for n in values.shape]
+    shape = tuple(len(e) - 1 for e in edges)
+    levels, noise = np.zeros(shape), np.zeros(shape)
+    for i, j in np.ndindex(shape):
+        part = np.s_[edges[0][i] : edges[0][i + 1], edges[1][j] : edges[1][j + 1]]
+        known = information[part] > 0
+        if known.any():
+            inside = values[part][known]
+            levels[i, j] = np.median(inside)
+            noise[i, j] = _MEDIAN * (1.4826 * np.median(np.abs(inside - levels[i, j]))) ** 2 / inside.size
+    levels -= np.median(levels)
+    apart = float(np.sum(np.minimum(levels**2, 1e6 * noise + 1e-30)))
+    share = max(1 - 2 * float(noise.sum()) / max(apart, 1e-30), 0.0)
+    if not share:
+        return np.zeros(values.shape)
+    middles = [(e[1:] + e[:-1] - 1) / 2 for e in edges]
+    between = RegularGridInterpolator(middles, share * levels, bounds_error=False, fill_value=None)
+    return between(tuple(np.meshgrid(*(np.arange(n) for n in values.shape), indexing="ij")))
 
 
 class Heat(NamedTuple):
@@ -70,7 +117,7 @@ class Known(NamedTuple):
 def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     """What the darks tell of the heat of every pixel: of a normal value with an exponential mean, the mean is
     a normal one cut off at zero. Beside a map a pixel is either hot or one of the map."""
-    sums = pixel_sums(fields, heat.scaling, DARK)
+    sums = above_neighbours(fields, heat.scaling)
     if sums is None:
         return None
     root = np.sqrt(sums.information) / heat.spread

@@ -12,7 +12,7 @@ from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
-from cannoise_jax.signatures.heat import MOST_SHARE, Heat, known_heat
+from cannoise_jax.signatures.heat import MOST_SHARE, Heat, above_neighbours, known_heat
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -45,7 +45,7 @@ def heat_again(
     """The strength of hot pixels on other frames: the heat that the frames that found them expect of every
     pixel, times how much of it shows again. None where nothing shows it."""
     known = known_heat(first, looked.payload)
-    sums = pixel_sums(second, looked.payload.scaling, DARK)
+    sums = above_neighbours(second, looked.payload.scaling)
     if known is None or sums is None:
         return None
     information = float(np.sum(known.mean**2 * sums.information))
@@ -104,7 +104,7 @@ _STANDS_OUT = float(stats.norm.isf(2e-6))
 
 def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None:
     """A few pixels far above the others in the darks, at the same places in every frame."""
-    sums = pixel_sums(fields, scaling, DARK)
+    sums = above_neighbours(fields, scaling)
     if sums is None:
         return None
     seen = sums.information > 0
@@ -148,7 +148,7 @@ def mask_hot(fields: tuple[Fields, ...], score: Score[Heat]) -> tuple[Fields, ..
         return fields if known is None else without_pixels(fields, known.chance > 0.5)
     out = np.zeros(fields[0].mean.shape, bool)
     for scaling in ("additive", "exposure"):
-        sums = pixel_sums(fields, scaling, DARK)
+        sums = above_neighbours(fields, scaling)
         if sums is not None:
             out |= np.abs(sums.score / np.sqrt(np.maximum(sums.information, 1e-30))) > 4.0
     return without_pixels(fields, out)

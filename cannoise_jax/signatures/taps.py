@@ -28,16 +28,22 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
-LAYOUTS = ((2, 2), (1, 4), (1, 8), (4, 1))
+LAYOUTS = ((1, 2), (2, 1), (2, 2), (1, 4), (1, 8), (4, 1))
 """Regions along rows and along columns."""
+_AREA = 8
+"""Pixels a side of areas whose offsets hold those of regions, and whatever else is shared there."""
+_MOSTLY = 0.5
+"""Share of what such areas hold, from which on regions that explain it are judged before them."""
 _PENALTY = 0.5 * float(np.log(1e3))
 """Nats that an offset of a region must gain."""
 
 
 class Taps(NamedTuple):
-    """Offsets of the regions [along rows, along columns], DN, mean 0."""
+    """Offsets of the regions [along rows, along columns], DN, mean 0, and the share that they are of what
+    small areas hold."""
 
     levels: np.ndarray
+    share: float = 0.0
 
     def image(self, size: tuple[int, int]) -> np.ndarray:
         """The offset of every pixel [H, W], DN."""
@@ -71,6 +77,14 @@ def _explained(score: np.ndarray, information: np.ndarray, shapes: np.ndarray) -
     return float(u @ np.linalg.pinv(i) @ u - u[0] ** 2 / max(float(i[0, 0]), 1e-30))
 
 
+def _of_areas(score: np.ndarray, information: np.ndarray) -> float:
+    """Chi-square of offsets of small areas beyond chance, at least one."""
+    edges = [np.arange(0, n, _AREA) for n in score.shape]
+    u, i = (np.add.reduceat(np.add.reduceat(v, edges[0], 0), edges[1], 1) for v in (score, information))
+    power = np.sum(u**2 / np.maximum(i, 1e-30)) - u.sum() ** 2 / max(float(i.sum()), 1e-30)
+    return max(float(power) - np.count_nonzero(i) + 1, 1.0)
+
+
 def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
     """Offsets of regions of equal size in the darks, where they explain more than as many smooth shapes."""
     dark = [as_it_stays(f) for f in fields if f.kind in DARK and f.static is not None]
@@ -79,6 +93,7 @@ def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
     size = dark[0].mean.shape
     score = np.sum([np.sqrt(f.frames) * f.static * f.weight for f in dark], 0).astype(np.float64)
     information = np.sum([f.frames * f.weight.astype(np.float64) ** 2 for f in dark], 0)
+    of_areas = _of_areas(score, information)
     best: tuple[float, float, int, Taps] | None = None
     for layout in LAYOUTS:
         at = np.ravel_multi_index(np.broadcast_arrays(*regions_of(size, layout)), layout).ravel()
@@ -93,7 +108,7 @@ def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
             score, information, _smooth(size, layout)
         ):
             continue
-        best = evidence, chi2, dof, Taps(levels.reshape(layout))
+        best = evidence, chi2, dof, Taps(levels.reshape(layout), (chi2 - dof) / of_areas)
     total = float(information.sum())
     shift = 2 / np.sqrt(max(total, 1e-30))
     if best is None:
@@ -137,8 +152,9 @@ def tap_absorb(fields: tuple[Fields, ...], score: Score[Taps]) -> tuple[Fields, 
     return tuple(f if f.static is None else minus(f, project(as_it_stays(f), image)) for f in fields)
 
 
-def regions(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
-    """Offsets of regions of equal size."""
+def regions(*, name: str, parameter: str, covers: tuple[str, ...], before: tuple[str, ...]) -> Signature:
+    """Offsets of regions of equal size. before: signatures of small areas
+    and of pixels, which hold them as well."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
         return score.payload.image(fields[0].mean.shape) / max(score.amplitude, 1e-12)
@@ -156,4 +172,5 @@ def regions(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
         place=placed(OFFSETS, unit_map=True),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
+        before=lambda score: before if score.payload.share > _MOSTLY else (),
     )

@@ -22,7 +22,7 @@ from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.settings import DEFAULT, baseline_at, settings_of
+from cannoise_jax.physics.core.settings import baseline_at, settings_of
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, Model, load_model, of_camera, sample_noise
@@ -104,7 +104,7 @@ def _generator(path: Path, model: Model, capture: CaptureSet) -> Draw:
     # By setting: the model reads the level of the noise off them.
     references: dict[tuple[float, float], list[Any]] = {}
     for r in shown:
-        setting = isos[r.iso], r.exposure_s or DEFAULT.exposure_s
+        setting = isos[r.iso], settings_of(r, isos[r.iso], 1).exposure_s
         references.setdefault(setting, []).append(jnp.asarray(_packed_frame(r)))
     cfa = lit[0].cfa
 

@@ -69,7 +69,7 @@ def _seen(r: Recording, f: Fields, longest: float) -> Seen:
         shot=f.shot * f.usable if f.lit else np.zeros(variance.shape),
         read=np.clip(1 - f.shot - f.step**2 / 12 / variance, 0, 1) * f.usable,
         tails=np.asarray(known_kurtosis(f)[1] * f.usable, np.float64),
-        exposure=(r.exposure_s or longest) / longest,
+        exposure=(longest if r.exposure_s is None else r.exposure_s) / longest,
         seconds=r.exposure_s or 0.0,
         gain=float(np.mean(f.gain)),
     )
