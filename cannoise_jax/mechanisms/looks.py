@@ -18,7 +18,6 @@ from cannoise_jax.signatures import (
     glow,
     groups,
     hot,
-    jumps_beside,
     lattice,
     levels,
     light,
@@ -53,13 +52,11 @@ LIGHT_LEVELS = ("greens", "shading", *SCALES)
 """Signatures of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
 channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
 part of the fitted read noise too, so a stated read noise is not judged beside it."""
-SHAPES = ("kurtosis", "light_tails", "pixel_spread", "skewness", "telegraph", "telegraph_beside")
+SHAPES = ("kurtosis", "light_tails", "pixel_spread", "skewness", "telegraph")
 """Signatures of the shape of the noise of single pixels."""
 HOT = ("hot_additive", "hot_thermal")
 NOISY = (*SHAPES, *HOT)
 """Those that cannot be trusted once one of them is in the model."""
-BUT_SPREAD = tuple(name for name in NOISY if name != "pixel_spread")
-"""The same but for the noise of single pixels, which is judged once those that jump are gone."""
 MAPS = ("pixel_additive_static", "pixel_thermal_static")
 """Signatures of maps of all pixels, which are judged once hot ones that stand out from them are gone."""
 THERMAL_LINES = ("row_thermal_static", "column_thermal_static")

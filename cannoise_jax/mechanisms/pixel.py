@@ -235,8 +235,6 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=looks.always(
             looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
                                     fixed="hot_additive", growing="hot_thermal"),
-            looks.jumps_beside.jumping_beside(name="telegraph_beside", covers=looks.BUT_SPREAD,
-                                              before=("pixel_spread", "telegraph", *looks.HOT)),
         ),
         estimator=Estimator(noise.rts, law="telegraph", loud=noise.telegraph_sites,
                             maps=measured.telegraph),

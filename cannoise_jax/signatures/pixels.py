@@ -26,11 +26,11 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
-SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
+_SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Relative spreads of the pixels' noise that are tried; a parabola goes between."""
 
 
-def square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
+def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
     """Temporal sum of squares of every pixel over all darks, which pixels to use, the degrees of freedom."""
     chosen = darks(fields)
     freedom = sum(len(f.contrasts) for f in chosen)
@@ -42,7 +42,7 @@ def square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int]
 
 def sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
     """The sums of squares of the usable pixels and their degrees of freedom."""
-    found = square_map(fields)
+    found = _square_map(fields)
     return None if found is None else (found[0][found[1]], found[2])
 
 
@@ -90,7 +90,7 @@ def spread_score(fields: tuple[Fields, ...]) -> Score | None:
     counts, centre = histogram(squares)
     best, at = 0.0, 0.0
     gains = []
-    for spread in SPREADS:
+    for spread in _SPREADS:
         width = np.sqrt(np.log1p(spread**2))
         variance = np.exp(2 * (width * nodes - width**2))
         log_terms = -n / 2 * np.log(variance) + 0.5 * centre[:, None] * (1 - 1 / variance)
@@ -100,7 +100,7 @@ def spread_score(fields: tuple[Fields, ...]) -> Score | None:
         )
     k = int(np.argmax(gains))
     if gains[k] > 0:
-        best, at = gains[k], parabola_peak(np.array(SPREADS), np.array(gains), k)
+        best, at = gains[k], parabola_peak(np.array(_SPREADS), np.array(gains), k)
     # chi-square dispersion grows by 4 spread^2 n^2.
     unit = 4 * n**2 / np.sqrt(_dispersion_variance(n) * squares.size) * squares.size
     error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
@@ -132,7 +132,7 @@ def histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Takes the pixels whose variance stands out in the darks out of every field."""
-    found = square_map(fields)
+    found = _square_map(fields)
     if found is None:
         return fields
     return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))

@@ -119,7 +119,7 @@ def spread_of(u: np.ndarray) -> float:
     return max(size, 1.0)
 
 
-JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
+_JUMPS = np.exp(np.linspace(np.log(0.5), np.log(60.0), 24))
 """Jumps of single pixels that are summed over, standard deviations of the noise."""
 MEAN_JUMPS = tuple(np.exp(np.linspace(np.log(0.7), np.log(30), 12)))
 """Means of them that are tried."""
@@ -130,9 +130,9 @@ FAR_JUMPS = tuple(j for j in MEAN_JUMPS if j > 2)
 def jump_log_ratio(squares: np.ndarray, n: int, mean: float) -> np.ndarray:
     """Log density of a pixel's sum of squares, n degrees of freedom, with jumps spread exponentially about
     this mean over that without."""
-    extra = 1 + JUMPS**2 / 4
+    extra = 1 + _JUMPS**2 / 4
     single = -n / 2 * np.log(extra) + 0.5 * squares[:, None] * (1 - 1 / extra)
-    weight = np.exp(-JUMPS / mean) * np.gradient(JUMPS)
+    weight = np.exp(-_JUMPS / mean) * np.gradient(_JUMPS)
     top = single.max(1, keepdims=True)
     mixed = top[:, 0] + np.log(np.exp(single - top) @ (weight / weight.sum()))
     return mixed.clip(-50, 600)

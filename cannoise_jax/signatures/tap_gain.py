@@ -121,7 +121,7 @@ class _Cells(NamedTuple):
 
 def _in_cells(fields: Many) -> _Cells | None:
     sums = pixel_sums(fields, "signal", ("flat",))
-    if sums is None or any(n < 2 * k for n, k in zip(sums.score.shape, CELLS, strict=True)):
+    if sums is None or any(n < k for n, k in zip(sums.score.shape, CELLS, strict=True)):
         return None
     groups = cell_groups(sums.score.shape, CELLS)
     # Single pixels far off their own noise are none of a region's.

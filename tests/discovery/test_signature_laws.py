@@ -113,7 +113,8 @@ def test_the_error_of_a_signed_value_is_its_spread_without_an_effect(name):
 UNTOLD = {
     "moving, reference_shift, reference_blur, warm, lag_in_time, row_turns_temporal": "norms, of recordings",
     "clocking, hits, corrected, lattice, taps": "zero without an effect, which recordings alone show",
-    "kurtosis, light_tails, pixel_spread": "told of one side alone: zero on the other",
+    "tap_gains": "zero without steps",
+    "kurtosis, light_tails, pixel_spread, taps_redrawn": "told of one side alone: zero on the other",
     "saturation, signal_step, iso_step, code_spacing, pile_up": "of levels and codes, not of draws",
 }
 """Signatures whose error is held against no spread here, and what their values are without an effect."""
@@ -182,8 +183,9 @@ def test_an_offset_of_all_codes_does_not_matter(name):
     assert one is not None and same(one, other, 1e-3)
 
 
-ONE_WAY = ("flicker", "row_slope", "row_light", "row_turns_temporal", "smear", "raster_slope")
-"""Signatures of the order in which a sensor is read, which have no counterpart along the other axis."""
+ONE_WAY = ("flicker", "row_slope", "row_light", "row_turns_temporal", "smear", "raster_slope", "taps_redrawn")
+"""Signatures of the order in which a sensor is read, which have no counterpart along the other axis: rows are
+read one after another, and regions lie side by side more than above each other."""
 
 
 def counterpart(name: str) -> str:

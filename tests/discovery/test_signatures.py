@@ -136,7 +136,7 @@ UNPLANTED = {
     "reference_spread": "discovery/test_mde.py",
     "shading": "discovery/test_mde.py",
     "moving, clocking, warm, hits, lag_in_time, lattice, corrected": "discovery/test_beyond.py",
-    "taps": "discovery/test_taps.py",
+    "taps, taps_redrawn, tap_gains": "discovery/test_taps.py",
     "row_turns_temporal": "discovery/test_parity.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single

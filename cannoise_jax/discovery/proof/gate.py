@@ -37,6 +37,11 @@ LEAST_GAIN = 2e-4
 """Nats a pixel that the composite score of two draws of one model differs by chance."""
 
 
+OF_GAIN = 0.01
+"""Share of what the findings gain in the composite score that the remainder beside them may cost, where the
+draws come nearer by all that a classifier sees."""
+
+
 class Gain(NamedTuple):
     """A change with its 90 % interval."""
 
@@ -49,18 +54,20 @@ class Tried(NamedTuple):
     """One candidate beside the simulator before it. what: `findings`, `confirmed findings` or `remainder`;
     steps:
     findings in it; score: of the composite score, nats a pixel, area: of the distance of the two-sample
-    area from 0.5 (None: not measured); entered: whether it is in the simulator that is handed back."""
+    area from 0.5 (None: not measured); entered: whether it is in the simulator that is handed back; least:
+    change of the score that counts as none."""
 
     what: str
     steps: int
     score: Gain | None
     area: Area | None
     entered: bool
+    least: float = LEAST_GAIN
 
     @property
     def better(self) -> bool:
         """Whether one measure improved beyond its interval, and none became worse."""
-        return not self.worse and ((self.score is not None and self.score.low > LEAST_GAIN) or self.nearer)
+        return not self.worse and ((self.score is not None and self.score.low > self.least) or self.nearer)
 
     @property
     def nearer(self) -> bool:
@@ -71,7 +78,7 @@ class Tried(NamedTuple):
     def worse(self) -> bool:
         """Whether a measure became worse beyond its interval."""
         score = (
-            0 if self.score is None else int(self.score.low > LEAST_GAIN) - int(self.score.high < -LEAST_GAIN)
+            0 if self.score is None else int(self.score.low > self.least) - int(self.score.high < -self.least)
         )
         area = 0 if self.area is None else int(self.area.high < 0) - int(self.area.low > 0)
         return min(score, area) < 0
@@ -157,11 +164,19 @@ def remaining(
             continue
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, gated.after, looked)
+        if some:
+            tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(panel, gated, spare)))
         enters = tried.better and (len(some) == len(gated.steps) or tried.nearer)
         gated = gated._replace(tried=(*gated.tried, tried._replace(entered=enters)))
         if enters:
             gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
     return gated
+
+
+def _gained(panel: Panel, gated: Gated, spare: Gated) -> float:
+    """What the findings gained in the composite score, nats a pixel."""
+    gain = score_gain(panel, gated.before, spare.after)
+    return 0.0 if gain is None else gain.value
 
 
 def _told(panel: Panel, looked: Looked) -> bool:
