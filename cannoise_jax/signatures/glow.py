@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.falls import (
@@ -26,13 +27,14 @@ from cannoise_jax.signatures.falls import (
 )
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.handed import Addition, Found
-from cannoise_jax.signatures.heat import above_neighbours
+from cannoise_jax.signatures.heat import above_neighbours, levels_around
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
     template,
 )
 from cannoise_jax.signatures.means import minus, project
+from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.rare import spread_of
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
@@ -50,6 +52,8 @@ _SHOWS_FORM = 20.0
 _BEFORE_MAPS = 8.0
 """Standard deviations of a glow, of the levels of pixels as they scatter, from which on it is judged before
 maps of pixels, which hold it as well. Independent levels look like none of it."""
+_MOSTLY = 0.8
+"""And the share of how levels differ from place to place that it explains."""
 _OPEN = 0.02
 """Posterior weight, against the best, down to which a template may be the glow."""
 
@@ -93,10 +97,10 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     template, strength, formed = g[k].reshape(size), float(max(u[k] / i[k], 0.0)), z[k] > _SHOWS_FORM
     stands_out = False
     if formed:
-        stands_out = z[k] > _BEFORE_MAPS * _scatter(fields)
         template = formed_fall(fields, names, g, k)
         strength, error = _one(fields, template)
         amplitude = strength
+        stands_out = z[k] > _BEFORE_MAPS * _scatter(fields) and _share(fields, template) > _MOSTLY
     return Score(
         log_p=sidak(normal_log_p(float(z[k]), 1), TRIALS),
         gain=0.5 * max(float(z[k]), 0.0) ** 2,
@@ -117,6 +121,16 @@ def _scatter(fields: tuple[Fields, ...]) -> float:
     if sums is None or not (seen := sums.information > 0).any():
         return 1.0
     return spread_of(sums.score[seen] / np.sqrt(sums.information[seen]))
+
+
+def _share(fields: tuple[Fields, ...], template: np.ndarray) -> float:
+    """Share of how the levels around pixels differ that a fall explains."""
+    sums = pixel_sums(fields, "exposure" if any(f.exposure_s for f in fields) else "additive", DARK)
+    if sums is None:
+        return 0.0
+    levels = levels_around(sums)
+    levels, fall = (v - np.median(v) for v in (levels, template))
+    return float(np.sum(levels * fall) ** 2 / max(float(np.sum(levels**2) * np.sum(fall**2)), 1e-30))
 
 
 def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float]:

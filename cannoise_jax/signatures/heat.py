@@ -30,13 +30,20 @@ def above_neighbours(fields: tuple[Fields, ...], scaling: str) -> LineSums | Non
     """Scores and information of what every pixel of the darks has beyond the level around it, as far as such
     levels differ by more than noise: where the electronics glow all pixels are high, and none of them hot."""
     sums = pixel_sums(fields, scaling, DARK)
-    if sums is None or min(sums.score.shape) < 4 * _BLOCK:
-        return sums
+    if sums is None:
+        return None
+    return sums._replace(score=sums.score - sums.information * levels_around(sums))
+
+
+def levels_around(sums: LineSums) -> Float[np.ndarray, "h w"]:
+    """The level around every pixel as far as such levels differ by more than noise, DN or DN/s."""
+    around = np.zeros(sums.score.shape)
+    if min(around.shape) < 4 * _BLOCK:
+        return around
     estimate = sums.score / np.maximum(sums.information, 1e-30)
-    around = np.zeros(estimate.shape)
     for at in SITES:
         around[at] = _around(estimate[at], sums.information[at])
-    return sums._replace(score=sums.score - sums.information * around)
+    return around
 
 
 def _around(

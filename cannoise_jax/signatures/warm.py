@@ -78,17 +78,19 @@ _AREA = 8
 
 
 def _without_areas(
-    values: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"]
-) -> Float[np.ndarray, "n h w"]:
+    values: Float[np.ndarray, "*n h w"], usable: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "*n h w"]:
     """Without the means of small areas. What regions share moves from frame to frame, and what of it is left
-    in the mean of a few frames is in the map as well: their products are large by chance."""
+    in the mean of a few frames is in the map as well: their products are large by chance. Of far pixels no
+    more than of the others, or they would spread over their areas."""
     edges = [np.arange(0, n, _AREA) for n in usable.shape]
     size = [np.diff(np.append(at, n)) for at, n in zip(edges, usable.shape, strict=True)]
 
     def sums(x: np.ndarray) -> np.ndarray:
         return np.add.reduceat(np.add.reduceat(x, edges[0], -2), edges[1], -1)
 
-    means = sums(values * usable) / np.maximum(sums(usable.astype(np.float32)), 1)
+    limit = 4 * max(robust_std(values[..., usable], 0), 1e-12) if usable.any() else 0.0
+    means = sums(values.clip(-limit, limit) * usable) / np.maximum(sums(usable.astype(np.float32)), 1)
     return (values - np.repeat(np.repeat(means, size[0], -2), size[1], -1)) * usable
 
 

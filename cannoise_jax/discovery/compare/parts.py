@@ -14,6 +14,7 @@ from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, stand_o
 from cannoise_jax.discovery.compare.run import asked_signal
 from cannoise_jax.discovery.compare.shapes import Pattern
 from cannoise_jax.discovery.compare.sources import Source
+from cannoise_jax.discovery.compare.strays import without_strays
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import code_step, steady
@@ -116,6 +117,7 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
     raw, drawn = (
         d._replace(contrasts=(d.contrasts if dark else _steady(d)) / np.sqrt(unit)) for d in (raw, drawn)
     )
+    raw, drawn = without_strays(raw, drawn)
     n = len(raw.contrasts)
     own = np.mean(raw.contrasts**2, 0) if n else np.full(raw.mean.shape, typical)
     dof = len(drawn.contrasts)
