@@ -351,7 +351,10 @@ def _run(
             config.references,
         )
     except OSError as error:
-        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+        raise BadInput(
+            f"{workdir}: cannot be written ({error.strerror or error}): make room and run again; it "
+            "goes on from the last checkpoint"
+        ) from error
     print(f"\n{workdir}/results.json, {workdir}/noise.png; {seconds / 60:.1f} minutes")
     return 0
 

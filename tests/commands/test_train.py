@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -155,6 +156,14 @@ def test_an_interruption_that_python_drops_is_not_lost(tmp_path, capsys, monkeyp
 def test_help(capsys):
     assert train.main(["--help"]) == 0
     assert "--workdir" in capsys.readouterr().out
+
+
+def test_a_workdir_that_takes_no_files_is_refused_before_any_work(capsys):
+    assert train.main(["--workdir", "/proc", "--config", CI]) == 2
+    captured = capsys.readouterr()
+    remedy = "make it writable, or name another --workdir"
+    assert re.fullmatch(rf"bin/train: /proc: cannot be written \(.*\): {remedy}\n", captured.err)
+    assert "reading the data" not in captured.out
 
 
 def test_a_workdir_goes_on_with_its_own_config(tmp_path):
