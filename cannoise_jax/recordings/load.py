@@ -21,7 +21,10 @@ _FORMATS: tuple[tuple[tuple[str, ...], Callable[..., Recording], Callable[..., O
 )
 UNREAD = (
     (
-        (".jpg", ".jpeg", ".heic", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf"),
+        (
+            *(".jpg", ".jpeg", ".heic", ".heif", ".avif", ".gif", ".webp", ".psd", ".xisf"),
+            *(".ser", ".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".wmv", ".mpg", ".mpeg"),
+        ),
         "developed pictures and films hold no raw values: give what the camera stored, as camera raw or FITS",
     ),
     ((".bz2", ".xz", ".zst", ".lz4", ".z", ".zip", ".7z", ".rar", ".tar", ".tgz", ".gz"), "unpack them"),

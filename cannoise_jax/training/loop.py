@@ -63,6 +63,8 @@ class NonFiniteLoss(RuntimeError):
 def check_workdir(config: ConfigDict, workdir: Path) -> None:
     """Makes the workdir. Raises BadInput where it cannot be written, or holds another config."""
     path = workdir / "config.json"
+    if workdir.is_file():
+        raise BadInput(f"{workdir}: is a file: name a folder for --workdir")
     try:
         workdir.mkdir(parents=True, exist_ok=True)
         if path.exists():

@@ -158,12 +158,15 @@ def test_help(capsys):
     assert "--workdir" in capsys.readouterr().out
 
 
-def test_a_workdir_that_takes_no_files_is_refused_before_any_work(capsys):
+def test_a_workdir_that_takes_no_files_is_refused_before_any_work(tmp_path, capsys):
     assert train.main(["--workdir", "/proc", "--config", CI]) == 2
     captured = capsys.readouterr()
     remedy = "make it writable, or name another --workdir"
     assert re.fullmatch(rf"bin/train: /proc: cannot be written \(.*\): {remedy}\n", captured.err)
     assert "reading the data" not in captured.out
+    (tmp_path / "file").write_text("")
+    assert train.main(["--workdir", str(tmp_path / "file"), "--config", CI]) == 2
+    assert "file: is a file: name a folder for --workdir" in capsys.readouterr().err
 
 
 def test_a_workdir_goes_on_with_its_own_config(tmp_path):
