@@ -82,6 +82,17 @@ def test_the_page_holds_every_figure_and_no_other_file(transfers):
     assert "nan" not in page.lower().replace("nance", "")
 
 
+def test_its_style_is_well_formed(transfers):
+    """A block of the style that is left open takes all rules after it with it."""
+    style = re.search("<style>(.*?)</style>", sheet_page("Acme X", sheet_data(transfers)), re.DOTALL)[1]
+    depth, opened = 0, []
+    for at, sign in ((m.start(), m.group()) for m in re.finditer("[{}]", style)):
+        depth += 1 if sign == "{" else -1
+        opened += [style[:at].rsplit("\n", 1)[-1]] if depth > 2 else []
+        assert depth >= 0
+    assert depth == 0 and not opened
+
+
 def test_the_printed_table_is_not_cut_off(transfers):
     """Paper does not scroll: every column must be able to wrap, and intervals stay in one piece."""
     page = sheet_page("Acme X", sheet_data(transfers))
