@@ -15,7 +15,7 @@ import pytest
 from cannoise_jax.commands import train
 from cannoise_jax.commands.train import main
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.training import data
+from cannoise_jax.training import data, devices
 
 CI = str(Path(__file__).resolve().parents[2] / "configs" / "ci.py")
 
@@ -118,6 +118,21 @@ def test_after_a_start_that_failed_another_config_may_follow(tmp_path, capsys):
     nowhere = str(tmp_path / "nowhere")
     assert "no such folder" in start("--recordings", nowhere)
     assert "no such folder" in start("--recordings", nowhere, "--config.loss.triplet=0")
+
+
+@pytest.mark.parametrize("more", [[], ["--coordinator", "localhost:1"]])
+def test_a_run_that_took_no_step_leaves_nothing_for_another_config_to_stumble_over(
+    more, tmp_path, monkeypatch
+):
+    def interrupted(config, workdir):
+        (workdir / "checkpoints").mkdir()
+        (workdir / "config.json").write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(data, "load_data", interrupted)
+    monkeypatch.setattr(devices, "join", lambda *given: None)
+    assert train.main(["--workdir", str(tmp_path / "run"), "--config", CI, *more]) == 130
+    assert (tmp_path / "run").exists() == bool(more)  # where processes share it, it is others', too
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
