@@ -66,17 +66,19 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model
+    from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
     from cannoise_jax.physics.transfer.table import format_transfer
     from cannoise_jax.recordings.atomic import texts_in_place
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture, own)
-    for transfer in transfers:
+    shown = tuple(map(of_all_pixels, transfers))
+    for transfer in shown:
         print(format_transfer(transfer), end="\n\n")
     if findings:
         print(format_findings(findings), end="\n\n")
     model = sensor_model(transfers, findings)
-    texts = _texts(beside, model.camera, transfers, capture)
+    texts = _texts(beside, model.camera, shown, capture)
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"

@@ -111,6 +111,7 @@ def _is_function(simulator: str) -> bool:
 
 
 def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
+    from cannoise_jax.discovery.frames.simulate import check_file
     from cannoise_jax.discovery.search.declare import registered
     from cannoise_jax.mechanisms import ENTRIES
     from cannoise_jax.mechanisms.outside import entries_of, function_at
@@ -121,7 +122,10 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     check_place(arguments.out / "sensor.json")
     # What flags name is looked up before minutes are spent on the recordings.
     simulator = arguments.simulator
-    simulator = function_at(simulator) if _is_function(simulator) else simulator
+    if _is_function(simulator):
+        simulator = function_at(simulator)
+    elif simulator not in _BUILT_IN:
+        check_file(simulator)
     without = tuple(id.strip() for id in arguments.without.split(",") if id.strip())
     mechanisms = (*ENTRIES, *entries_of(arguments.mechanisms))
     registered(without, mechanisms)

@@ -84,7 +84,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with _interruptible() as check:
             config, workdir, values = _read_flags(arguments)
-            with _no_empty_folder(workdir):
+            with _no_empty_folder(workdir, values.processes is None and values.coordinator is None):
                 return _run(config, workdir, values, started, check)
     except BadInput as error:
         print(f"bin/train: {error}", file=sys.stderr)
@@ -125,15 +125,19 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def _no_empty_folder(folder: Path) -> Iterator[None]:
-    """A folder that a run has made and not filled when it is refused or interrupted is taken away again."""
+def _no_empty_folder(folder: Path, alone: bool) -> Iterator[None]:
+    """A folder that a run has made and not filled when it is refused or interrupted is taken away again, with
+    its config where no step was taken; unless other processes share it (not alone)."""
     there = folder.exists()
     try:
         yield
     except (BadInput, KeyboardInterrupt):
         if not there:
             with suppress(OSError):
-                folder.rmdir()  # only where it is empty
+                if alone and {p.name for p in folder.iterdir()} == {"checkpoints", "config.json"}:
+                    (folder / "checkpoints").rmdir()  # only where it is empty
+                    (folder / "config.json").unlink()
+                folder.rmdir()
         raise
 
 
@@ -351,7 +355,10 @@ def _run(
             config.references,
         )
     except OSError as error:
-        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+        raise BadInput(
+            f"{workdir}: cannot be written ({error.strerror or error}): make room and run again; it "
+            "goes on from the last checkpoint"
+        ) from error
     print(f"\n{workdir}/results.json, {workdir}/noise.png; {seconds / 60:.1f} minutes")
     return 0
 

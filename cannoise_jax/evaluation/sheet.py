@@ -21,8 +21,8 @@ def sheet_page(camera: str, settings: Sequence[dict[str, Any]], made_by: str = "
 
 def _figures(s: dict[str, Any]) -> list[dict[str, str]]:
     names = s["channels"]
-    mono = s["cfa"] == "MONO"
-    chosen = (0,) if mono else (0, 1, 2, 3)
+    mono = len(names) == 1
+    chosen = range(len(names))
     colour = [1, 2, 3, 4] if not mono else [0, 0, 0, 0]
     label = [""] * 4 if mono else names
     t, out = s["transfer"], []

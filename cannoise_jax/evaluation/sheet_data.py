@@ -14,12 +14,14 @@ import numpy as np
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
-from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, with_all_sites
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channels_of, of_all_pixels
 from cannoise_jax.physics.transfer.table import format_outcome
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK, per_channel
 
+Channels = Sequence[int]
+"""Those that are shown: the mosaic's sites, or `ALL` of a sensor without colours."""
 _RANGE = (0.05, 0.95)
 """Share of saturation between which linearity is judged (EMVA 1288, section 6.7)."""
 _OTHER_LIGHT = 10.0
@@ -49,41 +51,46 @@ def sheet_data(transfers: Sequence[PhotonTransfer]) -> list[dict[str, Any]]:
 
 
 def _setting(t: PhotonTransfer) -> dict[str, Any]:
-    names = channel_names(t.cfa)
-    first = t.statistics[0].recording
+    t = of_all_pixels(t)
+    statistics, names = t.statistics, channels_of(t)
+    first = statistics[0].recording
     base = t.baseline if isinstance(t.baseline, Baseline) else None
     # Without a baseline the level of the darks, where there are any, is still better than what was stated.
-    black = per_channel(base.black_level) if base else first.black_level
-    lit = [s for s in t.statistics if s.recording.kind == "flat"]
-    lit = lit or [s for s in t.statistics if s.recording.kind == "scene"]
-    dark = [s for s in t.statistics if s.recording.kind in DARK]
-    points = _points(lit, black)
-    straight = _linearity(lit, black, first.white_level)
+    black: tuple[float, ...] = per_channel(base.black_level) if base else first.black_level
+    channels: Channels = range(4)
+    if len(names) == 1:
+        statistics, channels = tuple(map(with_all_sites, statistics)), (ALL,)
+        black = (*black, float(np.mean(black)))
+    lit = [s for s in statistics if s.recording.kind == "flat"]
+    lit = lit or [s for s in statistics if s.recording.kind == "scene"]
+    dark = [s for s in statistics if s.recording.kind in DARK]
+    points = _points(lit, black, channels)
+    straight = _linearity(lit, black, first.white_level, channels)
     return {
         "iso": t.iso,
         "gain_db": first.gain_db,
         "channels": list(names),
         "size": list(first.size),
         "cfa": t.cfa,
-        "recordings": sorted(map(_recording, t.statistics), key=_order),
-        "table": _table(t, base, straight),
-        "gain": base.gain.tolist() if base else None,
-        "read_noise_dn": base.read_noise.tolist() if base else None,
+        "recordings": sorted((_recording(s, channels) for s in statistics), key=_order),
+        "table": _table(t, base, straight, len(names)),
+        "gain": base.gain[: len(names)].tolist() if base else None,
+        "read_noise_dn": base.read_noise[: len(names)].tolist() if base else None,
         "transfer": points,
         "linearity": straight,
-        "dark": _dark_points(dark),
-        "spectra": _spectra(lit, dark, black, first.white_level),
+        "dark": _dark_points(dark, channels),
+        "spectra": _spectra(lit, dark, black, first.white_level, channels),
     }
 
 
-def _recording(s: FrameStatistics) -> dict[str, Any]:
+def _recording(s: FrameStatistics, channels: Channels) -> dict[str, Any]:
     r = s.recording
     return {
         "kind": r.kind,
         "frames": r.count,
         "exposure_s": r.exposure_s,
         "temperature_c": r.temperature_c,
-        "level_dn": [float(v) for v in s.level],
+        "level_dn": [float(s.level[c]) for c in channels],
     }
 
 
@@ -92,22 +99,26 @@ def _order(recording: dict[str, Any]) -> tuple[str, bool, float, float]:
     return recording["kind"], seconds is None, seconds or 0.0, max(recording["level_dn"])
 
 
-def _points(lit: Sequence[FrameStatistics], black: Sequence[float]) -> dict[str, list[list[float]]]:
+def _points(
+    lit: Sequence[FrameStatistics], black: Sequence[float], channels: Channels
+) -> dict[str, list[list[float]]]:
     """Mean above black and temporal variance of every lit recording, DN and DN^2, by channel."""
-    mean: list[list[float]] = [[], [], [], []]
-    variance: list[list[float]] = [[], [], [], []]
+    mean: list[list[float]] = [[] for _ in channels]
+    variance: list[list[float]] = [[] for _ in channels]
     for s in (s for s in lit if s.variance is not None):
-        for c in range(4):
+        for at, c in enumerate(channels):
             usable = ~site(s.clipped, c)
             if not usable.any():
                 continue
             square, _ = robust_mean_square(pixel_variance(s, c)[usable], s.dof)
-            mean[c].append(float(site(s.mean, c)[usable].mean() - black[c]))
-            variance[c].append(float(square))
+            mean[at].append(float(site(s.mean, c)[usable].mean() - black[c]))
+            variance[at].append(float(square))
     return {"mean": mean, "variance": variance}
 
 
-def _linearity(lit: Sequence[FrameStatistics], black: Sequence[float], white: float) -> dict[str, Any] | None:
+def _linearity(
+    lit: Sequence[FrameStatistics], black: Sequence[float], white: float, channels: Channels
+) -> dict[str, Any] | None:
     """Signal over exposure of flats under one light, with a line of least relative deviations, by channel;
     None for fewer than three exposures, and for flats that lie far off any line. error: mean absolute
     deviation, %, between `_RANGE` of saturation."""
@@ -116,7 +127,7 @@ def _linearity(lit: Sequence[FrameStatistics], black: Sequence[float], white: fl
         return None
     seconds = np.array([s.recording.exposure_s for s in flats], float)
     out: dict[str, Any] = {"seconds": seconds.tolist(), "signal": [], "fit": [], "deviation": [], "error": []}
-    for c in range(4):
+    for c in channels:
         signal = np.array([s.frame_means[:, c].mean() - black[c] for s in flats])
         # Saturation is where codes pile up, which may be below the white level.
         top = min([white, *(s.high[c] for s in flats if np.isfinite(s.high[c]))]) - black[c]
@@ -134,44 +145,45 @@ def _linearity(lit: Sequence[FrameStatistics], black: Sequence[float], white: fl
     return out if max(out["error"]) < _OTHER_LIGHT else None
 
 
-def _dark_points(dark: Sequence[FrameStatistics]) -> dict[str, Any]:
+def _dark_points(dark: Sequence[FrameStatistics], channels: Channels) -> dict[str, Any]:
     known = sorted(
         (s for s in dark if s.recording.exposure_s is not None), key=lambda s: s.recording.exposure_s or 0
     )
     return {
         "seconds": [s.recording.exposure_s for s in known],
-        "mean": [[float(s.frame_means[:, c].mean()) for s in known] for c in range(4)],
+        "mean": [[float(s.frame_means[:, c].mean()) for s in known] for c in channels],
         "variance": [
             [
                 float("nan") if s.variance is None else robust_mean_square(pixel_variance(s, c), s.dof)[0]
                 for s in known
             ]
-            for c in range(4)
+            for c in channels
         ],
     }
 
 
 def _spectra(
-    lit: Sequence[FrameStatistics], dark: Sequence[FrameStatistics], black: Sequence[float], white: float
-) -> dict[str, Any]:
+    lit: Sequence[FrameStatistics], dark: Sequence[FrameStatistics], black: Sequence[float], white: float,
+    channels: Channels,
+) -> dict[str, Any]:  # fmt: skip
     """Root mean power along rows and columns of the mean dark frame (DN) and the mean flat (%), every channel
     about its mean, and the level that temporal noise leaves in such a mean."""
     out: dict[str, Any] = {}
     shown = max((s for s in dark if s.variance is not None), key=lambda s: s.recording.count, default=None)
     if shown is not None:
-        out["dark"] = _spectrum(shown, np.zeros(4), np.ones(4))
+        out["dark"] = _spectrum(shown, np.zeros(5), np.ones(5), channels)
     flats = [s for s in lit if s.recording.kind == "flat" and s.variance is not None]
     flat = min(flats, key=lambda s: abs(s.level[0] / (white - black[0]) - 0.5), default=None)
     if flat is not None and min(flat.level) > 0:
-        levels = np.array([flat.frame_means[:, c].mean() - black[c] for c in range(4)])
-        out["flat"] = _spectrum(flat, np.asarray(black), levels / 100)
+        levels = flat.frame_means.mean(0) - np.asarray(black)
+        out["flat"] = _spectrum(flat, np.asarray(black), levels / 100, channels)
     return out
 
 
-def _spectrum(s: FrameStatistics, offset: np.ndarray, unit: np.ndarray) -> dict[str, Any]:
+def _spectrum(s: FrameStatistics, offset: np.ndarray, unit: np.ndarray, channels: Channels) -> dict[str, Any]:
     power: dict[str, list[np.ndarray]] = {"rows": [], "columns": []}
     noise = []
-    for c in range(4):
+    for c in channels:
         plane = (site(s.mean, c) - offset[c]) / unit[c]
         plane = np.clip(plane - np.median(plane), *np.quantile(plane - np.median(plane), (0.001, 0.999)))
         plane = plane - plane.mean()
@@ -182,19 +194,22 @@ def _spectrum(s: FrameStatistics, offset: np.ndarray, unit: np.ndarray) -> dict[
     for name, values in power.items():
         mean = np.sqrt(np.mean(values, 0))[1:]
         keep = np.unique(np.round(np.geomspace(1, len(mean), 240)).astype(int)) - 1
-        # Cycles per pixel of the mosaic: a channel has every second one.
-        frequency = 0.5 * np.arange(1, len(mean) + 1) / (2 * len(mean))
+        # Cycles per pixel of the mosaic: one of four channels has every second one.
+        pitch = 1 if len(channels) == 1 else 2
+        frequency = 0.5 * np.arange(1, len(mean) + 1) / (pitch * len(mean))
         out[name] = {"frequency": frequency[keep].tolist(), "amplitude": mean[keep].tolist()}
     return out
 
 
-def _table(t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None) -> list[dict[str, Any]]:
+def _table(
+    t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None, count: int
+) -> list[dict[str, Any]]:
     rows = []
     for name, unit, title in _ROWS:
         outcomes: Sequence[Outcome] = _derived(t, base, straight, name, unit) or t.outcomes(name, unit)
         if not outcomes:
             continue
-        outcomes = outcomes if len(outcomes) == 4 else list(outcomes) * 4
+        outcomes = outcomes if len(outcomes) == count else list(outcomes) * count
         missing = [o.record for o in outcomes if isinstance(o, NotMeasurable)]
         rows.append(
             {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,18 @@ _FORMATS: tuple[tuple[tuple[str, ...], Callable[..., Recording], Callable[..., O
 )
 UNREAD = (
     (
-        (".jpg", ".jpeg", ".heic", ".gif", ".webp", ".ser", ".avi", ".mp4", ".xisf"),
+        (
+            *(".jpg", ".jpeg", ".heic", ".heif", ".avif", ".gif", ".webp", ".psd", ".xisf"),
+            *(".ser", ".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".wmv", ".mpg", ".mpeg"),
+        ),
         "developed pictures and films hold no raw values: give what the camera stored, as camera raw or FITS",
     ),
     ((".bz2", ".xz", ".zst", ".lz4", ".z", ".zip", ".7z", ".rar", ".tar", ".tgz", ".gz"), "unpack them"),
     ((".bin", ".raw8", ".raw10", ".raw12", ".raw14", ".raw16", ".mipiraw", ".bayer"), HEADERLESS),
 )
 """Suffixes that people try and no reader takes, and what to do instead."""
+_CAMERAS = 3
+"""Cameras that a message names with their files."""
 _READERS = {suffix: read for suffixes, read, _ in _FORMATS for suffix in suffixes}
 _OPENERS = {suffix: open_ for suffixes, _, open_ in _FORMATS for suffix in suffixes}
 
@@ -122,11 +127,30 @@ def load_capture_set(folder: str | Path, **overrides: Any) -> CaptureSet:
     overrides apply to every recording. Raises BadInput when one of them cannot be used, when there is none,
     or when they name more than one camera.
     """
-    recordings = tuple(load_recording(p, **overrides) for p in recording_paths(folder))
-    cameras = sorted({r.camera for r in recordings})
+    paths = recording_paths(folder)
+    recordings = tuple(load_recording(p, **overrides) for p in paths)
+    cameras: dict[str, list[str]] = {}
+    for path, recording in zip(paths, recordings, strict=True):
+        cameras.setdefault(recording.camera, []).append(path.name)
     if len(cameras) > 1:
-        raise BadInput(f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): one folder a camera")
-    return CaptureSet(cameras[0], recordings, str(folder))
+        raise SeveralCameras(folder, cameras, "one folder a camera")
+    return CaptureSet(recordings[0].camera, recordings, str(folder))
+
+
+class SeveralCameras(BadInput):
+    """A folder of recordings of more than one camera. cameras: by name, their files."""
+
+    def __init__(self, folder: str | Path, cameras: Mapping[str, Sequence[str]], remedy: str) -> None:
+        self.cameras = cameras
+        known = list(cameras.items())
+        each = [f"{name}: {called(files)}" for name, files in known[:_CAMERAS]]
+        more = [f"{len(known) - _CAMERAS} more"] if len(known) > _CAMERAS else []
+        super().__init__(f"{folder}: holds {len(known)} cameras ({'; '.join(each + more)}): {remedy}")
+
+
+def called(files: Sequence[str]) -> str:
+    """Several files in a message."""
+    return files[0] + (f" and {len(files) - 1} more" if len(files) > 1 else "")
 
 
 def _is_recording(path: Path) -> bool:

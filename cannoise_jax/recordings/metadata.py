@@ -220,12 +220,18 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: {failure}: no text in UTF-8: save it as that") from error
     except Exception as error:
+        if isinstance(error, MemoryError):
+            raise BadInput(
+                f"{path}: not enough memory to read it: give fewer frames, or smaller ones"
+            ) from error
         if isinstance(error, _OWN_WORDS) or "invalid literal" in str(error):
             raise BadInput(f"{path}: {failure}: damaged: copy it again, or save it anew") from error
         texts = [a.decode("utf-8", "replace") if isinstance(a, bytes) else a for a in error.args]
         reason = " ".join(" ".join(t for t in texts if isinstance(t, str)).split()) or type(error).__name__
         reason = reason if len(reason) <= LONGEST else f"{reason[:LONGEST]}..."
-        raise BadInput(f"{path}: {failure}: {reason}") from error
+        of_system = isinstance(error, OSError) and error.errno
+        remedy = "make it readable" if of_system else "copy it again, or save it anew"
+        raise BadInput(f"{path}: {failure}: {reason}: {remedy}") from error
 
 
 def _check_frames(path: str | Path, frames: Frames) -> None:

@@ -19,13 +19,16 @@ PACKED_CHANNELS = ("R", "Gr", "Gb", "B")
 SITES = tuple(np.s_[c // 2 :: 2, c % 2 :: 2] for c in range(4))
 """Rows and columns of each position in the 2x2 cells of a mosaic, in the order (0,0), (0,1), (1,0), (1,1)."""
 
+ALL = 4
+"""In place of a position: the pixels of all four together, of a sensor without colours."""
+
 # Step of the rows and of the columns inside a cell that turns it into [[R, Gr], [Gb, B]].
 _CELL_STEPS = {"RGGB": (1, 1), "GRBG": (1, -1), "GBRG": (-1, 1), "BGGR": (-1, -1), "MONO": (1, 1)}
 
 
 def site(mosaic: Shaped[Any, "... H W"], channel: int) -> Shaped[Any, "... h w"]:
-    """The pixels of one position in the cells of a mosaic: a view."""
-    return mosaic[..., *SITES[channel]]
+    """The pixels of one position in the cells of a mosaic, or of `ALL` of them: a view."""
+    return mosaic if channel == ALL else mosaic[..., *SITES[channel]]
 
 
 def green_sites(cfa: str) -> tuple[int, int] | None:

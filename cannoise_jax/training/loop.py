@@ -63,6 +63,8 @@ class NonFiniteLoss(RuntimeError):
 def check_workdir(config: ConfigDict, workdir: Path) -> None:
     """Makes the workdir. Raises BadInput where it cannot be written, or holds another config."""
     path = workdir / "config.json"
+    if workdir.is_file():
+        raise BadInput(f"{workdir}: is a file: name a folder for --workdir")
     try:
         workdir.mkdir(parents=True, exist_ok=True)
         if path.exists():
@@ -72,10 +74,18 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
                     f"{workdir}: holds a run with another config ({difference}): use another --workdir, "
                     "or the same config to resume"
                 )
+        with tempfile.TemporaryFile(dir=workdir):  # permissions do not tell of all places, nor of a full disk
+            pass
     except json.JSONDecodeError as error:
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
     except OSError as error:
-        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+        raise not_written(workdir, error) from error
+
+
+def not_written(workdir: Path, error: OSError) -> BadInput:
+    """What to say of a workdir that takes no files."""
+    reason = error.strerror or error
+    return BadInput(f"{workdir}: cannot be written ({reason}): make it writable, or name another --workdir")
 
 
 def _write_config(config: ConfigDict, workdir: Path) -> None:
@@ -85,7 +95,7 @@ def _write_config(config: ConfigDict, workdir: Path) -> None:
         unfinished.write_text(_text(config) + "\n")
         unfinished.replace(workdir / "config.json")
     except OSError as error:
-        raise BadInput(f"{workdir}: cannot be written: {error.strerror or error}") from error
+        raise not_written(workdir, error) from error
 
 
 def _text(config: ConfigDict) -> str:

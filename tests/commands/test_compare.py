@@ -10,6 +10,7 @@ import pytest
 
 from cannoise_jax.commands.compare import main
 from cannoise_jax.discovery.compare.report import value
+from cannoise_jax.discovery.compare.words import pair
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
 
@@ -57,6 +58,14 @@ def test_numbers_are_plain():
     assert [value(v) for v in (0, 1e-5, 0.01234, -993.4, 1104.2, -20512.0)] == [
         *("0", "0", "0.0123", "-993", "1,100", "-20,500"),
     ]
+
+
+def test_two_values_are_told_apart():
+    assert pair(0.01234, 0.5) == ("0.0123", "0.5") and pair(2e-5, 0.5) == ("0", "0.5")
+    assert pair(2e-5, 5e-5) == ("2e-05", "5e-05")  # not 0 | 0
+    assert pair(1104.2, 1104.9) == ("1,104", "1,105") and pair(1104.2, 1104.3) == ("1,104.2", "1,104.3")
+    assert pair(0.123401, 0.123402) == ("0.123401", "0.123402")
+    assert pair(1.0, 1.0) == ("1", "1")
 
 
 def test_bad_input_is_one_line(folders, capsys):

@@ -75,7 +75,9 @@ def test_bad_input_is_one_line_and_status_two(tmp_path, capsys):
 
 def test_unknown_simulator_and_mechanism_are_refused(tmp_path, capsys):
     folder = write(tmp_path / "in", capture_set(1, kinds="d"))
-    for more in (["--simulator", "x"], ["--without", "nonsense"]):
+    (tmp_path / "other.json").write_text('{"a": 1}')
+    wrong = ("x", str(folder), str(tmp_path / "other.json"))
+    for more in (*(["--simulator", name] for name in wrong), ["--without", "nonsense"]):
         assert main(["--recordings", str(folder), "--out", str(tmp_path / "out"), *more]) == 2
         # Said before the recordings are read.
         error = capsys.readouterr().err

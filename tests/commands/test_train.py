@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -14,7 +15,7 @@ import pytest
 from cannoise_jax.commands import train
 from cannoise_jax.commands.train import main
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.training import data
+from cannoise_jax.training import data, devices
 
 CI = str(Path(__file__).resolve().parents[2] / "configs" / "ci.py")
 
@@ -119,6 +120,21 @@ def test_after_a_start_that_failed_another_config_may_follow(tmp_path, capsys):
     assert "no such folder" in start("--recordings", nowhere, "--config.loss.triplet=0")
 
 
+@pytest.mark.parametrize("more", [[], ["--coordinator", "localhost:1"]])
+def test_a_run_that_took_no_step_leaves_nothing_for_another_config_to_stumble_over(
+    more, tmp_path, monkeypatch
+):
+    def interrupted(config, workdir):
+        (workdir / "checkpoints").mkdir()
+        (workdir / "config.json").write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(data, "load_data", interrupted)
+    monkeypatch.setattr(devices, "join", lambda *given: None)
+    assert train.main(["--workdir", str(tmp_path / "run"), "--config", CI, *more]) == 130
+    assert (tmp_path / "run").exists() == bool(more)  # where processes share it, it is others', too
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_outside_training_is_one_line(number, tmp_path, capsys, monkeypatch):
     def interrupted(config, workdir):
@@ -155,6 +171,17 @@ def test_an_interruption_that_python_drops_is_not_lost(tmp_path, capsys, monkeyp
 def test_help(capsys):
     assert train.main(["--help"]) == 0
     assert "--workdir" in capsys.readouterr().out
+
+
+def test_a_workdir_that_takes_no_files_is_refused_before_any_work(tmp_path, capsys):
+    assert train.main(["--workdir", "/proc", "--config", CI]) == 2
+    captured = capsys.readouterr()
+    remedy = "make it writable, or name another --workdir"
+    assert re.fullmatch(rf"bin/train: /proc: cannot be written \(.*\): {remedy}\n", captured.err)
+    assert "reading the data" not in captured.out
+    (tmp_path / "file").write_text("")
+    assert train.main(["--workdir", str(tmp_path / "file"), "--config", CI]) == 2
+    assert "file: is a file: name a folder for --workdir" in capsys.readouterr().err
 
 
 def test_a_workdir_goes_on_with_its_own_config(tmp_path):

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.compare import better, compare, document
+from cannoise_jax.discovery.compare import better, compare, document, run
 from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TAILS, of
 from cannoise_jax.discovery.compare.light import light_of
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -160,6 +160,23 @@ def test_the_nearer_of_two_simulators(plain):
     assert result.verdict == "B" and result.low > 0 and result.held_back
     assert better(near, far).verdict == "A" and better(worse, far).verdict == "B"
     assert better(near, near).gain == 0
+
+
+def test_what_both_have_less_of_than_white_noise_is_told_apart():
+    def opposed(share):
+        return lambda rng: lambda dn, *_: dn - share * np.roll(dn - 200.0, 1, 1)
+
+    found = compare(capture_set(36, opposed(0.4), kinds="d"), camera(opposed(0.2)), KEY)
+    below = [d for d in found.differences if d.unit == "of the power of white noise"]
+    assert below and all(0 < d.recorded < d.simulated < 1 for d in below)
+    assert all(d.recorded != d.simulated for d in found.differences)
+
+
+def test_less_than_a_second_is_not_announced(monkeypatch):
+    said, clock = [], iter(np.arange(0.0, 1.0, 0.01))
+    monkeypatch.setattr(run.time, "monotonic", lambda: next(clock))
+    compare(capture_set(31, kinds="df"), camera(), KEY, tell=said.append)
+    assert len(said) == 6 and not any("more" in line for line in said)
 
 
 def test_the_document_is_plain_json(plain):

@@ -12,7 +12,8 @@ from cannoise_jax.evaluation.sheet import sheet_page
 from cannoise_jax.evaluation.sheet_data import sheet_data
 from cannoise_jax.evaluation.svg import Series, plot
 from cannoise_jax.physics.transfer.noise_profile import darktable_profiles, profile_csv, profile_rows
-from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
+from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 GAIN, READ, BLACK, WHITE, FULL = 2.0, 3.0, 256.0, 16383.0, 6000.0
@@ -81,6 +82,17 @@ def test_the_page_holds_every_figure_and_no_other_file(transfers):
     assert "nan" not in page.lower().replace("nance", "")
 
 
+def test_its_style_is_well_formed(transfers):
+    """A block of the style that is left open takes all rules after it with it."""
+    style = re.search("<style>(.*?)</style>", sheet_page("Acme X", sheet_data(transfers)), re.DOTALL)[1]
+    depth, opened = 0, []
+    for at, sign in ((m.start(), m.group()) for m in re.finditer("[{}]", style)):
+        depth += 1 if sign == "{" else -1
+        opened += [style[:at].rsplit("\n", 1)[-1]] if depth > 2 else []
+        assert depth >= 0
+    assert depth == 0 and not opened
+
+
 def test_the_printed_table_is_not_cut_off(transfers):
     """Paper does not scroll: every column must be able to wrap, and intervals stay in one piece."""
     page = sheet_page("Acme X", sheet_data(transfers))
@@ -88,7 +100,7 @@ def test_the_printed_table_is_not_cut_off(transfers):
     assert ".scroll { overflow: visible; }" in printed and "td.n { white-space: normal; }" in printed
     cells = re.findall(r'<td class="n" data-of="R">(.*?)</td>', page)
     assert cells and all(
-        re.fullmatch(r'\S+( <span class="i">\[\S+, \S+\]</span>)?|not measurable', c) for c in cells
+        re.fullmatch(r'\S+( <span class="i">\[\S+, \S+\]</span>)?|not measured', c) for c in cells
     )
 
 
@@ -102,9 +114,40 @@ def test_what_was_not_recorded_is_said():
     (setting,) = sheet_data(photon_transfer(CaptureSet("Acme X", (made(0.0, "dark", 0.01),))))
     assert "even, steady light" in row(setting, "K,", "DN/e-")["record"]
     assert "three exposure times" in row(setting, "LE", "%")["record"]
-    assert "not measurable" in (page := sheet_page("Acme X", [setting]))
-    assert ("four sites (row, column)" in page) == (setting["cfa"] == "MONO")
-    assert "four sites (row, column)" in sheet_page("Acme X", [{**setting, "cfa": "MONO"}])
+    assert "not measured: record" in sheet_page("Acme X", [setting])
+
+
+def test_a_sensor_without_colours_has_one_column_of_all_pixels():
+    levels = (0.005, 0.01, 0.02, 0.04, 0.2)
+    flats = [made(1e5 * s, "flat", s, cfa="MONO") for s in levels]
+    darks = [made(0.0, "dark", s, cfa="MONO", rows=3.0) for s in (0.01, 0.02, 0.04)]
+    (transfer,) = photon_transfer(CaptureSet("Acme M", (*flats, *darks)))
+    (setting,) = sheet_data([transfer])
+    assert setting["channels"] == ["all"] and all(len(r["values"]) == 1 for r in setting["table"])
+    for title, name, unit, most in (
+        ("K,", "system gain", "DN/e-", 0.003),
+        ("sigma_d", "temporal dark noise", "e-", 0.01),
+        ("mu_e.sat", "saturation level", "e-", 0.003),
+        ("DSNU1288", "DSNU1288", "e-", 0.05),
+    ):
+        sites = [o.value for o in transfer.outcomes(name, unit)]
+        found, (low, high) = row(setting, title, unit)["values"][0], row(setting, title, unit)["ci90"][0]
+        assert found == pytest.approx(np.mean(sites), rel=most)
+        if name == "system gain":  # four times as many pixels
+            (a, b), *_ = [o.ci90 for o in transfer.outcomes(name, unit)]
+            assert (high - low) < 0.75 * (b - a)
+    assert row(setting, "K,", "DN/e-")["values"][0] == pytest.approx(GAIN, rel=0.01)
+    along = setting["spectra"]["dark"]["rows"]
+    peak = along["frequency"][int(np.argmax(along["amplitude"]))]
+    assert peak == pytest.approx(1 / 8, rel=0.05) and max(along["frequency"]) == 0.5
+    assert all(len(r["level_dn"]) == 1 for r in setting["recordings"])
+    page = sheet_page("Acme M", [setting])
+    assert page.count("<th>all pixels</th>") == 1 and "data-of" not in page.partition("<body>")[2]
+    assert "nan" not in page.lower().replace("nance", "")
+    assert [r["channel"] for r in profile_rows([transfer])] == ["all"]
+    said = format_transfer(of_all_pixels(transfer)).splitlines()
+    assert said[2].split() == ["unit", "all", "pixels"] and sum("system gain" in line for line in said) == 2
+    assert of_all_pixels(whole := of_all_pixels(transfer)) is whole
 
 
 def test_profiles_of_every_iso():

@@ -11,7 +11,7 @@ from scipy import stats
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, variance_difference
 from cannoise_jax.physics.transfer.frames import frame_statistics, rails
 from cannoise_jax.physics.transfer.model import sensor_model
-from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
 from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.load import load_capture_set
@@ -163,7 +163,7 @@ def test_what_is_missing_is_named():
     single = transfer(recording(rng, 1000.0, 1, kind="flat"))
     assert isinstance(single.outcomes("system gain")[0], NotMeasurable)
     text = format_transfer(only_darks)
-    assert "Not measurable" in text and "saturates" in text
+    assert "Not measured, for want of these recordings" in text and "saturates" in text
 
 
 def test_sizes_that_differ_are_refused_in_one_line():
@@ -233,10 +233,25 @@ def test_agrees_with_the_emva_1288_reference_code(monkeypatch, tables):
     }  # fmt: skip
     reference = Results1288(Data1288(data).data, loglevel=50)
     ours = transfer(dark, *flats)
-    gain = np.mean([o.value for o in ours.outcomes("system gain")])
-    noise = np.mean([o.value for o in ours.outcomes("temporal dark noise", "e-")])
-    dsnu = np.mean([o.value for o in ours.outcomes("DSNU1288", "e-")])
-    prnu = np.mean([o.value for o in ours.outcomes("PRNU1288")])
+    gain, noise, dsnu, prnu = (
+        np.mean([o.value for o in ours.outcomes(*name)])
+        for name in (
+            ("system gain",),
+            ("temporal dark noise", "e-"),
+            ("DSNU1288", "e-"),
+            ("PRNU1288",),
+        )
+    )
+    # A sensor without colours is one channel, as the reference code knows it.
+    alone = of_all_pixels(transfer(*(replace(r, cfa="MONO") for r in (dark, *flats))))
+    for name, other, most in (
+        (("system gain",), reference.K, 0.02),
+        (("temporal dark noise", "e-"), reference.sigma_d, 0.03),
+        (("DSNU1288", "e-"), reference.DSNU1288, 0.04),
+        (("PRNU1288",), reference.PRNU1288, 0.04),
+    ):
+        (outcome,) = alone.outcomes(*name)
+        assert outcome.value == pytest.approx(other, rel=most), name
     for name, value, other, most in (
         ("system gain, DN/e-", gain, reference.K, 0.02),
         ("temporal dark noise, e-", noise, reference.sigma_d, 0.03),

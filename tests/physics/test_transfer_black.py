@@ -47,10 +47,24 @@ def test_one_long_dark_is_remarked_and_explains_nothing():
     findings = find_mechanisms(statistics, transfer.baseline, LISTED)
     verdicts = {f.mechanism: f.verdict for f in findings}
     unknown = {"nonlinearity", "channel_offset", "bookkeeping"}
-    assert {verdicts[id] for id in unknown} == {"not measurable"}
+    assert {verdicts[id] for id in unknown} == {"not looked for"}
     assert "record a dark at" in format_findings(findings)
     model = sensor_model([transfer], findings)
     assert not unknown & {f.mechanism for f in model.mechanisms}
+
+
+def test_what_nothing_was_recorded_for_is_not_said_to_be_absent():
+    statistics = gathered(flats()[0], shot(1, "dark", 0.0, 0.01))
+    findings = find_mechanisms(statistics, transfer_at(statistics).baseline, LISTED)
+    absent, missing = (
+        part.splitlines()
+        for part in format_findings(findings)
+        .partition("Not there:\n")[2]
+        .split("\n\nNot looked for, for want of these recordings:\n")
+    )
+    assert any(line.startswith("  black_clipping: darks are not cut off") for line in absent)
+    assert "  dark_current: record darks at three or more exposure times" in "\n".join(missing)
+    assert not any(line.startswith("  missing_codes: no missing") for line in missing)
 
 
 def test_of_darks_of_unknown_exposures_the_darkest_is_taken():

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+from cannoise_jax.recordings.folders.shots import scan
 from cannoise_jax.recordings.load import load_capture_set, load_recording
 from cannoise_jax.recordings.recording import BadInput
 from tests.recordings.dng import write_dng
@@ -59,3 +60,17 @@ def test_damaged_bytes_raise_nothing_but_bad_input_in_one_line(tmp_path, name):
             refused += 1
             assert str(path) in str(error) and "\n" not in str(error)
     assert refused >= 5  # most truncations at the least
+
+
+@pytest.mark.parametrize("suffix", [".fits", ".tif", ".dng", ".h5", ".npy", ".png"])
+def test_a_text_of_another_name_is_refused_with_what_to_do(tmp_path, suffix):
+    (path := tmp_path / f"notes{suffix}").write_text("shopping list\nmilk\n")
+    with pytest.raises(BadInput, match=r"not a readable .*(: copy it again|, not with SIMPLE)") as error:
+        load_recording(path)
+    assert "\n" not in str(error.value)
+
+
+def test_films_are_told_from_folders_that_hold_nothing(tmp_path):
+    (tmp_path / "clip.MOV").write_bytes(b"\0\0\0\x14ftypqt  ")
+    with pytest.raises(BadInput, match="only 1 .mov: developed pictures and films hold no raw values"):
+        scan(tmp_path)

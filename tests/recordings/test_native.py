@@ -285,7 +285,7 @@ def test_folders_that_hold_no_capture_set(tmp_path, path):
         load_capture_set(tmp_path / "none")
     write(path)
     write(path.with_name("b.h5"), camera="another")
-    with pytest.raises(BadInput, match="2 cameras .Nikon Z6, another.: one folder a camera"):
+    with pytest.raises(BadInput, match="2 cameras .Nikon Z6: a.h5; another: b.h5.: one folder a camera"):
         load_capture_set(path.parent)
     assert load_capture_set(path.parent, camera="both").camera == "both"
 

@@ -10,8 +10,9 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from cannoise_jax.discovery.compare.families import STRUCTURE, TEMPORAL, of
-from cannoise_jax.discovery.compare.report import Comparison, better_line, percent, sign_in_words, value
+from cannoise_jax.discovery.compare.report import Comparison, better_line, percent, sign_in_words
 from cannoise_jax.discovery.compare.score import Better
+from cannoise_jax.discovery.compare.words import pair
 from cannoise_jax.signatures import bank
 
 
@@ -39,8 +40,8 @@ def _side(found: Comparison) -> dict[str, Any]:
             "time": d.time,
             "note": d.note,
             "sign": sign_in_words(d.sign),
-            "recorded": value(d.recorded),
-            "simulated": value(d.simulated),
+            "recorded": pair(d.recorded, d.simulated)[0],
+            "simulated": pair(d.recorded, d.simulated)[1],
             "unit": d.unit,
             "where": ", ".join(d.where) if len(d.where) <= 3 else f"{len(d.where)} recordings",
         }
@@ -48,10 +49,11 @@ def _side(found: Comparison) -> dict[str, Any]:
     ]
     if found.differences:
         main = found.differences[0]
+        recorded, simulated = pair(main.recorded, main.simulated)
         sentence = (
             f"Differs. Most of it, {percent(main.share)}: {main.what}, of which the simulator has "
-            f"{sign_in_words(main.sign)} ({value(main.recorded)} {main.unit} recorded, "
-            f"{value(main.simulated)} simulated)."
+            f"{sign_in_words(main.sign)} ({recorded} {main.unit} recorded, "
+            f"{simulated} simulated)."
         )
     else:
         sentence = "Match: nothing in these frames tells them from draws of the simulator."

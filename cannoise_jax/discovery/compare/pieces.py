@@ -104,12 +104,19 @@ def structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) ->
             float(np.sqrt(max(np.sum((v[k] - white) * count[k]) / pixels, 0))) * scale
             for v, white in ((j.recorded, level), (j.simulated, 1.0))
         )
+        unit = "DN rms"
+        if recorded == simulated == 0:  # both have less of it than white noise
+            recorded, simulated = (
+                float(np.average(v[k] / white, weights=count[k]))
+                for v, white in ((j.recorded, level), (j.simulated, 1.0))
+            )
+            unit = "of the power of white noise"
         ratio = np.maximum(j.recorded[k], 1e-6) / np.maximum(j.simulated[k] * level, 1e-6)
         nats = float(np.sum(units * count[k] / 2 * (ratio - 1 - np.log(ratio))))
         best = k[np.argmax(np.abs(j.z[k]))]
         note = words.block(*_cell(seen.size, best)[1:])
         out.append(
-            Piece((what, time), sign, recorded, simulated, "DN rms", j.where, nats, float(j.z[best]), note)
+            Piece((what, time), sign, recorded, simulated, unit, j.where, nats, float(j.z[best]), note)
         )
     return out
 

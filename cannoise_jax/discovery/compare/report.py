@@ -12,7 +12,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.score import Better, scores
 from cannoise_jax.discovery.compare.table import Difference, differences
-from cannoise_jax.discovery.compare.words import short
+from cannoise_jax.discovery.compare.words import pair, short
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
@@ -81,7 +81,7 @@ def lines(found: Comparison, most: int = 14) -> list[str]:
         note = f", {d.note}" if d.note else ""
         out.append(
             f"{percent(d.share):>6}  {sign_in_words(d.sign):10}  {d.what} ({d.time}): "
-            f"{value(d.recorded)} | {value(d.simulated)} {d.unit}; {where}{note}"
+            f"{' | '.join(pair(d.recorded, d.simulated))} {d.unit}; {where}{note}"
         )
     if len(found.differences) > most:
         rest = sum(d.share for d in found.differences[most:])

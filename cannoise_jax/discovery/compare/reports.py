@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.discovery.compare.report import value
+from cannoise_jax.discovery.compare.words import pair
 from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/comparison-of-reports/1"
@@ -128,5 +129,6 @@ def _said(v: Any) -> str:
 def _side(d: dict[str, Any] | None) -> str:
     if d is None:
         return "no difference"
-    sizes = f"{value(d['recorded'])} recorded, {value(d['simulated'])} simulated"
+    recorded, simulated = pair(d["recorded"], d["simulated"])
+    sizes = f"{recorded} recorded, {simulated} simulated"
     return f"{d['simulator_has']}, {sizes} {d['unit']}"

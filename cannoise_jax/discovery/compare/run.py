@@ -119,7 +119,8 @@ def compare_bank(
     def one(number: int):
         r = capture.recordings[number]
         spent, ready = time.monotonic() - began, sum(work[:number])
-        left = f", some {spent * (total - ready) / ready:.0f} s more" if ready else ""
+        more = spent * (total - ready) / ready if ready else 0.0
+        left = f", some {more:.0f} s more" if more >= 1 else ""
         tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}{left}")
         return _one(source, number, r, chosen[number], count, step, isos[r.iso])
 

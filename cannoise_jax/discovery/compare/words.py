@@ -11,6 +11,10 @@ TEMPORAL, STATIC = "frame to frame", "fixed"
 MOMENT_UNITS = ("of the variance", "skewness", "excess kurtosis")
 _PLAIN = 1e6
 """Numbers from which on are written with an exponent."""
+_NOTHING = 1e-4
+"""Numbers below which are written as 0, where something else tells them apart."""
+_MOST_DIGITS = 6
+"""That tell two values apart: as many as the JSON has."""
 
 
 def short(value: float) -> str:
@@ -18,6 +22,18 @@ def short(value: float) -> str:
     if 1000 <= abs(value) < _PLAIN:
         return f"{float(f'{value:.3g}'):,.0f}"
     return f"{value:.3g}"
+
+
+def pair(first: float, second: float) -> tuple[str, str]:
+    """Two values of one quantity: three digits, or as many as tell them apart; what is next to nothing is 0
+    beside what is not."""
+    tiny = max(abs(first), abs(second)) < _NOTHING
+    said = [short(v) if tiny or abs(v) >= _NOTHING else "0" for v in (first, second)]
+    digits = 4
+    while said[0] == said[1] and digits <= _MOST_DIGITS:
+        said = [f"{v:,.{digits}g}" for v in (first, second)]
+        digits += 1
+    return (said[0], said[1]) if said[0] != said[1] else (short(first), short(second))
 
 
 def structure(band: int, row: Scale, column: Scale, size: tuple[int, int]) -> str | None:

@@ -51,6 +51,11 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
         return Simulator(label, simulator.sample, True, simulator)
     if callable(simulator):
         return Simulator(getattr(simulator, "__name__", "function"), simulator, True)
+    if not isinstance(simulator, (str, Path)):
+        raise TypeError(
+            f"simulator is a {type(simulator).__name__}: expected a SensorModel, a function (key, clean, "
+            "settings) -> DN, or the name of a sensor.json, a training folder, poisson-gaussian or nlf"
+        )
     path = Path(simulator)
     if path.suffix == ".json" and path.is_file():
         model = SensorModel.load(path)
@@ -63,6 +68,15 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
     raise BadInput(
         f"{simulator}: no such simulator: poisson-gaussian, nlf, a sensor.json, or a training folder"
     )
+
+
+def check_file(simulator: str | Path) -> None:
+    """Reads the file or folder of a simulator. Raises BadInput for what is none."""
+    path = Path(simulator)
+    if path.suffix == ".json" and path.is_file():
+        SensorModel.load(path)
+    else:
+        load_model(path)
 
 
 def _at_exposure(path: Path, model: Model, capture: CaptureSet) -> Draw:

@@ -11,6 +11,7 @@ from typing import Any
 import jinja2
 
 from cannoise_jax.discovery.compare.report import percent
+from cannoise_jax.discovery.compare.words import pair
 from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
 from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
@@ -106,9 +107,18 @@ def _largest(report: dict[str, Any]) -> str:
     if not remains or not remains["after"]:
         return ""
     most = remains["after"][0]
-    sizes = ", ".join(f"{number(most[k])} {most['unit']} {k}" for k in ("recorded", "simulated"))
-    has = f"of which the simulator has {most['simulator_has']} ({sizes})"
+    recorded, simulated = sizes(most)
+    both = f"{recorded} {most['unit']} recorded, {simulated} {most['unit']} simulated"
+    has = f"of which the simulator has {most['simulator_has']} ({both})"
     return f" What still differs most: {most['what']}, {has}."
+
+
+def sizes(difference: dict[str, Any]) -> tuple[str, str]:
+    """What was recorded and what was simulated, in digits that tell them apart."""
+    recorded, simulated = difference["recorded"], difference["simulated"]
+    if recorded is None or simulated is None:
+        return number(recorded), number(simulated)
+    return pair(recorded, simulated)
 
 
 def sites(values: list[float]) -> str:
@@ -214,6 +224,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         pictures=pictures,
         measures=_MEASURES,
         number=number,
+        sizes=sizes,
         precise=precise,
         unit=unit,
         place=place,

@@ -59,9 +59,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NotMeasurable:
-    """The recordings cannot give this quantity. record: what to record to get it."""
+    """The recordings cannot give this quantity. record: what to record to get it. answered: nothing need be
+    recorded, for `record` says why there is none of it."""
 
     record: str
+    answered: bool = False
 
 
 Outcome = Estimate | NotMeasurable

@@ -13,8 +13,8 @@ difference); all others use the sample variance over frames. Memory does not gro
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.codes import code_histograms, code_lattice
 from cannoise_jax.recordings.metadata import chunks
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
 
 _CHUNK_BYTES = 1 << 23
@@ -65,6 +65,35 @@ def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]
     if s.variance is None:
         raise ValueError("one frame has no temporal variance: at least two are needed")
     return site(s.variance, channel)
+
+
+def with_all_sites(s: FrameStatistics) -> FrameStatistics:
+    """The statistics with one more channel, `ALL`: the pixels of the four sites together."""
+    own: dict[str, Any] = {
+        "frame_means": np.concatenate([s.frame_means, s.frame_means.mean(1, keepdims=True)], 1),
+        "level": (*s.level, float(np.mean(s.level))),
+        # A code at which one site piles up is an end of all.
+        "low": (*s.low, _end(s.low, min)),
+        "high": (*s.high, _end(s.high, max)),
+    }
+    return replace(s, **own)
+
+
+def _end(codes: PerChannel, pick: Callable[[list[float]], float]) -> float:
+    known = [c for c in codes if np.isfinite(c)]
+    return pick(known) if known else float("nan")
+
+
+def line_means(s: FrameStatistics, channel: int) -> tuple[Float[np.ndarray, "T h"], Float[np.ndarray, "T w"]]:
+    """Means of the rows and of the columns of one channel in every frame."""
+    if channel == ALL:
+        return s.row_means.mean(-1), s.column_means.mean(1)
+    return s.row_means[:, channel // 2 :: 2, channel % 2], s.column_means[:, channel // 2, channel % 2 :: 2]
+
+
+def black_of(recording: Recording, channel: int) -> float:
+    """The black level that a recording states for one channel, DN."""
+    return float(np.mean(recording.black_level)) if channel == ALL else recording.black_level[channel]
 
 
 def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:

@@ -38,7 +38,8 @@ Verdict = Literal[
     "in the model",
     "not significant",
     "too small to matter",
-    "not measurable",
+    "not there",
+    "not looked for",
     "explained by",
     "reported only",
 ]
@@ -205,12 +206,14 @@ def _exposures(statistics: Sequence[FrameStatistics]) -> dict[str, float]:
 
 
 def format_findings(findings: Sequence[Finding]) -> str:
-    """Plain text: one line per parameter, then what could not be measured."""
+    """Plain text: one line per parameter, then what the recordings rule out, and what they cannot show."""
     lines = [["mechanism", "parameter", "unit", "value [90 % interval]", ""]]
     missing: dict[str, list[str]] = {}
+    absent: dict[str, list[str]] = {}
     for f in findings:
         if isinstance(f.estimates, NotMeasurable):
-            missing.setdefault(f.estimates.record, []).append(f.mechanism)
+            where = absent if f.estimates.answered else missing
+            where.setdefault(f.estimates.record, []).append(f.mechanism)
             continue
         units = {p.name: p.unit for p in f.entry.record.parameters}
         for k, (name, estimate) in enumerate(f.estimates.items()):
@@ -220,8 +223,11 @@ def format_findings(findings: Sequence[Finding]) -> str:
             )
     out = ["Mechanisms beyond Poisson-Gaussian", ""]
     out += [*aligned(lines), ""] if len(lines) > 1 else []
-    if missing:
-        out += ["Not measurable:", *(f"  {', '.join(ids)}: {why}" for why, ids in missing.items())]
+    for heading, told in (
+        ("Not there:", absent),
+        ("Not looked for, for want of these recordings:", missing),
+    ):
+        out += [heading, *(f"  {', '.join(ids)}: {why}" for why, ids in told.items()), ""] if told else []
     return "\n".join(out).rstrip()
 
 
@@ -230,7 +236,7 @@ def _judged(
 ) -> Finding:
     estimates = estimator(statistics, baseline)
     if isinstance(estimates, NotMeasurable):
-        return Finding(entry, estimates, "not measurable")
+        return Finding(entry, estimates, "not there" if estimates.answered else "not looked for")
     if estimator.reported:
         return Finding(entry, estimates, "reported only", estimator.reported)
     strength = next(iter(estimates.values()))

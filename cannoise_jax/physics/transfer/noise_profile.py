@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
-from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channels_of, of_all_pixels
 
 
 def profile_rows(transfers: Sequence[PhotonTransfer]) -> list[dict[str, Any]]:
-    """One row for each ISO that has a baseline and each channel: shot and read of the variance
-    shot * x + read, x = (DN - black) / (white - black), and the same in DN and electrons."""
+    """One row for each ISO that has a baseline and each channel (one of a sensor without colours):
+    shot and read of the variance shot * x + read, x = (DN - black) / (white - black), and the same in DN and
+    electrons."""
     rows = []
-    for transfer in transfers:
+    for transfer in map(of_all_pixels, transfers):
         base = transfer.baseline
         if not isinstance(base, Baseline):
             continue
-        for c, name in enumerate(channel_names(transfer.cfa)):
+        for c, name in enumerate(channels_of(transfer)):
             span = base.white_level - base.black_level[c]
             rows.append(
                 {

@@ -10,15 +10,20 @@ what to record.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
-from cannoise_jax.physics.transfer.black import black_level, reference_dark
+from cannoise_jax.physics.transfer.black import Black, black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
-from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import (
+    FrameStatistics,
+    frame_statistics,
+    pixel_variance,
+    with_all_sites,
+)
 from cannoise_jax.physics.transfer.quantities import (
     RECORD_DARKS,
     RECORD_FLATS,
@@ -31,7 +36,7 @@ from cannoise_jax.physics.transfer.quantities import (
     saturation_quantities,
 )
 from cannoise_jax.physics.transfer.shape import shape_quantities
-from cannoise_jax.recordings.packing import PACKED_CHANNELS, site, to_mosaic_order
+from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
 _LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
@@ -72,42 +77,83 @@ def channel_names(cfa: str) -> tuple[str, str, str, str]:
     return str(a), str(b), str(c), str(d)
 
 
+def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
+    """The channels that a result tells apart: those of the mosaic, or `all` alone (`of_all_pixels`)."""
+    apart = any(q.channel != "all" for q in t.quantities)
+    return channel_names(t.cfa) if apart else ("all",)
+
+
 def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
     first = statistics[0].recording
     _check_alike([s.recording for s in statistics])
     step = _code_step(statistics)
-    flats = [s for s in statistics if s.recording.kind == "flat"]
     dark = reference_dark(statistics)
-    lit = flats or [s for s in statistics if s.recording.kind == "scene"]
-    names = channel_names(first.cfa)
-    found = black_level(statistics)
-    black = found.level
+    black = black_level(statistics)
     lines = channel_lines(statistics)
-    quantities: list[Quantity] = []
-    for c, name in enumerate(names):
-        quantities += noise_quantities(name, c, lines[c], lit, dark, step, found)
-        quantities += pattern_quantities(name, c, lines[c], flats, dark, black)
-        quantities += dark_current_quantities(name, c, lines[c], statistics)
-        quantities += saturation_quantities(name, c, lines[c], statistics, black)
+    names = channel_names(first.cfa)
+    quantities = [
+        q for c, n in enumerate(names) for q in _channel_quantities(n, c, lines[c], statistics, dark, black)
+    ]
     quantities.append(line_noise_quantity("row noise", dark, 0))
     quantities.append(line_noise_quantity("column noise", dark, 1))
     quantities += shape_quantities(dark) if dark is not None else []
     unknown = "needs a known photon flux: record flats under a calibrated light"
     quantities.append(Quantity("quantum efficiency", "e-/photon", "all", NotMeasurable(unknown)))
     return PhotonTransfer(
-        first.camera, first.iso, first.cfa, _baseline(lines, dark, black, first, step, quantities),
+        first.camera, first.iso, first.cfa, _baseline(lines, black.level, first, step, quantities),
         tuple(sorted(quantities, key=_table_order(quantities))), tuple(statistics),
     )  # fmt: skip
 
 
+def of_all_pixels(t: PhotonTransfer) -> PhotonTransfer:
+    """The same of a sensor without colours with all pixels as one channel, `all`; of any other as it is.
+
+    The baseline has the values of that channel for every site.
+    """
+    if t.cfa != "MONO" or channels_of(t) == ("all",):
+        return t
+    statistics = [with_all_sites(s) for s in t.statistics]
+    dark, step = reference_dark(statistics), _code_step(statistics)
+    black = _of_all(black_level(t.statistics))
+    lit = _lit(statistics)
+    line = _line(lit, dark, black.level, step, ALL)
+    own = _channel_quantities("all", ALL, line, statistics, dark, black)
+    shared = [q for q in t.quantities if q.channel == "all"]
+    base = _baseline([line] * 4, (black.level[ALL],) * 4, statistics[0].recording, step, own * 4)
+    quantities = sorted((*own, *shared), key=_table_order(list(t.quantities)))
+    return replace(t, baseline=base, quantities=tuple(quantities))
+
+
+def _of_all(black: Black) -> Black:
+    """With the level of all sites together after those of each."""
+    error = float(np.sqrt(np.mean(np.square(black.error)) / 4))
+    return black._replace(level=(*black.level, float(np.mean(black.level))), error=(*black.error, error))  # type: ignore[arg-type]
+
+
+def _lit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
+    """The flats, or the scenes where there are none."""
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    return flats or [s for s in statistics if s.recording.kind == "scene"]
+
+
+def _channel_quantities(
+    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
+    dark: FrameStatistics | None, black: Black,
+) -> list[Quantity]:  # fmt: skip
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    return [
+        *noise_quantities(name, c, line, _lit(statistics), dark, _code_step(statistics), black),
+        *pattern_quantities(name, c, line, flats, dark, black.level),
+        *dark_current_quantities(name, c, line, statistics),
+        *saturation_quantities(name, c, line, statistics, black.level),
+    ]
+
+
 def channel_lines(statistics: Sequence[FrameStatistics]) -> list[Line | NotMeasurable]:
     """The photon transfer line of every channel, mosaic order."""
-    flats = [s for s in statistics if s.recording.kind == "flat"]
-    dark = reference_dark(statistics)
-    lit = flats or [s for s in statistics if s.recording.kind == "scene"]
-    black = black_level(statistics).level
-    step = _code_step(statistics)
+    lit, dark = _lit(statistics), reference_dark(statistics)
+    black, step = black_level(statistics).level, _code_step(statistics)
     return [_line(lit, dark, black, step, c) for c in range(4)]
 
 
@@ -167,8 +213,8 @@ def _line(
 
 
 def _baseline(
-    lines: list[Line | NotMeasurable], dark: FrameStatistics | None, black: PerChannel, first: Recording,
-    step: float, quantities: list[Quantity],
+    lines: list[Line | NotMeasurable], black: PerChannel, first: Recording, step: float,
+    quantities: list[Quantity],
 ) -> Baseline | NotMeasurable:  # fmt: skip
     reads = [q.outcome for q in quantities if q.name == "temporal dark noise" and q.unit == "DN"]
     for outcome in (*lines, *reads):

@@ -25,7 +25,7 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
 from cannoise_jax.physics.transfer.spatial import (
     Split,
     TemporalParts,
@@ -64,7 +64,7 @@ def noise_quantities(
     out: list[Quantity] = []
     if dark is not None:
         level = scatter_estimate(dark.frame_means[:, c])
-        if black.level[c] != level.value:
+        if not np.isclose(black.level[c], level.value, rtol=1e-9, atol=0):
             level = normal_estimate(black.level[c], black.error[c])
         out.append(Quantity("black level", "DN", name, level, black.note))
     if isinstance(line, NotMeasurable):
@@ -169,11 +169,10 @@ def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
 def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> TemporalParts:
     """Temporal variances of one channel of a repeated recording, for `spatial_split`. relative: of the
     signal, each frame divided by its mean above black, instead of DN."""
-    rows = s.row_means[:, c // 2 :: 2, c % 2]
-    columns = s.column_means[:, c // 2, c % 2 :: 2]
+    rows, columns = line_means(s, c)
     square, keep = robust_mean_square(pixel_variance(s, c), s.dof)
     if relative:
-        black = s.recording.black_level[c]
+        black = black_of(s.recording, c)
         level = s.frame_means[:, c] - black
         rows, columns = ((v - black) / level[:, None] for v in (rows, columns))
         square /= float(1 / np.mean(1 / level)) ** 2

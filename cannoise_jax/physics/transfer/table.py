@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
-from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channel_names
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channels_of
 from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.shape import dark_lines, lamp_notes
 from cannoise_jax.physics.transfer.stated_gain import gain_note
@@ -15,8 +17,8 @@ _LONG = 1e7
 def format_transfer(result: PhotonTransfer) -> str:
     """The table of one ISO setting. Intervals are 90 %."""
     setting = "" if result.iso is None else f", ISO {result.iso:g}"
-    names = channel_names(result.cfa)
-    lines = [["", "unit", *names]]
+    names = channels_of(result)
+    lines = [["", "unit", *(names if len(names) > 1 else ["all pixels"])]]
     notes: list[str] = []
     missing: dict[str, list[str]] = {}
     for name, unit in dict.fromkeys((q.name, q.unit) for q in result.quantities):
@@ -40,15 +42,15 @@ def format_transfer(result: PhotonTransfer) -> str:
     if notes:
         out += ["", *dict.fromkeys(notes)]
     if missing:
-        out += ["", "Not measurable:"]
+        out += ["", "Not measured, for want of these recordings:"]
         out += [f"  {'; '.join(dict.fromkeys(names_))}: {reason}" for reason, names_ in missing.items()]
     return "\n".join(out)
 
 
 def format_outcome(outcome: Outcome) -> str:
-    """`value [low, high]` with as many digits as the interval is worth, or `not measurable`."""
+    """`value [low, high]` with as many digits as the interval is worth, or `not measured`."""
     if isinstance(outcome, NotMeasurable):
-        return "not measurable"
+        return "not measured"
     width = outcome.ci90[1] - outcome.ci90[0]
     digits = 0
     while digits < 7 and width > 0 and 10**-digits > width / 8:
@@ -65,7 +67,7 @@ def _stated_gain(result: PhotonTransfer) -> str | None:
     return gain_note(recordings, [o.value for o in found], [o.stderr for o in found])
 
 
-def _cells(group: list[Quantity], names: tuple[str, ...]) -> list[str]:
+def _cells(group: list[Quantity], names: Sequence[str]) -> list[str]:
     whole = [q for q in group if q.channel == "all"]
     if whole:
         return [format_outcome(whole[0].outcome)]

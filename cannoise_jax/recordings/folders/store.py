@@ -21,7 +21,15 @@ from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, pla
 from cannoise_jax.recordings.folders.shots import Tell
 from cannoise_jax.recordings.join import join_recordings
 from cannoise_jax.recordings.lazy import LazyArray
-from cannoise_jax.recordings.load import is_supported, load_capture_set, load_recording, open_file, suffix_of
+from cannoise_jax.recordings.load import (
+    SeveralCameras,
+    called,
+    is_supported,
+    load_capture_set,
+    load_recording,
+    open_file,
+    suffix_of,
+)
 from cannoise_jax.recordings.metadata import count_above, make_recording, warn_saturation
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.native import open_native, write_recording
@@ -38,6 +46,12 @@ _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
 _LAYOUT = "3"
 """Of what is cached, and of how folders are sorted: entries of another layout are not used."""
+
+
+_ONE_CAMERA = (
+    "give one of its folders, pass over the files of the others with --leave-out NAME*, or name them "
+    "--camera NAME if they are one"
+)
 
 
 class Options(NamedTuple):
@@ -60,7 +74,10 @@ def capture_of(
     if not folder.is_dir():
         raise BadInput(f"{folder}: {'is a file: name its folder' if folder.is_file() else 'no such folder'}")
     if _is_prepared(folder) and not options.assign and not options.leave_out:
-        capture = load_capture_set(folder, **options.overrides)
+        try:
+            capture = load_capture_set(folder, **options.overrides)
+        except SeveralCameras as several:
+            raise SeveralCameras(folder, several.cameras, _ONE_CAMERA) from several
         warn_of_kinds(capture.recordings)
         return capture, ""
     entry = cache / _key(folder, options)
@@ -73,12 +90,11 @@ def capture_of(
     plan = plan_folder(
         folder, options.overrides, assign=options.assign, leave_out=options.leave_out, tell=tell
     )
-    cameras = dict.fromkeys(one.groups[0].mode[0] for one in plan.sets)
+    cameras: dict[str, list[str]] = {}
+    for group in (group for one in plan.sets for group in one.groups):
+        cameras.setdefault(group.mode[0], []).extend(shot.name for shot in group.shots)
     if len(cameras) > 1:
-        raise BadInput(
-            f"{folder}: holds {len(cameras)} cameras ({', '.join(cameras)}): give one of its folders, or "
-            "name them --camera NAME if they are one"
-        )
+        raise SeveralCameras(folder, cameras, _ONE_CAMERA)
     check(plan)
     _into_cache(plan, entry)
     return _from_cache(entry, folder, scan=False)
@@ -131,14 +147,9 @@ def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) ->
     recording = join_recordings(parts)
     white = recording.white_level
     if max(s.top for s in group.shots) > white:  # else they need not be read for it
-        name = _called([str(s.path) for s in group.shots])
+        name = called([str(s.path) for s in group.shots])
         warn_saturation(name, count_above(recording.frames, white), recording.frames.shape, white)
     return recording
-
-
-def _called(files: Sequence[str]) -> str:
-    """How messages call a recording that was joined from files."""
-    return files[0] + (f" and {len(files) - 1} more" if len(files) > 1 else "")
 
 
 def _from_cache(entry: Path, folder: Path, scan: bool) -> tuple[CaptureSet, str]:
@@ -152,7 +163,7 @@ def _from_cache(entry: Path, folder: Path, scan: bool) -> tuple[CaptureSet, str]
     for name in sorted(sources):
         files = tuple(str(folder / one) for one in sources[name])
         opened = open_native(entry / name)
-        recording = make_recording(_called(files), opened.frames, opened.known, {}, scan=scan)
+        recording = make_recording(called(files), opened.frames, opened.known, {}, scan=scan)
         recordings.append(dataclasses.replace(recording, sources=files))
     said = (entry / "plan.txt").read_text(encoding="utf-8")
     return CaptureSet(recordings[0].camera, tuple(recordings), str(folder)), said

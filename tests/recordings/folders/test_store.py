@@ -124,3 +124,18 @@ def test_flats_below_the_darks_are_said(tmp_path, caplog):
     capture_of(tmp_path / "out", Options({}), tmp_path / "unused")
     (line,) = (record.getMessage() for record in caplog.records)
     assert line.startswith(f"{dark}: the brightest flat") and "wrong way round?" in line
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_one_of_two_cameras_in_a_flat_folder_is_left_out_by_the_names_of_its_files(tmp_path, native):
+    folder, cache = tmp_path / "in", tmp_path / "cache"
+    folder.mkdir()
+    for prefix, camera in (("a", "Acme 100"), ("b", "Other 5")):
+        files = night(tmp_path / prefix if native else folder, prefix + "_{kind}_{n}.fits", INSTRUME=camera)
+        for r in capture_of(files, Options({}), cache)[0].recordings if native else ():
+            write_recording(folder / f"{prefix}_{r.kind}.h5", dataclasses.replace(r, path=None))
+    with pytest.raises(BadInput, match=r"--leave-out NAME\*, or name them --camera NAME") as error:
+        capture_of(folder, Options({}), cache)
+    assert "holds 2 cameras (Acme 100: a_" in str(error.value) and "Other 5: b_" in str(error.value)
+    capture, _ = capture_of(folder, Options({}, leave_out=("b_*",)), cache)
+    assert capture.camera == "Acme 100" and {r.kind for r in capture.recordings} == {"bias", "dark", "flat"}

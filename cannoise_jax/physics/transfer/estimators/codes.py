@@ -44,7 +44,7 @@ def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estim
     missing = missing[(missing > 0) & (missing < len(counts) - 1)]
     if len(missing) < 2:
         populated = int(np.sum(counts >= _POPULATED))
-        return NotMeasurable(f"no missing codes among {populated} well-populated ones")
+        return NotMeasurable(f"no missing codes among {populated} well-populated ones", answered=True)
     return {"period": _exact(float(np.median(np.diff(missing))))}
 
 
@@ -59,7 +59,7 @@ def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
         if np.isfinite(low)
     ]
     if not ends:
-        return NotMeasurable("darks are not cut off: no values pile up at their lower end")
+        return NotMeasurable("darks are not cut off: no values pile up at their lower end", answered=True)
     half = max(dark.code_step, 1.0) / 2
     value = float(np.mean(ends))
     return {"level_dn": Estimate(value, half / np.sqrt(3), (value - half, value + half))}

@@ -185,7 +185,7 @@ def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Est
         return REPEATED_FLATS
     greens = green_sites(flat.recording.cfa)
     if not greens:
-        return NotMeasurable("the sensor has no colours, so no two greens")
+        return NotMeasurable("the sensor has no colours, so no two greens", answered=True)
     first, second = greens
     # Lamp drift hits both greens alike, so the difference of logs is taken frame by frame.
     black = np.asarray(flat.recording.black_level)
