@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy import special, stats
 from scipy.interpolate import RegularGridInterpolator
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
@@ -28,11 +29,16 @@ _MEDIAN = 1.57
 
 def above_neighbours(fields: tuple[Fields, ...], scaling: str) -> LineSums | None:
     """Scores and information of what every pixel of the darks has beyond the level around it, as far as such
-    levels differ by more than noise: where the electronics glow all pixels are high, and none of them hot."""
+    levels differ by more than pixels do: where the electronics glow all pixels are high, and none of them
+    hot."""
     sums = pixel_sums(fields, scaling, DARK)
-    if sums is None:
-        return None
-    return sums._replace(score=sums.score - sums.information * levels_around(sums))
+    if sums is None or not (seen := sums.information > 0).any():
+        return sums
+    levels = levels_around(sums)
+    single = sums.score / np.maximum(sums.information, 1e-30) - levels
+    if np.std(levels[seen]) < robust_std(single[seen], 0):
+        return sums
+    return sums._replace(score=sums.score - sums.information * levels)
 
 
 def levels_around(sums: LineSums) -> Float[np.ndarray, "h w"]:
