@@ -27,7 +27,7 @@ from cannoise_jax.signatures.falls import (
 )
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.handed import Addition, Found
-from cannoise_jax.signatures.heat import above_neighbours, levels_around
+from cannoise_jax.signatures.heat import less_levels, levels_around
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -100,7 +100,7 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
         template = formed_fall(fields, names, g, k)
         strength, error = _one(fields, template)
         amplitude = strength
-        stands_out = z[k] > _BEFORE_MAPS * _scatter(fields) and _share(fields, template) > _MOSTLY
+        stands_out = _stands_out(fields, float(z[k]), template)
     return Score(
         log_p=sidak(normal_log_p(float(z[k]), 1), TRIALS),
         gain=0.5 * max(float(z[k]), 0.0) ** 2,
@@ -111,26 +111,23 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
         power=1,
         parameters={"glow": (amplitude, "DN", error)},
         where={"axis": "edge", "edge": names[k]},
-        payload=Glow(template, strength, longest, _weights(u, i), u / i, bool(formed), bool(stands_out)),
+        payload=Glow(template, strength, longest, _weights(u, i), u / i, bool(formed), stands_out),
     )
 
 
-def _scatter(fields: tuple[Fields, ...]) -> float:
-    """Spread of the levels of pixels beside those around them, in standard deviations of their noise."""
-    sums = above_neighbours(fields, "exposure" if any(f.exposure_s for f in fields) else "additive")
-    if sums is None or not (seen := sums.information > 0).any():
-        return 1.0
-    return spread_of(sums.score[seen] / np.sqrt(sums.information[seen]))
-
-
-def _share(fields: tuple[Fields, ...], template: np.ndarray) -> float:
-    """Share of how the levels around pixels differ that a fall explains."""
+def _stands_out(fields: tuple[Fields, ...], z: float, template: np.ndarray) -> bool:
+    """Whether a fall is far above the spread of the levels of pixels beside those around them, and explains
+    most of how the levels around them differ."""
     sums = pixel_sums(fields, "exposure" if any(f.exposure_s for f in fields) else "additive", DARK)
-    if sums is None:
-        return 0.0
-    levels = levels_around(sums)
-    levels, fall = (v - np.median(v) for v in (levels, template))
-    return float(np.sum(levels * fall) ** 2 / max(float(np.sum(levels**2) * np.sum(fall**2)), 1e-30))
+    if sums is None or not (seen := sums.information > 0).any():
+        return False
+    around = levels_around(sums)
+    single = less_levels(sums, around)
+    if z <= _BEFORE_MAPS * spread_of(single.score[seen] / np.sqrt(single.information[seen])):
+        return False
+    levels, fall = (v - np.median(v) for v in (around, template))
+    share = float(np.sum(levels * fall) ** 2 / max(float(np.sum(levels**2) * np.sum(fall**2)), 1e-30))
+    return share > _MOSTLY
 
 
 def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float]:

@@ -65,6 +65,12 @@ def grouped(of: Int[np.ndarray, "h w"]) -> Groups:
     return Groups(of, np.array([widest[kind] for kind in held.tolist()]))
 
 
+def area_sums(values: Float[np.ndarray, "*n h w"], side: int) -> Float[np.ndarray, "*n a b"]:
+    """Sums over areas of so many pixels a side, those at the far edges smaller."""
+    rows, columns = (np.arange(0, n, side) for n in values.shape[-2:])
+    return np.add.reduceat(np.add.reduceat(values, rows, -2), columns, -1)
+
+
 class Pixels(NamedTuple):
     """What the pixels of a group show beside the group's own offset, responses weighing them.
 
@@ -128,7 +134,7 @@ def outlying(values: np.ndarray, response: np.ndarray, groups: Groups) -> np.nda
     number = groups.kin.size
     count = np.bincount(groups.of[seen], minlength=number)
     middle = float(np.median(values[seen]))
-    centre = np.where(count < _FEWEST, middle, _medians(values[seen], groups.of[seen], count))
+    centre = np.where(count < _FEWEST, middle, medians(values[seen], groups.of[seen], count))
     spread = max(float(np.median(np.abs(values - centre[groups.of])[seen])) / _MEDIAN_OFF, 1.0)
     many = count >= _FEWEST
     chance = _MEDIANS * spread**2 * float(np.sum(1 / count[many]))
@@ -137,7 +143,7 @@ def outlying(values: np.ndarray, response: np.ndarray, groups: Groups) -> np.nda
     return seen & (np.abs(values - centre[groups.of]) > _FAR * spread)
 
 
-def _medians(
+def medians(
     values: Float[np.ndarray, "n"], of: Int[np.ndarray, "n"], count: Int[np.ndarray, "g"]
 ) -> Float[np.ndarray, "g"]:
     """Median of the values of every group, of so many each; of a group without any that of some other."""

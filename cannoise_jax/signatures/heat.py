@@ -13,7 +13,7 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.group_sums import LineSums
+from cannoise_jax.signatures.group_sums import LineSums, medians
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.rare import log_ratio_of
 
@@ -32,9 +32,14 @@ def above_neighbours(fields: tuple[Fields, ...], scaling: str) -> LineSums | Non
     levels differ by more than pixels do: where the electronics glow all pixels are high, and none of them
     hot."""
     sums = pixel_sums(fields, scaling, DARK)
-    if sums is None or not (seen := sums.information > 0).any():
+    return None if sums is None else less_levels(sums, levels_around(sums))
+
+
+def less_levels(sums: LineSums, levels: Float[np.ndarray, "h w"]) -> LineSums:
+    """The same of sums whose levels around are known."""
+    seen = sums.information > 0
+    if not seen.any():
         return sums
-    levels = levels_around(sums)
     single = sums.score / np.maximum(sums.information, 1e-30) - levels
     if np.std(levels[seen]) < robust_std(single[seen], 0):
         return sums
@@ -57,15 +62,17 @@ def _around(
 ) -> Float[np.ndarray, "h w"]:
     """Medians of blocks, linear between their middles, shrunk by what of them is chance."""
     edges = [np.linspace(0, n, n // _BLOCK + 1).astype(int) for n in values.shape]
-    shape = tuple(len(e) - 1 for e in edges)
-    levels, noise = np.zeros(shape), np.zeros(shape)
-    for i, j in np.ndindex(shape):
-        part = np.s_[edges[0][i] : edges[0][i + 1], edges[1][j] : edges[1][j + 1]]
-        known = information[part] > 0
-        if known.any():
-            inside = values[part][known]
-            levels[i, j] = np.median(inside)
-            noise[i, j] = _MEDIAN * (1.4826 * np.median(np.abs(inside - levels[i, j]))) ** 2 / inside.size
+    rows, columns = (np.repeat(np.arange(len(e) - 1), np.diff(e)) for e in edges)
+    shape = len(edges[0]) - 1, len(edges[1]) - 1
+    known = information > 0
+    of, inside = (rows[:, None] * shape[1] + columns)[known], values[known]
+    count = np.bincount(of, minlength=shape[0] * shape[1])
+    if not inside.size:
+        return np.zeros(values.shape)
+    levels = np.where(count, medians(inside, of, count), 0.0)
+    spread = 1.4826 * np.where(count, medians(np.abs(inside - levels[of]), of, count), 0.0)
+    noise = (_MEDIAN * spread**2 / np.maximum(count, 1)).reshape(shape)
+    levels = levels.reshape(shape)
     levels -= np.median(levels)
     apart = float(np.sum(np.minimum(levels**2, 1e6 * noise + 1e-30)))
     share = max(1 - 2 * float(noise.sum()) / max(apart, 1e-30), 0.0)

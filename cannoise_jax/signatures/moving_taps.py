@@ -19,7 +19,7 @@ from cannoise_jax.signatures.answers import response
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import Groups, LineSums, by_own_noise, group_pixels, grouped
 from cannoise_jax.signatures.groups import whitened
-from cannoise_jax.signatures.handed import Addition, Found, Many
+from cannoise_jax.signatures.handed import Found, Many
 from cannoise_jax.signatures.line_sums import component_score
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import (
@@ -164,11 +164,8 @@ def moving_absorb(fields: Many, score: Score[Moving]) -> Many:
 def regions(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """Offsets of regions of equal size, new in every frame. parameter: the mechanism's strength."""
 
-    def at(adds):
-        def simulate(found: Found) -> Addition:
-            return adds(found)._replace(point=dataclasses.replace(_POINT, blocks=found.score.payload.layout))
-
-        return simulate
+    def at(found: Found) -> Point:
+        return dataclasses.replace(_POINT, blocks=found.score.payload.layout)
 
     return Signature(
         name=name,
@@ -180,8 +177,8 @@ def regions(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
         covers=covers,
         predict=NO_LAW,
         pattern=NO_PATTERN,
-        simulate=at(strength(parameter)),
-        place=at(placed(_POINT)),
+        simulate=lambda found: strength(parameter)(found)._replace(point=at(found)),
+        place=placed(at),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM,
     )

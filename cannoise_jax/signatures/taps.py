@@ -15,6 +15,7 @@ from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.group_sums import area_sums
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
@@ -79,8 +80,7 @@ def _explained(score: np.ndarray, information: np.ndarray, shapes: np.ndarray) -
 
 def _of_areas(score: np.ndarray, information: np.ndarray) -> float:
     """Chi-square of offsets of small areas beyond chance, at least one."""
-    edges = [np.arange(0, n, _AREA) for n in score.shape]
-    u, i = (np.add.reduceat(np.add.reduceat(v, edges[0], 0), edges[1], 1) for v in (score, information))
+    u, i = (area_sums(v, _AREA) for v in (score, information))
     power = np.sum(u**2 / np.maximum(i, 1e-30)) - u.sum() ** 2 / max(float(i.sum()), 1e-30)
     return max(float(power) - np.count_nonzero(i) + 1, 1.0)
 

@@ -17,6 +17,7 @@ from scipy import stats
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.group_sums import area_sums
 from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
@@ -83,15 +84,11 @@ def _without_areas(
     """Without the means of small areas. What regions share moves from frame to frame, and what of it is left
     in the mean of a few frames is in the map as well: their products are large by chance. Of far pixels no
     more than of the others, or they would spread over their areas."""
-    edges = [np.arange(0, n, _AREA) for n in usable.shape]
-    size = [np.diff(np.append(at, n)) for at, n in zip(edges, usable.shape, strict=True)]
-
-    def sums(x: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(np.add.reduceat(x, edges[0], -2), edges[1], -1)
-
     limit = 4 * max(robust_std(values[..., usable], 0), 1e-12) if usable.any() else 0.0
-    means = sums(values.clip(-limit, limit) * usable) / np.maximum(sums(usable.astype(np.float32)), 1)
-    return (values - np.repeat(np.repeat(means, size[0], -2), size[1], -1)) * usable
+    count = np.maximum(area_sums(usable.astype(np.float32), _AREA), 1)
+    means = area_sums(values.clip(-limit, limit) * usable, _AREA) / count
+    rows, columns = (np.arange(n) // _AREA for n in usable.shape)
+    return (values - means[..., rows[:, None], columns]) * usable
 
 
 def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usable: np.ndarray):

@@ -8,7 +8,8 @@ import pytest
 from scipy import ndimage
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.signatures import moving_taps
+from cannoise_jax.discovery.frames import smooth
+from cannoise_jax.signatures import moving_taps, tap_gain
 from cannoise_jax.signatures.moving_taps import moving_absorb, moving_score
 from cannoise_jax.signatures.taps import LAYOUTS, Taps, tap_score
 from tests.discovery.capture import SIZE, capture_set
@@ -128,6 +129,10 @@ def test_moving_regions_taken_out_leave_nothing_of_them():
 def test_cells_make_up_every_layout(layout):
     cells, regions = (moving_taps.cell_groups((96, 144), k).of.ravel() for k in (moving_taps.CELLS, layout))
     assert all(np.ptp(regions[cells == n]) == 0 for n in range(cells.max() + 1))
+
+
+def test_gains_are_told_beside_all_that_a_flat_may_lose_to_its_surface():
+    assert tap_gain.DEGREE == smooth.STOP
 
 
 def lit(gain, *, prnu=0.0, columns=0.0):

@@ -40,8 +40,7 @@ def _side(found: Comparison) -> dict[str, Any]:
             "time": d.time,
             "note": d.note,
             "sign": sign_in_words(d.sign),
-            "recorded": pair(d.recorded, d.simulated)[0],
-            "simulated": pair(d.recorded, d.simulated)[1],
+            **dict(zip(("recorded", "simulated"), pair(d.recorded, d.simulated), strict=True)),
             "unit": d.unit,
             "where": ", ".join(d.where) if len(d.where) <= 3 else f"{len(d.where)} recordings",
         }

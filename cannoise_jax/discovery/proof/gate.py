@@ -165,7 +165,7 @@ def remaining(
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, gated.after, looked)
         if some:
-            tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(panel, gated, spare)))
+            tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(spare)))
         enters = tried.better and (len(some) == len(gated.steps) or tried.nearer)
         gated = gated._replace(tried=(*gated.tried, tried._replace(entered=enters)))
         if enters:
@@ -173,10 +173,9 @@ def remaining(
     return gated
 
 
-def _gained(panel: Panel, gated: Gated, spare: Gated) -> float:
-    """What the findings gained in the composite score, nats a pixel."""
-    gain = score_gain(panel, gated.before, spare.after)
-    return 0.0 if gain is None else gain.value
+def _gained(gated: Gated) -> float:
+    """What the findings that entered gained in the composite score, nats a pixel."""
+    return sum(t.score.value for t in gated.tried if t.entered and t.score is not None)
 
 
 def _told(panel: Panel, looked: Looked) -> bool:
