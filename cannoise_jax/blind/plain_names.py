@@ -8,7 +8,7 @@ ARGUABLE = {
     "row_memory": ("row_noise",),
     "clouds": ("offset_drift",),
     "tear": ("offset_drift",),
-    "quadrants": ("offset_drift",),
+    "quadrants": ("offset_drift", "amplifier_drift"),
     "inl_wave": ("bookkeeping",),
     "smoothed_colours": ("in_camera_denoising",),
 }

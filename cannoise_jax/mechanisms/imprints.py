@@ -23,6 +23,8 @@ _SITES_REDRAWN = ("site_redrawn", "row_parity_redrawn", "column_parity_redrawn")
 _OFFSETS_OF_LINES = ("row_additive_temporal", "column_additive_temporal")
 _FACTORS_OF_LINES = ("row_relative_temporal", "column_relative_temporal")
 _SLOPES = ("raster_slope", "row_slope")
+ROWS_AND_COLUMNS = (*_OFFSETS_OF_LINES, *_SLOPES)
+"""Laws of many frequencies of what whole rows and columns share in each frame."""
 _FRAMES = ("frame_additive", "frame_relative")
 _LINES_THAT_STAY = tuple(
     f"{axis}_{law}_static" for axis in ("row", "column") for law in ("additive", "relative")

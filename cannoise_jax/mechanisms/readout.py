@@ -219,7 +219,8 @@ ENTRIES: tuple[Entry, ...] = (
         ),
         needs="two frames or more at one setting",
         signatures=looks.always(
-            looks.waves.interference("redrawn", name="wave_redrawn", parameter="amplitude_dn"),
+            looks.waves.interference("redrawn", name="wave_redrawn", parameter="amplitude_dn",
+                lines=imprints.ROWS_AND_COLUMNS),
             looks.waves.interference("frozen", name="wave_frozen", parameter="amplitude_dn"),
         ),
         estimator=Estimator(spectra.banding, searched=True, beside=spectra.beside_rows),

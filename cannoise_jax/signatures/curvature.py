@@ -11,7 +11,7 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import strength
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.fields import Fields, channel_index, native
 from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.least import (
     template,
@@ -85,14 +85,14 @@ def curvature_score(fields: tuple[Fields, ...], *, span: float) -> Score[float] 
     known = [f for f in (*scenes, *flats) if f.clean is not None]
     high = float(max(np.max(f.clean) for f in known if f.clean is not None))
     where = {"axis": "signal", "range": [0.0, high]}
-    moments = [m for f in known if f.clean is not None for m in _moments(f, f.clean, span)]
+    moments = [m for f in known if f.clean is not None for m in _moments(native(f), f.clean, span)]
     for f in darks_of(fields, known):
-        moments += _moments(f, np.zeros_like(f.mean), span)
+        moments += _moments(native(f), np.zeros_like(f.mean), span)
     value, error, apart, freedom = _common_curve(moments)
     if freedom < 2 or chi2_log_sf(apart, freedom) < np.log(1e-3):
         if not scenes:
             return None
-        pairs = [(f, project(f, -(f.clean**2) * span)) for f in scenes if f.clean is not None]
+        pairs = [(f, project(f, -(f.clean**2) * span / f.unit)) for f in scenes if f.clean is not None]
         return linear_score(pairs, name="curvature", unit="1", where=where, payload=span)
     z, curvature, error = value / error, -value / span, error / span
     return Score(
@@ -137,7 +137,7 @@ def curvature_absorb(fields: tuple[Fields, ...], score: Score[float]) -> tuple[F
     out = []
     for f in fields:
         if f.kind == "scene" and f.static is not None and f.clean is not None:
-            bend = -(f.clean**2) * span * value
+            bend = -(f.clean**2) * span / f.unit * value
             rest = project(f, bend)
             line = bend - np.divide(rest, f.weight, out=np.zeros_like(rest), where=f.weight > 0)
             f = minus(f, rest)._replace(mean=(f.mean - line).astype(np.float32))

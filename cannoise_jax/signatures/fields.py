@@ -47,7 +47,8 @@ class Fields(NamedTuple):
     contrasts: standardised differences between frames; static: standardised mean residual over the frames
     (None when its mean cannot be modelled); answers: of the static part to what else stays. step: code step,
     DN; number: place of the recording in its set; group: index of the gain setting. before: frames whose
-    mean the last contrast is taken from, 0: none.
+    mean the last contrast is taken from, 0: none. unit: DN of the recording in one of all that is in DN here,
+    see `referred`.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Fields(NamedTuple):
     black: Float[np.ndarray, "4"]
     before: int = 0
     answers: Answers = Answers()
+    unit: float = 1.0
 
     @property
     def lit(self) -> bool:
@@ -84,6 +86,28 @@ class Fields(NamedTuple):
     def relative(self) -> Float[np.ndarray, "h w"]:
         """signal / sigma where usable, else 0: response of the standardised field to a relative change."""
         return self.usable * self.signal / self.sigma
+
+
+def referred(field: Fields, unit: float) -> Fields:
+    """The field with so many DN of its recording in one of all that is in DN, signals counted from black:
+    what comes before the gain of a camera then has one strength at all of its gain settings."""
+    by = unit / field.unit
+    if by == 1:
+        return field
+    black = field.black[channel_index(field.mean.shape)].astype(np.float32)
+    return field._replace(
+        mean=black + (field.mean - black) / np.float32(by),
+        signal=field.signal / np.float32(by),
+        sigma=field.sigma / np.float32(by),
+        step=field.step / by,
+        gain=field.gain / by,
+        unit=unit,
+    )
+
+
+def native(field: Fields) -> Fields:
+    """The field in DN of its recording."""
+    return referred(field, 1.0)
 
 
 @remembered("usable", "sigma")

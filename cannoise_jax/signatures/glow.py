@@ -16,6 +16,7 @@ from scipy import special
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.answers import as_it_stays
+from cannoise_jax.signatures.charge_noise import louder
 from cannoise_jax.signatures.falls import (
     COST,
     TRIALS,
@@ -167,42 +168,9 @@ def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields,
         f = minus(f, fall)._replace(mean=f.mean - np.float32(level * scale))
         if glow.formed:
             gain = f.gain[channel_index(f.mean.shape)]
-            f = _louder(f, gain * (glow.template - glow.template.min()) * glow.strength * scale)
+            f = louder(f, gain * (glow.template - glow.template.min()) * glow.strength * scale)
         out.append(f)
     return tuple(out)
-
-
-def _louder(field: Fields, variance: np.ndarray) -> Fields:
-    """The field where some noise is known to grow over the frame, DN^2, the rest of it fitted to what the
-    frames show: its charge arrives one by one."""
-    if not len(field.contrasts):
-        return field
-    before = field.sigma.astype(np.float64) ** 2
-    each = np.minimum(field.contrasts**2 * before, 25 * (before + variance))
-    # Where little of it is known, the rest is told best.
-    share = field.usable / (before + variance) ** 2
-    rest = max(float(np.sum(share * (each.mean(0) - variance)) / np.sum(share * before)), 0.05)
-    after = rest * before + variance
-    root = np.sqrt(after / before).astype(np.float32)
-    shot = ((field.shot * rest * before + variance) / after).astype(np.float32)
-    static = None if field.static is None else field.static / root
-    field = field._replace(
-        contrasts=field.contrasts / root,
-        sigma=field.sigma * root,
-        shot=shot,
-        static=static,
-    )
-    return field if static is None else _level_out(field, static)
-
-
-def _level_out(field: Fields, static: np.ndarray) -> Fields:
-    """The field without the level of each channel that its static part holds by its weights of now."""
-    weight, channel = field.weight, channel_index(field.mean.shape)
-    level = np.zeros(4, np.float32)
-    for c in range(4):
-        at = channel == c
-        level[c] = np.sum(weight[at] * static[at]) / max(float(np.sum(weight[at] ** 2)), 1e-30)
-    return field._replace(static=static - weight * level[channel])
 
 
 def _level(fields: tuple[Fields, ...], glow: Glow) -> float:

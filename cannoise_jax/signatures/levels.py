@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK, mosaic_map
 from cannoise_jax.signatures.added import as_map, placed, strength
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.fields import Fields, channel_index, native
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.least import (
     Law,
@@ -70,13 +71,16 @@ def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.
     where all are of one. jitter: variance of the offset of a frame, DN^2."""
     levels = [d for d in levels if d[0].exposure_s is not None]
     t = np.array([f.exposure_s for f, _, _ in levels], float)
-    if len(set(t.tolist())) < 2:
-        return 0.0, np.inf
     y = np.array([level.mean() for _, level, _ in levels])
     v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
-    centre = np.average(t, weights=1 / v)
-    i = float(np.sum((t - centre) ** 2 / v))
-    return float(np.sum((t - centre) * y / v)) / i, float(1 / np.sqrt(i))
+    group = np.array([f.group for f, _, _ in levels], int)
+    for g in np.unique(group):  # each gain setting has a black level of its own
+        mine = group == g
+        t[mine] -= np.average(t[mine], weights=1 / v[mine])
+    i = float(np.sum(t**2 / v))
+    if not i > 0:
+        return 0.0, np.inf
+    return float(np.sum(t * y / v)) / i, float(1 / np.sqrt(i))
 
 
 def jitter_freedom(fields: tuple[Fields, ...], jitter: float, error: float) -> float:
@@ -106,7 +110,7 @@ values; `ONE_OF_SEVERAL` for each would be 7.5."""
 
 def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: bool) -> Score | None:
     """Black level against the stated one: what channels share (bookkeeping) or differ in (channel offset)."""
-    levels, jitter = dark_levels(fields), recorded.jitter
+    levels, jitter = dark_levels(tuple(native(f) for f in fields)), recorded.jitter
     if not levels:
         return None
     shortest = min((f.exposure_s or 0.0) for f, _, _ in levels)
@@ -160,9 +164,9 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: boo
 def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: str) -> Score | None:
     """Level of the darks against their exposure."""
     levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
-    if len({f.exposure_s for f, _, _ in levels}) < 2:
-        return None
     slope, spread = dark_rise(levels, jitter)
+    if not np.isfinite(spread):
+        return None
     gain = float(np.mean(fields[0].gain))
     z = slope / spread
     # Frame offsets leave few degrees of freedom for their own variance.
@@ -215,7 +219,9 @@ def black_of_channels(recorded: Recorded, *, name: str, parameter: str, covers: 
             return None
         rms = float(np.sqrt(np.mean(found.pattern**2)))
         maps = {"field": as_map(found.pattern / (rms or 1.0))}
-        return Addition({parameter: rms}, maps, black_shift=np.asarray(found.score.payload))
+        shift = np.asarray(found.score.payload)
+        # Of codes, whatever the gain: as the black level itself.
+        return Addition({parameter: rms}, maps, scaling=Scaling(), black_shift=shift)
 
     def least(sets: tuple[Seen, ...]) -> Law:
         y, x = np.mgrid[: sets[0].weight.shape[0], : sets[0].weight.shape[1]]

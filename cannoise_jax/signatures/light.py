@@ -119,7 +119,7 @@ def shading_score(fields: tuple[Fields, ...], *, span: float) -> Score[tuple[flo
             continue
         fall = fall_off(f.mean.shape)
         if f.kind == "scene":
-            t = project(f, -fall * f.clean * span)
+            t = project(f, -fall * f.clean * span / f.unit)
             u += float(np.sum(f.static * t)) * np.sqrt(f.frames)
             i += float(np.sum(t**2)) * f.frames
             continue
@@ -156,7 +156,7 @@ def shading_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float]]
     """Takes the fall-off out of the scenes; the smooth mean of a flat holds it already."""
     value, span = score.payload
     return tuple(
-        minus(f, project(f, -fall_off(f.mean.shape) * f.clean * span * value))
+        minus(f, project(f, -fall_off(f.mean.shape) * f.clean * span / f.unit * value))
         if f.kind == "scene" and f.static is not None and f.clean is not None
         else f
         for f in fields

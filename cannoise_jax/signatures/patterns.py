@@ -11,6 +11,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays
+from cannoise_jax.signatures.charge_noise import steadied
 from cannoise_jax.signatures.fields import Fields, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.handed import Many, Predicted
@@ -185,7 +186,11 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
         return fields
     tau = score.payload * sums.information
     apart = sums.score**2 >= _STANDS_OUT**2 * sums.information * (1 + tau)
-    return less_map(fields, scaling, score.payload, apart)
+    left = less_map(fields, scaling, score.payload, apart)
+    if scaling != "exposure":
+        return left
+    rate = posterior(sums.score, sums.information, score.payload)[0]
+    return steadied(left, rate, (sums.information > 0) & ~apart)
 
 
 def own_score(fields: tuple[Fields, ...]) -> Score | None:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
+from cannoise_jax.signatures.charge_noise import by_charge, own_charge
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.known_shape import darks, known_kurtosis, kurtosis_doubt
@@ -21,6 +22,7 @@ from cannoise_jax.signatures.signature import (
     BY_SHIFT,
     CONTRASTS,
     NO_LAW,
+    STATIC,
     Axes,
     Signature,
     unchanged,
@@ -36,8 +38,15 @@ def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int
     freedom = sum(len(f.contrasts) for f in chosen)
     if freedom < 2:
         return None
-    squares = np.sum([np.einsum("nij,nij->ij", f.contrasts, f.contrasts) for f in chosen], axis=0)
-    return squares.astype(np.float64), np.all([f.usable for f in chosen], axis=0), freedom
+    return _sum_of_squares(chosen, own_charge(fields)), np.all([f.usable for f in chosen], axis=0), freedom
+
+
+def _sum_of_squares(chosen: Many, charge: np.ndarray | None) -> np.ndarray:
+    """In units of the noise, in which the shot noise of what each pixel collects is."""
+    total = np.zeros(chosen[0].mean.shape)
+    for f in chosen:
+        total += np.einsum("nij,nij->ij", f.contrasts, f.contrasts) / by_charge(f, charge)
+    return total
 
 
 def sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
@@ -138,15 +147,14 @@ def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
 
 
-READS = CONTRASTS | {"mean", "signal", "shot"}
+READS = STATIC | CONTRASTS | {"mean", "signal", "shot"}
 
 
 def dark_squares(fields: Many) -> tuple[np.ndarray, int]:
     """Temporal sum of squares of every pixel of the darks in units of the noise, and its degrees of
     freedom."""
     chosen = [f for f in fields if not f.lit and len(f.contrasts)]
-    total = np.sum([np.einsum("nij,nij->ij", f.contrasts, f.contrasts) for f in chosen], axis=0)
-    return np.asarray(total, np.float64), sum(len(f.contrasts) for f in chosen)
+    return _sum_of_squares(tuple(chosen), own_charge(fields)), sum(len(f.contrasts) for f in chosen)
 
 
 def noisy_map(fields: Many, share: float) -> np.ndarray:

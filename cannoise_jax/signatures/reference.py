@@ -60,7 +60,7 @@ def reference_score(fields: tuple[Fields, ...], *, kind: str, span: float, edge:
     shared_u = shared_i = 0.0
     for f in chosen:
         assert f.clean is not None and f.static is not None
-        templates = reference_templates(f.clean, span, kind)
+        templates = reference_templates(f.clean, span / f.unit, kind)
         t = np.array([project(f, g).ravel() for g in templates]) * np.sqrt(f.frames)
         changes.append(float(np.sqrt(np.mean(np.square(templates)))))
         normal = np.einsum("kn,ln->kl", t, t)

@@ -18,7 +18,7 @@ from cannoise_jax.physics.core.settings import DEFAULT, Settings, context_of, re
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.signatures.bases import BASES, Basis, Images
-from cannoise_jax.signatures.fields import Fields, helmert
+from cannoise_jax.signatures.fields import Fields, helmert, native
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.recorded import Recorded
 
@@ -51,6 +51,7 @@ def strength_of(record: Mechanism) -> Parameter:
 
 def _camera(field: Fields, recorded: Recorded, seed: int = 0) -> tuple[SensorModel, Any, Settings]:
     """A camera with the noise of one recording, what it sees there, and how it is set."""
+    field = native(field)
     sigma2 = field.sigma.astype(np.float64) ** 2
     gain = max(float(np.mean(field.gain)), 1e-6)
     read = float(np.sqrt(np.median(sigma2 * (1 - field.shot)))) / gain
@@ -74,7 +75,7 @@ def effect(record: Mechanism, strength: float, field: Fields, recorded: Recorded
     without, with_it = (_values(m, clean, settings, seed) for m in both)
     if not np.isfinite(with_it).all():
         raise BadInput(f"{record.id}: its sampler draws values that are not finite, at {values}: mend it")
-    return np.asarray(with_it - without, np.float64) * field.weight
+    return np.asarray(with_it - without, np.float64) * native(field).weight
 
 
 def _values(model: SensorModel, clean, settings: Settings, seed: int) -> np.ndarray:
@@ -146,4 +147,5 @@ def answer(record: Mechanism, strength: float, field: Fields, recorded: Recorded
     factor = float(np.mean(np.asarray(resolve(model, context_of(model, clean, settings))[0][own]))) / strength
     if record.point.combine == "multiply":
         return factor * field.relative
+    field = native(field)
     return factor * field.weight * (np.mean(field.gain) if record.acts_on in ("mean", "charge") else 1.0)

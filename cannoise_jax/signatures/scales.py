@@ -36,8 +36,8 @@ def scale_score(
     for f in fields:
         if f.kind != "scene" or f.static is None or f.clean is None:
             continue
-        parts += _by_direction(f, span)
-        channel = channel_index(f.mean.shape)
+        parts += _by_direction(f, span / f.unit)
+        channel, own = channel_index(f.mean.shape), span / f.unit
         u = i = 0.0
         for c in range(4):
             chosen = (channel == c) & f.usable
@@ -47,8 +47,8 @@ def scale_score(
             x = f.clean[chosen] - np.average(f.clean[chosen], weights=weight)
             full = f.frames * np.sum(weight * x**2)
             if full > 0:
-                slope = float(np.sum(weight * x * f.mean[chosen]) / np.sum(weight * x**2)) / span
-                u, i = u + (slope - 1) * full * span**2, i + full * span**2
+                slope = float(np.sum(weight * x * f.mean[chosen]) / np.sum(weight * x**2)) / own
+                u, i = u + (slope - 1) * full * own**2, i + full * own**2
         if i > 0:
             values.append(u / i)
             errors.append(1 / np.sqrt(i))

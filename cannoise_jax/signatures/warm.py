@@ -229,11 +229,12 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
 def _dark_current(fields: tuple[Fields, ...]) -> float:
     """DN per second by which the mean of the darks grows with the exposure."""
     darks = [f for f in fields if f.kind in DARK and f.exposure_s is not None and f.usable.any()]
-    if len({f.exposure_s for f in darks}) < 2:
-        return 0.0
     x = np.array([float(f.exposure_s or 0.0) for f in darks])
     y = np.array([float(np.median(f.mean[f.usable])) for f in darks])
-    return float(np.polyfit(x, y, 1)[0])
+    group = np.array([f.group for f in darks], int)
+    for g in np.unique(group):  # each gain setting has a black level of its own
+        x[group == g] -= np.mean(x[group == g])
+    return float(x @ y / (x @ x)) if np.any(x) else 0.0
 
 
 def without_warmth(fields: tuple[Fields, ...], score: Score[Heat | None]) -> tuple[Fields, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -42,8 +42,21 @@ _OWN = 4 * _PAD + 1
 """Points, a side, that a line itself takes."""
 _LEAST_REST = 0.01
 """Share of a field's power that is taken to be no wave's, at least."""
+_MOST_OF_LINES = 0.5
+"""Share of what whole rows or columns share that lies in one line, from which on the line is judged first: a
+law of many frequencies would take it for its own."""
 _COLOURED = 1.5
 """Level from which on noise is taken as coloured: three standard deviations of what white noise shows."""
+
+
+class Wave(NamedTuple):
+    """Cycles a pixel along the columns and the rows, whether its phase stays, and its share of what whole
+    rows or columns share."""
+
+    fy: float
+    fx: float
+    time: str
+    of_lines: float
 
 
 def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
@@ -76,7 +89,7 @@ def redrawn(field: Fields) -> Float[np.ndarray, "n h w"]:
 
 def wave_score(
     fields: tuple[Fields, ...], *, time: str, near: tuple[float, float] | None = None
-) -> Score[tuple[float, float, str]] | None:
+) -> Score[Wave] | None:
     """One plane wave, of the same frequency in every frame: phase new in each (redrawn) or the same
     (frozen). Fields count by their information, which is the score for a small amplitude. near: frequency
     that other frames tell, as well as they resolve it."""
@@ -103,7 +116,7 @@ def wave_score(
     power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
     if near is not None:
         power[~_about(near, power.shape, (h, w))] = 0
-    around = _around(power)
+    raw, around = power, _around(power)
     where = np.unravel_index(np.argmax(power / around), power.shape)
     power, level = power / around, float(around[where])
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
@@ -132,9 +145,25 @@ def wave_score(
             "frequency_x": (fx, "1/px", doubt[1]),
         },
         where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
-        payload=(fy, fx, time),
+        payload=Wave(fy, fx, time, _of_lines(raw, (int(where[0]), int(where[1])))),
         spot={"frequency_y": (fy, 2.5 * doubt[0]), "frequency_x": (fx, 2.5 * doubt[1])},
     )
+
+
+def _of_lines(power: Float[np.ndarray, "h w"], at: tuple[int, int]) -> float:
+    """Share of what whole rows or columns share, beyond white noise, that lies in the line at this point; 0
+    where it is no wave of rows or columns."""
+    h, w = power.shape
+    if at[1] > 0.6 * _PAD and min(at[0], h - at[0]) > 0.6 * _PAD:
+        return 0.0
+    shared = power[:, 0] if at[1] <= 0.6 * _PAD else power[0]
+    place, length = (at[0], h) if at[1] <= 0.6 * _PAD else (at[1], 2 * (w - 1))
+    near = np.arange(shared.size)
+    own = np.zeros(shared.size, bool)
+    for middle in (place, length - place):  # a line and its mirror image
+        own |= np.abs((near - middle + length / 2) % length - length / 2) <= 2 * _PAD
+    beyond = np.maximum(shared - 1, 0)
+    return float(beyond[own].sum() / max(beyond.sum(), 1e-30))
 
 
 def _around(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -173,10 +202,10 @@ def _centred_power(
     return power, own / total, own / total * (1 - of_wave)
 
 
-def wave_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float, str]]) -> tuple[Fields, ...]:
+def wave_absorb(fields: tuple[Fields, ...], score: Score[Wave]) -> tuple[Fields, ...]:
     """Projects the wave out of every field, and its near neighbours on the frequency grid; not the mean of a
     field, which is no wave's."""
-    fy, fx, _ = score.payload
+    fy, fx = score.payload[:2]
     waves = _neighbours(fy, fx, fields[0].mean.shape)
     out = []
     for f in fields:
@@ -237,8 +266,11 @@ def _weighted(fields: Many) -> list[np.ndarray]:
     return [redrawn(f) * f.weight.astype(np.float32) for f in fields]
 
 
-def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: str) -> Signature:
-    """A plane wave: of a new phase in every frame, or of one that stays."""
+def interference(
+    time: Literal["redrawn", "frozen"], *, name: str, parameter: str, lines: tuple[str, ...] = ()
+) -> Signature:
+    """A plane wave: of a new phase in every frame, or of one that stays. lines: signatures of rows and
+    columns, before which a wave that is most of what these share is judged."""
     redrawn_too = time == "redrawn"
     point = Point("readout", "signal", "raster", time, spectrum="sinusoid")
 
@@ -282,5 +314,6 @@ def interference(time: Literal["redrawn", "frozen"], *, name: str, parameter: st
         place=place,
         detectable=wave_detectable if redrawn_too else BY_SHIFT,
         decides=redrawn_too,
+        before=lambda score: lines if score.payload.of_lines > _MOST_OF_LINES else (),
         least=(lambda sets: sinusoid(sets, one)) if redrawn_too else NO_CLOSED_FORM,
     )

@@ -17,7 +17,7 @@ from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import IsoTable
-from cannoise_jax.signatures.fields import channel_index
+from cannoise_jax.signatures.fields import channel_index, native
 
 _BRIGHT = 0.4
 """Signal over the range at which the lit variance is matched: below a full well, and where photons make
@@ -95,7 +95,7 @@ def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, tails: f
     mine = [f for f in prepared.fields if not f.lit and f.exposure_s is not None and isos[f.group] == iso]
     if not mine:
         return 0.01, None, 0
-    f = min(mine, key=lambda f: f.exposure_s or 0.0)
+    f = native(min(mine, key=lambda f: f.exposure_s or 0.0))
     stacked = next(s for s in prepared.stacks if s.number == f.number)
     # Of the frames as they were recorded: the fields' own holds what whole frames share.
     total = own_variance(stacked, channel, f.sigma.astype(np.float64) ** 2, f.mean)

@@ -17,7 +17,7 @@ from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, iso_numbers
 from cannoise_jax.signatures.code_spacing import occurrences
-from cannoise_jax.signatures.fields import Fields, refit
+from cannoise_jax.signatures.fields import Fields, referred, refit
 from cannoise_jax.signatures.levels import frame_jitter
 from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Recorded
 from cannoise_jax.signatures.signature import Signature
@@ -28,6 +28,8 @@ ONE_ELECTRON = 0.8
 """Read noise, electrons, below which a histogram of millions of pixels shows the electrons one by one."""
 
 
+_KNOWN_GAIN = 0.2
+"""Standard error of a gain, as a share of it, below which strengths are carried over by it."""
 LEAST_SIDE = 32
 """Rows and columns from which the laws of the statistics hold."""
 
@@ -90,6 +92,8 @@ def prepare(
     fields = refit(
         tuple(standardise(s, baselines[order[s.recording.iso]], order[s.recording.iso]) for s in stacks)
     )
+    units = gain_units(baselines, iso_numbers(isos))
+    same = tuple(referred(f, units[f.group]) for f in fields)
     span = float(np.mean([r.white_level - np.mean(r.black_level) for r in capture.recordings]))
     stated = None
     if drawn is not None:
@@ -98,7 +102,7 @@ def prepare(
         stated = stated_parameters(capture, baselines)
     recorded = Recorded(
         *described(capture, step),
-        frame_jitter(fields),
+        frame_jitter(same),
         collect_codes(capture, stacks, fields, chosen, step),
         baselines,
         stated,
@@ -110,7 +114,7 @@ def prepare(
         occurrences(stacks, fields, chosen, step),
     )
     return Prepared(
-        fields,
+        same,
         baselines,
         signatures(recorded, entries),
         stacks,
@@ -118,6 +122,20 @@ def prepare(
         span,
         iso_numbers(isos),
     )
+
+
+def first_gain(baselines: tuple[GroupBaseline, ...], isos: dict[float | None, float]) -> GroupBaseline:
+    """The baseline of the lowest gain setting, at which the strengths of a camera model hold."""
+    return min(baselines, key=lambda b: isos[b.iso])
+
+
+def gain_units(baselines: tuple[GroupBaseline, ...], isos: dict[float | None, float]) -> list[float]:
+    """Gain of every setting over that of the lowest one: DN of each in one DN of that. Ones where a gain is
+    not known."""
+    if not all(np.all(b.gain > 0) and np.all(b.gain_stderr < _KNOWN_GAIN * b.gain) for b in baselines):
+        return [1.0] * len(baselines)
+    first = first_gain(baselines, isos)
+    return [float(np.mean(b.gain) / np.mean(first.gain)) for b in baselines]
 
 
 def _check_noise(stacks: tuple[Stack, ...]) -> None:

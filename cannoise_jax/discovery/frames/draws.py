@@ -17,7 +17,7 @@ from cannoise_jax.discovery.frames.contrasts import Stack, stack
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import settings_of
-from cannoise_jax.signatures.fields import Fields, frame_fields
+from cannoise_jax.signatures.fields import Fields, frame_fields, native, referred
 
 _CHUNK, _PIXELS = 4, 1 << 17
 """Frames drawn at once, so that one compiled program serves recordings of any length, and of small frames as
@@ -60,7 +60,7 @@ def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
         r = stacked.recording
         span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
         settings = settings_of(r, prepared.isos[r.iso], times * (field.before + field.frames))
-        clean = field.signal if field.lit else np.zeros(r.size, np.float32)
+        clean = native(field).signal if field.lit else np.zeros(r.size, np.float32)
         return draw(field.number, (clean / span).astype(np.float32), settings)
 
     drawn = each(one, zip(prepared.stacks, prepared.fields, strict=True))
@@ -73,8 +73,8 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
     baselines = {b.iso: b for b in prepared.baselines}
 
     def one(pair: tuple[Stack, Fields]) -> Fields:
-        stacked, field = pair
-        r = stacked.recording
+        stacked, shown = pair
+        r, field = stacked.recording, native(shown)
         frames = drawn[field.number]
         all_frames, a = list(range(len(frames))), field.before
         own = dataclasses.replace(r, frames=frames)
@@ -87,7 +87,8 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
             assert smooth is not None  # as the recording, the draw has a fixed pattern
             mean = smooth.astype(np.float32)
             static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
-        return field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static)
+        drawn_too = field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static)
+        return referred(drawn_too, shown.unit)
 
     pairs = zip(prepared.stacks, prepared.fields, strict=True)
     return tuple(each(one, [(s, f) for s, f in pairs if f.number in drawn]))

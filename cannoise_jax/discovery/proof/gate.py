@@ -53,8 +53,8 @@ class Gain(NamedTuple):
 class Tried(NamedTuple):
     """One candidate beside the simulator before it. what: `findings`, `confirmed findings` or `remainder`;
     steps:
-    findings in it; score: of the composite score, nats a pixel, area: of the distance of the two-sample
-    area from 0.5 (None: not measured); entered: whether it is in the simulator that is handed back; least:
+    findings in it; score: of the composite score, nats a pixel, area: of what the two-sample area is above
+    0.5 (None: not measured); entered: whether it is in the simulator that is handed back; least:
     change of the score that counts as none."""
 
     what: str
@@ -147,7 +147,9 @@ def remaining(
     spare, well = gated, tuple(s for s in gated.steps if any(s is d for d in described))
     # Findings that describe badly what they describe keep the remainder from describing it: it is tried in
     # their place too, and beside the fitted baseline, which also has nothing too much. Findings are what can
-    # be understood: they are given up only where the recordings are told less well without them.
+    # be understood: they are given up only where the recordings are told less well without them, and less
+    # well than with the remainder beside them.
+    beside: tuple[SensorModel, Looked, Tried] | None = None
     for what, some, number in (
         ("remainder", gated.steps, WITH_REST),
         ("remainder in place of what nothing describes well", well, WELL_WITH_REST),
@@ -167,7 +169,15 @@ def remaining(
         if some:
             tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(spare)))
         enters = tried.better and (len(some) == len(gated.steps) or tried.nearer)
-        gated = gated._replace(tried=(*gated.tried, tried._replace(entered=enters)))
+        tried = tried._replace(entered=enters)
+        if number == WITH_REST and not enters and not tried.worse:
+            beside = candidate, looked, tried
+        instead = enters and beside is not None and not _tried(what, some, panel, beside[1], looked).nearer
+        every = (*gated.tried, tried._replace(entered=False) if instead else tried)
+        if instead and beside is not None:
+            candidate, looked, tried = beside
+            some, every = spare.steps, tuple(t._replace(entered=True) if t is tried else t for t in every)
+        gated = gated._replace(tried=every)
         if enters:
             gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
     return gated

@@ -71,7 +71,7 @@ class Area(NamedTuple):
 
 
 class TwoSample(NamedTuple):
-    """Areas before and after; change: of their distance from 0.5 (None: nothing was added). patches: to a
+    """Areas before and after; change: of what they are above 0.5 (None: nothing was added). patches: to a
     decision; control: the area for the injected row noise at that number, below `CONTROL_AREA` where no
     number reaches it."""
 
@@ -226,8 +226,9 @@ def controlled(control: tuple[Pair, Pair], sigma: float | None, seed: int) -> tu
 
 
 def areas_of(scored: list[Scored], size: int, seed: int) -> tuple[list[Area], Area]:
-    """Areas of several simulators with their intervals, and the change of the distance from 0.5 between the
-    first and the last, all under the same resampling of frames."""
+    """Areas of several simulators with their intervals, and the change of what they are above 0.5 between the
+    first and the last, all under the same resampling of frames. Below 0.5 is chance: what a classifier learnt
+    of one half of the frames does not hold for the other."""
     drawn = resampled(scored, size, seed)
     values = [decided(s, size, seed) for s in scored]
     low, high = np.quantile(drawn, (0.05, 0.95), axis=1)
@@ -235,8 +236,8 @@ def areas_of(scored: list[Scored], size: int, seed: int) -> tuple[list[Area], Ar
         Area(v, float(a), float(b), float(d.std()), freedom(scored[0]))
         for v, a, b, d in zip(values, low, high, drawn, strict=True)
     ]
-    moved = np.abs(drawn[-1] - 0.5) - np.abs(drawn[0] - 0.5)
-    value = abs(values[-1] - 0.5) - abs(values[0] - 0.5)
+    moved = np.maximum(drawn[-1], 0.5) - np.maximum(drawn[0], 0.5)
+    value = max(values[-1], 0.5) - max(values[0], 0.5)
     least, most = (float(q) for q in np.quantile(moved, (0.05, 0.95)))
     change = Area(value, least, most, float(moved.std()), areas[0].freedom)
     return areas, change

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cannoise_jax.discovery.frames.balance import balanced
-from cannoise_jax.discovery.frames.battery import Prepared
+from cannoise_jax.discovery.frames.battery import Prepared, first_gain
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.maps import one_draw
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -91,13 +91,14 @@ def addition(step: Step, prepared: Prepared, pattern: np.ndarray | None) -> Addi
     grammar; None: nothing."""
     signature, score = step.named.signature, step.named.score
     exposures = [f.exposure_s for f in prepared.fields]
+    first = first_gain(prepared.baselines, prepared.isos)
     found = Found(
         mechanism=step.named.mechanism,
         score=score,
         fields=step.before,
         pattern=pattern,
-        gain=float(np.mean(prepared.baselines[0].gain)) or 1.0,
-        read_dn=float(np.mean(prepared.baselines[0].read_noise)),
+        gain=float(np.mean(first.gain)) or 1.0,
+        read_dn=float(np.mean(first.read_noise)),
         seconds=max(e or 1.0 for e in exposures),
         longest=max(e or 0.0 for e in exposures),
         span=prepared.span,

@@ -1,0 +1,114 @@
+"""The shot noise of dark charge: where more of it arrives, there is more noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.signatures.fields import Fields, channel_index
+
+
+def louder(field: Fields, variance: np.ndarray) -> Fields:
+    """The field where some noise is known to grow over the frame, DN^2, the rest of it fitted to what the
+    frames show: its charge arrives one by one."""
+    if not len(field.contrasts):
+        return field
+    before = field.sigma.astype(np.float64) ** 2
+    each = np.minimum(field.contrasts**2 * before, 25 * (before + variance))
+    # Where little of it is known, the rest is told best.
+    share = field.usable / (before + variance) ** 2
+    rest = max(float(np.sum(share * (each.mean(0) - variance)) / np.sum(share * before)), 0.05)
+    after = rest * before + variance
+    root = np.sqrt(after / before).astype(np.float32)
+    shot = ((field.shot * rest * before + variance) / after).astype(np.float32)
+    static = None if field.static is None else field.static / root
+    field = field._replace(
+        contrasts=field.contrasts / root,
+        sigma=field.sigma * root,
+        shot=shot,
+        static=static,
+    )
+    return field if static is None else _level_out(field, static)
+
+
+def _level_out(field: Fields, static: np.ndarray) -> Fields:
+    """The field without the level of each channel that its static part holds by its weights of now."""
+    weight, channel = field.weight, channel_index(field.mean.shape)
+    level = np.zeros(4, np.float32)
+    for c in range(4):
+        at = channel == c
+        level[c] = np.sum(weight[at] * static[at]) / max(float(np.sum(weight[at] ** 2)), 1e-30)
+    return field._replace(static=static - weight * level[channel])
+
+
+_LOWEST = 0.001
+"""Share of the pixels whose charge lies below what is taken as none: single ones are chance."""
+
+
+def steadied(
+    fields: tuple[Fields, ...], rate: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
+) -> tuple[Fields, ...]:
+    """The darks with contrasts in units of the noise that each pixel's own charge has, DN/s; only those: of
+    what stays the weights are those by which maps were taken out of it. known: pixels whose charge is known.
+
+    Without it pixels of more dark current than others would be pixels of more read noise, or ones that jump.
+    """
+    if not known.any():
+        return fields
+    charge = np.where(known, np.maximum(rate - np.quantile(rate[known], _LOWEST), 0.0), 0.0)
+
+    def own(f: Fields) -> Fields:
+        if f.lit or not f.exposure_s or not np.all(f.gain > 0):
+            return f
+        return f._replace(
+            contrasts=louder(f, f.gain[channel_index(rate.shape)] * charge * f.exposure_s).contrasts
+        )
+
+    return tuple(own(f) for f in fields)
+
+
+_FAR = 6.0
+"""Standard deviations from which on what a pixel collects is its own, whatever the others collect."""
+_LEAST = 0.1
+"""Least variance that pixels of less charge than the mean keep."""
+
+
+def own_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"] | None:
+    """What pixels collect beyond the mean of all, e-/s, as far as they differ by more than noise; None
+    without darks of two exposures. Fixed offsets of a pixel are fitted beside it, and are none."""
+    darks = [f for f in fields if not f.lit and f.static is not None and f.exposure_s is not None]
+    top: np.ndarray | float = 0.0
+    information: np.ndarray | float = 0.0
+    for group in {f.group for f in darks if np.all(f.gain > 0)}:
+        own = [f for f in darks if f.group == group]
+        if len({f.exposure_s for f in own}) < 2:
+            continue
+        gain = own[0].gain[channel_index(own[0].mean.shape)]
+        root = [np.sqrt(f.frames) * gain * f.weight for f in own]
+        weight = [r.astype(np.float64) ** 2 for r in root]
+        seconds = [float(f.exposure_s or 0.0) for f in own]
+        mean = sum(w * t for w, t in zip(weight, seconds, strict=True)) / np.maximum(sum(weight), 1e-30)
+        for f, r, w, t in zip(own, root, weight, seconds, strict=True):
+            top = top + (t - mean) * r * f.static
+            information = information + (t - mean) ** 2 * w
+    if not np.ndim(information):
+        return None
+    seen = np.asarray(information) > 1e-6 * np.max(information)
+    if not seen.any():
+        return None
+    z = np.where(seen, top / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+    spread = robust_std(z[seen], 0) ** 2
+    chance = _FAR * np.sqrt(np.pi / np.count_nonzero(seen))
+    share = max(1 - 1 / spread, 0.0) if spread > 1 + chance else 0.0
+    far = np.abs(z) > _FAR * max(np.sqrt(spread), 1.0)
+    return np.where(seen, np.where(far, 1.0, share) * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+
+
+def by_charge(field: Fields, rate: Float[np.ndarray, "h w"] | None) -> Float[np.ndarray, "h w"]:
+    """Variance of the noise with the shot noise of such charge over that without."""
+    if rate is None or field.lit or not field.exposure_s:
+        return np.ones(field.mean.shape)
+    gain = field.gain[channel_index(rate.shape)]
+    more = gain**2 * rate * field.exposure_s * field.weight.astype(np.float64) ** 2
+    return np.maximum(1 + more, _LEAST)
