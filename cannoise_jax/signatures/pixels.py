@@ -38,7 +38,11 @@ def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int
     freedom = sum(len(f.contrasts) for f in chosen)
     if freedom < 2:
         return None
-    return _sum_of_squares(chosen, own_charge(fields)), np.all([f.usable for f in chosen], axis=0), freedom
+    return (
+        _sum_of_squares(tuple(chosen), own_charge(fields)),
+        np.all([f.usable for f in chosen], axis=0),
+        freedom,
+    )
 
 
 def _sum_of_squares(chosen: Many, charge: np.ndarray | None) -> np.ndarray:
