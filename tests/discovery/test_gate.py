@@ -39,10 +39,10 @@ def test_what_helps_one_measure_and_hurts_the_other_does_not_enter():
 class Bench:
     """A panel that knows how far every model is from the recordings."""
 
-    def __init__(self, areas, scores=None):
+    def __init__(self, areas, scores=None, unsure=()):
         field = SimpleNamespace(frames=4, number=0, kind="dark", mean=np.zeros((8, 8)))
         self.halves = (None, SimpleNamespace(fields=(field,)))
-        self.area, self.score = areas, scores or {}
+        self.area, self.score, self.unsure = areas, scores or {}, unsure
 
     def look(self, draw, number):
         model = draw.__closure__[0].cell_contents if draw.__closure__ else draw
@@ -51,7 +51,8 @@ class Bench:
 
     def change(self, before, after):
         value = self.area[after.model] - self.area[before.model]
-        return Area(value, value - 0.01, value + 0.01)
+        wide = 0.2 if {before.model, after.model} & set(self.unsure) else 0.01
+        return Area(value, value - wide, value + wide)
 
     def areas(self, looked):
         return [Area(0.5 + self.area[one.model], 0.49 + self.area[one.model], 0.6) for one in looked]
@@ -79,6 +80,23 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
     found = gate_module.remaining(found, Bench(areas), sides, ("a",), lambda model: model + "+")
     assert (found.model, "".join(found.steps), found.remainder) == (handed_back, steps, rest)
     assert areas[found.model] <= areas["given"]
+
+
+def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
+    """The remainder alone is nearer than the findings, and so is the remainder beside them, less surely."""
+    areas = {"given": 0.4, "ab": 0.14, "ab+": 0.0, "a+": 0.12, "given+": 0.05}
+    for unsure, handed_back in ((("ab+",), "ab+"), ((), "ab+")):
+        bench = Bench(areas, unsure=unsure)
+        proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
+        sides = SimpleNamespace(
+            plain=gate_module.of_model("given"), model="given", bare="given",
+            of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
+        )  # fmt: skip
+        found = gate_module.gate(bench, sides, ("a", "b"), proofs)
+        found = gate_module.remaining(found, bench, sides, ("a",), lambda model: model + "+")
+        assert (found.model, found.steps, found.remainder) == (handed_back, ("a", "b"), True)
+        entered = {t.what for t in found.tried if t.entered}
+        assert entered == {"findings", "remainder"}
 
 
 def test_an_area_counts_by_its_own_scatter_and_never_when_it_is_small():

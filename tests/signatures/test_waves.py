@@ -73,3 +73,17 @@ def test_taking_a_wave_out_leaves_the_offsets_of_frames():
     assert left.contrasts.mean((1, 2)) == pytest.approx(field.contrasts.mean((1, 2)), abs=1e-3)
     told = [SIGNATURES["frame_additive"].score((f, f)).amplitude for f in (field, left)]
     assert told[1] == pytest.approx(told[0], rel=0.02)
+
+
+@pytest.mark.parametrize("rows, first", [(0.2, True), (3.0, False)])
+def test_a_line_that_is_most_of_what_rows_share_is_judged_before_them(rows, first):
+    """Beside row noise of a fifth or of three times its strength."""
+    (field,) = white(_RNG(6), kinds=("dark",), frames=8, size=SIZE)
+    y = np.arange(SIZE[0])[:, None]
+    phase = 2 * np.pi * _RNG(7).random((7, 1, 1))
+    shared = 1.5 * np.cos(2 * np.pi * 9 * y / SIZE[0] + phase) + rows * _RNG(8).standard_normal(
+        (7, SIZE[0], 1)
+    )
+    field = field._replace(contrasts=(field.contrasts + shared / 3.0).astype(np.float32))
+    wave = SIGNATURES["wave_redrawn"]
+    assert ("row_slope" in wave.before(wave.score((field,)))) == first

@@ -1,0 +1,73 @@
+"""Several gain settings: what comes before the gain has one strength, quoted at the lowest setting."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cannoise_jax import Settings
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.signatures.fields import native, referred
+
+SIZE = (64, 96)
+BLACK, READ = 500.0, 2.0
+GAINS = {100.0: 0.5, 400.0: 2.0, 1600.0: 8.0}
+ROWS, PIXELS, CURRENT = 0.8, 0.6, 0.5
+"""Row noise and offsets of pixels, e-, dark current, e-/s."""
+
+
+def camera(seed=0):
+    """Biases, darks and flats at three gain settings in plain NumPy."""
+    rng = np.random.default_rng(seed)
+    offsets = PIXELS * rng.standard_normal(SIZE)
+    out = []
+    for iso, gain in GAINS.items():
+        shots = (("bias", 1e-3, 0.0), ("dark", 20.0, 0.0), ("flat", 0.01, 400.0), ("flat", 0.01, 1200.0))
+        for kind, seconds, light in shots:
+            charge = rng.poisson(light + CURRENT * seconds, (8, *SIZE)) + offsets
+            charge = charge + READ * rng.standard_normal(charge.shape)
+            charge = charge + ROWS * rng.standard_normal((8, SIZE[0], 1))
+            codes = np.clip(np.round(BLACK + gain * charge), 0, 16383).astype(np.uint16)
+            out.append(
+                Recording(codes, "RGGB", (BLACK,) * 4, 16383.0, kind=kind, exposure_s=seconds, iso=iso)
+            )
+    return CaptureSet("camera", tuple(out))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return diagnose(camera(), compare=False)
+
+
+def test_strengths_hold_at_the_lowest_setting(found):
+    scores = {s.named.mechanism: s.named.score for s in found.fitted.steps}
+    assert scores["row_noise"].amplitude == pytest.approx(0.5 * ROWS, rel=0.1)
+    assert scores["dsnu"].amplitude == pytest.approx(0.5 * PIXELS, rel=0.1)
+    assert scores["dark_current"].amplitude == pytest.approx(CURRENT, rel=0.1)
+
+
+def test_the_camera_model_has_them_at_every_setting(found):
+    """Row noise, DN, of draws without light."""
+    for iso, gain in GAINS.items():
+        frames = np.asarray(
+            found.model.sample(jax.random.key(1), jnp.zeros(SIZE), Settings(iso, 1e-3, frames=16))
+        )
+        rows = frames[:, :, ::2].mean(2)
+        moving = (rows - rows.mean(0) - rows.mean(1, keepdims=True)).std() * np.sqrt(16 / 15)
+        pixels = np.hypot(gain * READ, 0.3) / np.sqrt(SIZE[1] / 2)
+        assert np.sqrt(moving**2 - pixels**2) == pytest.approx(gain * ROWS, rel=0.2)
+
+
+def test_units_there_and_back_are_the_same():
+    capture = camera(1)
+    for f in prepare(capture, all_frames(split_recordings(capture)), False).fields:
+        assert f.unit == pytest.approx(GAINS[capture.recordings[f.number].iso] / 0.5, rel=0.03)
+        back = referred(native(f), f.unit)
+        for name in ("mean", "signal", "sigma", "gain", "step"):
+            assert np.allclose(getattr(back, name), getattr(f, name), rtol=1e-5)
+        assert np.array_equal(back.contrasts, f.contrasts) and native(f).step == pytest.approx(1.0)

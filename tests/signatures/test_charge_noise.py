@@ -1,0 +1,94 @@
+"""Dark charge that differs from pixel to pixel brings noise that does: no read noise of pixels, no jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.signatures.charge_noise import by_charge, own_charge
+from cannoise_jax.signatures.pixels import spread_score
+
+SIZE = (96, 128)
+GAIN, READ, BLACK = 4.0, 2.0, 400.0
+_RNG = np.random.default_rng
+
+
+def camera(seed, heat, jumps=0.0):
+    """Bias, two exposures of darks and a flat in plain NumPy. heat: e-/s of every pixel; jumps: share of the
+    pixels that jump by 12 e-."""
+    rng = _RNG(seed)
+    jumping = rng.random(SIZE) < jumps
+    out = []
+    shots = (("bias", 0.0, 0.0), ("dark", 10.0, 0.0), ("dark", 60.0, 0.0), ("flat", 0.1, 2000.0))
+    for kind, seconds, light in shots:
+        size = (12, *SIZE)
+        charge = rng.poisson(heat * seconds + light, size) + READ * rng.standard_normal(size)
+        charge = charge + jumping * 12.0 * (rng.random(size) < 0.4)
+        codes = np.clip(np.round(BLACK + GAIN * charge), 0, 65535).astype(np.uint16)
+        out.append(Recording(codes, "MONO", (BLACK,) * 4, 65535.0, kind=kind, exposure_s=seconds))
+    return CaptureSet("camera", tuple(out))
+
+
+def fields_of(capture):
+    return prepare(capture, all_frames(split_recordings(capture)), False).fields
+
+
+def uneven(seed):
+    return 0.3 * np.exp(0.5 * _RNG(seed).standard_normal(SIZE))
+
+
+def test_the_charge_of_each_pixel_comes_back_and_that_of_none_is_nothing():
+    heat = uneven(1)
+    charge = own_charge(fields_of(camera(1, heat)))
+    away = heat - heat.mean()
+    assert np.corrcoef(charge.ravel(), away.ravel())[0, 1] > 0.9
+    assert np.polyfit(charge.ravel(), away.ravel(), 1)[0] == pytest.approx(1.0, abs=0.1)
+    assert not own_charge(fields_of(camera(2, np.full(SIZE, 0.3)))).any()
+
+
+def test_noise_in_units_of_each_pixels_own_is_alike():
+    """Variance of the darks over what a pixel's charge makes it, in classes of that charge."""
+    fields = fields_of(camera(3, uneven(3)))
+    charge = own_charge(fields)
+    dark = max((f for f in fields if f.kind == "dark"), key=lambda f: f.exposure_s)
+    power = np.mean(dark.contrasts**2, 0) / by_charge(dark, charge)
+    order = np.array_split(np.argsort(charge.ravel()), 5)
+    classes = [power.ravel()[part].mean() for part in order]
+    assert np.ptp(classes) < 0.12
+    raw = [np.mean(dark.contrasts**2, 0).ravel()[part].mean() for part in order]
+    assert np.ptp(raw) > 0.5
+
+
+def test_it_is_no_spread_of_the_read_noise():
+    for seed in range(3):
+        score = spread_score(fields_of(camera(10 + seed, uneven(20 + seed))))
+        assert score.amplitude < 0.04
+
+
+def test_fixed_offsets_are_no_charge():
+    capture = camera(4, np.full(SIZE, 0.01))
+    offsets = np.round(40 * _RNG(5).standard_normal(SIZE))
+    moved = tuple(
+        Recording(
+            np.clip(r.frames + offsets, 0, 65535).astype(np.uint16), r.cfa, r.black_level, r.white_level,
+            kind=r.kind, exposure_s=r.exposure_s,
+        )
+        for r in capture.recordings
+    )  # fmt: skip
+    charge = own_charge(fields_of(CaptureSet("camera", moved)))
+    assert np.std(charge) < 0.02
+
+
+def test_pixels_that_jump_are_told_beside_hot_ones_and_an_uneven_dark_current():
+    heat = uneven(6)
+    hot = _RNG(7).random(SIZE) < 0.004
+    heat[hot] += 5 + _RNG(8).exponential(20, hot.sum())
+    found = diagnose(camera(9, heat, jumps=0.012), compare=False)
+    names = {f.named.mechanism: f.named.score for f in found.fitted.steps}
+    assert {"hot_pixels", "rts", "dsnu"} <= set(names)
+    assert "pixel_read_noise_map" not in names
+    assert names["rts"].parameters["fraction"][0] == pytest.approx(0.012, abs=0.006)
