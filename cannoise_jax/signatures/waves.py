@@ -50,12 +50,10 @@ _COLOURED = 1.5
 
 
 class Wave(NamedTuple):
-    """Cycles a pixel along the columns and the rows, whether its phase stays, and its share of what whole
-    rows or columns share."""
+    """Cycles a pixel along the columns and the rows, and its share of what whole rows or columns share."""
 
     fy: float
     fx: float
-    time: str
     of_lines: float
 
 
@@ -145,7 +143,7 @@ def wave_score(
             "frequency_x": (fx, "1/px", doubt[1]),
         },
         where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
-        payload=Wave(fy, fx, time, _of_lines(raw, (int(where[0]), int(where[1])))),
+        payload=Wave(fy, fx, _of_lines(raw, (int(where[0]), int(where[1])))),
         spot={"frequency_y": (fy, 2.5 * doubt[0]), "frequency_x": (fx, 2.5 * doubt[1])},
     )
 

@@ -31,6 +31,7 @@ from tests.discovery.planted import OWN, SHARED, by_own_law, planted
 FIXED = frozenset({"name", "kind", "frames", "number", "group", "exposure_s", "step", "gain", "black"}) | {
     "clean",
     "before",
+    "unit",
 }
 """What nothing that is taken out of a field can change."""
 ALL = list(SIGNATURES.values())
