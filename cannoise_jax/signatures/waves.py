@@ -203,7 +203,7 @@ def _centred_power(
 def wave_absorb(fields: tuple[Fields, ...], score: Score[Wave]) -> tuple[Fields, ...]:
     """Projects the wave out of every field, and its near neighbours on the frequency grid; not the mean of a
     field, which is no wave's."""
-    fy, fx = score.payload[:2]
+    fy, fx = score.payload.fy, score.payload.fx
     waves = _neighbours(fy, fx, fields[0].mean.shape)
     out = []
     for f in fields:
@@ -303,7 +303,7 @@ def interference(
         # Of two frames their mean tells of what is new in each as well.
         reads=CONTRASTS | STATIC if redrawn_too else STATIC,
         score=score,
-        again=lambda fields, found: score(fields, near=found.payload[:2]),
+        again=lambda fields, found: score(fields, near=(found.payload.fy, found.payload.fx)),
         absorb=wave_absorb,
         covers=COVERS_NOTHING,
         predict=NO_LAW,
