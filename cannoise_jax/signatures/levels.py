@@ -110,13 +110,14 @@ values; `ONE_OF_SEVERAL` for each would be 7.5."""
 
 def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: bool) -> Score | None:
     """Black level against the stated one: what channels share (bookkeeping) or differ in (channel offset)."""
-    levels, jitter = dark_levels(tuple(native(f) for f in fields)), recorded.jitter
+    levels, units = dark_levels(tuple(native(f) for f in fields)), {f.number: f.unit for f in fields}
     if not levels:
         return None
     shortest = min((f.exposure_s or 0.0) for f, _, _ in levels)
     chosen = [(f, level, e) for f, level, e in levels if (f.exposure_s or 0.0) == shortest]
     weight = np.array([1 / e**2 for _, _, e in chosen])
     error = float(1 / np.sqrt(weight.sum()))
+    jitter = recorded.jitter * float(np.average([units[f.number] ** 2 for f, _, _ in chosen], weights=weight))
     difference = np.average([level for _, level, _ in chosen], axis=0, weights=weight) - recorded.black
     frames = sum(f.frames for f, _, _ in chosen)
     if common:
