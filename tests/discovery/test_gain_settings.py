@@ -10,7 +10,7 @@ import pytest
 from cannoise_jax import Settings
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare
-from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings, splits_of
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.fields import native, referred
 
@@ -71,3 +71,10 @@ def test_units_there_and_back_are_the_same():
         for name in ("mean", "signal", "sigma", "gain", "step"):
             assert np.allclose(getattr(back, name), getattr(f, name), rtol=1e-5)
         assert np.array_equal(back.contrasts, f.contrasts) and native(f).step == pytest.approx(1.0)
+
+
+def test_frames_held_back_are_in_the_units_of_those_that_look():
+    splits = splits_of(camera(2))
+    units = {f.number: f.unit for f in splits.looking.fields}
+    for other in (splits.held_back, splits.together):
+        assert {f.number: f.unit for f in other.fields} == units

@@ -138,6 +138,13 @@ def gain_units(baselines: tuple[GroupBaseline, ...], isos: dict[float | None, fl
     return [float(np.mean(b.gain) / np.mean(first.gain)) for b in baselines]
 
 
+def in_units_of(prepared: Prepared, first: Prepared) -> Prepared:
+    """A split in the units of another one: gains that its own few frames tell are other ones, or none."""
+    units = {first.baselines[f.group].iso: f.unit for f in first.fields}
+    own = {n: units.get(b.iso, 1.0) for n, b in enumerate(prepared.baselines)}
+    return prepared._replace(fields=tuple(referred(f, own[f.group]) for f in prepared.fields))
+
+
 def _check_noise(stacks: tuple[Stack, ...]) -> None:
     for s in stacks:
         if len(s.contrasts) and s.usable.any() and not s.contrasts.any():

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cannoise_jax.discovery.frames.battery import Prepared, prepare
+from cannoise_jax.discovery.frames.battery import Prepared, in_units_of, prepare
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.entry import Entry
@@ -88,12 +88,12 @@ class Splits:
     @cached_property
     def held_back(self) -> Prepared:
         """Those that prove, seen against the others' mean."""
-        return self.of("held_back")
+        return in_units_of(self.of("held_back"), self.looking)
 
     @cached_property
     def together(self) -> Prepared:
         """All frames."""
-        return self.of("together")
+        return in_units_of(self.of("together"), self.looking)
 
     @property
     def chosen(self) -> list[list[int]]:
