@@ -21,6 +21,7 @@ from cannoise_jax.mechanisms import (
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.mechanisms.pedestal import PEDESTAL
 from cannoise_jax.mechanisms.residual import RESIDUAL
+from cannoise_jax.signatures.behind_gain import BEHIND
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import UNKNOWN, Term
@@ -78,13 +79,32 @@ def signatures(recorded: Recorded, entries: tuple[Entry, ...] = ENTRIES) -> tupl
         if count > 1:
             of = ", ".join(sorted({s.mechanism or UNKNOWN.id for s in found if s.name == name}))
             raise ValueError(f"{name}: {count} signatures of this name, of {of}: give each a name of its own")
-    return tuple(_covering_all(s, found) for s in found)
+    return tuple(_on_both_sides(_covering_all(s, found), found) for s in found)
 
 
 def _covering_all(signature: Signature, found: tuple[Signature, ...]) -> Signature:
     """The signature, which also covers those that say that it does."""
     more = tuple(s.name for s in found if signature.name in s.covered_by and s.name not in signature.covers)
     return dataclasses.replace(signature, covers=signature.covers + more) if more else signature
+
+
+def _on_both_sides(signature: Signature, found: tuple[Signature, ...]) -> Signature:
+    """The signature, to which what is behind the gain is what the same before it is."""
+    names = {s.name for s in found}
+    behind = {n: n + BEHIND for n in names if n + BEHIND in names}
+    if not behind:
+        return signature
+
+    def both(named: tuple[str, ...]) -> tuple[str, ...]:
+        return (*named, *(behind[n] for n in named if n in behind))
+
+    return dataclasses.replace(
+        signature,
+        covers=both(signature.covers),
+        lifted_by=both(signature.lifted_by),
+        hides=lambda score: both(signature.hides(score)),
+        before=lambda score: both(signature.before(score)),
+    )
 
 
 def contains(general: str, special: str) -> bool:

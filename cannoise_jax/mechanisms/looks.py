@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cannoise_jax.signatures import (
+    behind_gain,
     code_spacing,
     codes,
     covariance,
@@ -77,3 +78,12 @@ SHARED = "lags_crosstalk"
 def always(*signatures: Signature) -> Callable[[Recorded], tuple[Signature, ...]]:
     """These signatures, whatever was recorded."""
     return lambda recorded: signatures
+
+
+def either_side(
+    signature: Signature, of_codes: Signature | None = None
+) -> Callable[[Recorded], tuple[Signature, ...]]:
+    """The signature of what comes before the gain, and, where several gains were recorded, of the same behind
+    it. of_codes: the latter, of what stays."""
+    other = of_codes or behind_gain.behind(signature)
+    return lambda recorded: (signature, other) if recorded.several_gains else (signature,)

@@ -96,7 +96,7 @@ ENTRIES: tuple[Entry, ...] = (
             equation=r"y_{tij} \to y_{tij} + r_{ti},\quad r_{ti} \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two frames or more at one setting",
-        signatures=looks.always(
+        signatures=looks.either_side(
             looks.lines.redrawn("row", "additive", name="row_additive_temporal", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
         ),
@@ -117,7 +117,7 @@ ENTRIES: tuple[Entry, ...] = (
             equation=r"y_{tij} \to y_{tij} + c_{tj},\quad c_{tj} \sim \mathcal{N}(0,\sigma^2)",
         ),
         needs="two frames or more at one setting",
-        signatures=looks.always(
+        signatures=looks.either_side(
             looks.lines.redrawn("column", "additive", name="column_additive_temporal", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
         ),
@@ -137,9 +137,11 @@ ENTRIES: tuple[Entry, ...] = (
             equation=r"y_{tij} \to y_{tij} + \sigma r_i",
         ),
         needs="darks of two frames or more",
-        signatures=looks.always(
+        signatures=looks.either_side(
             looks.line_maps.frozen("row", "additive", name="row_additive_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
+            looks.line_maps.frozen("row", "codes", name="row_additive_static_behind_gain",
+                parameter="sigma_dn", covers=looks.DARK_LEVELS),
         ),
         estimator=Estimator(lines.row_fpn, maps=measured.row_pattern),
         examples=Examples("rows", dim=True, strong={"sigma_dn": 3.0}, cases=(Case({"sigma_dn": 1.0}, DARK),)),
@@ -157,9 +159,11 @@ ENTRIES: tuple[Entry, ...] = (
             equation=r"y_{tij} \to y_{tij} + \sigma c_j",
         ),
         needs="darks of two frames or more",
-        signatures=looks.always(
+        signatures=looks.either_side(
             looks.line_maps.frozen("column", "additive", name="column_additive_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
+            looks.line_maps.frozen("column", "codes", name="column_additive_static_behind_gain",
+                parameter="sigma_dn", covers=looks.DARK_LEVELS),
         ),
         estimator=Estimator(lines.column_fpn, maps=measured.column_pattern),
         examples=Examples("columns", dim=True, strong={"sigma_dn": 3.0},
@@ -179,9 +183,10 @@ ENTRIES: tuple[Entry, ...] = (
             equation=r"y_n \to y_n + p_n,\quad S_p(f) \propto f^{-\alpha},\ n = iW + j",
         ),
         needs="two frames or more at one setting",
-        signatures=looks.always(
+        signatures=looks.either_side(
             looks.spectra.slope("raster", name="raster_slope", parameter="sigma_dn",
-        covers=looks.DARK_LEVELS), ),
+                covers=looks.DARK_LEVELS),
+        ),
         estimator=Estimator(spectra.pink_noise),
         examples=Examples("raster spectrum", dim=True, strong={"sigma_dn": 4.0, "exponent": 1.2},
                           cases=(Case({"sigma_dn": 2.0, "exponent": 1.0}, DARK),)),
@@ -198,7 +203,7 @@ ENTRIES: tuple[Entry, ...] = (
             equation=r"y_{tij} \to y_{tij} + r_{ti},\quad S_r(f) \propto f^{-\alpha}",
         ),
         needs="two frames or more at one setting",
-        signatures=looks.always(
+        signatures=looks.either_side(
             looks.spectra.slope("row", name="row_slope", parameter="sigma_dn", covers=looks.DARK_LEVELS),
         ),
         estimator=Estimator(spectra.row_pink_noise, against=spectra.reaches_no_further),

@@ -21,14 +21,16 @@ from jaxtyping import Bool, Float
 
 from cannoise_jax.signatures.fields import Fields
 
-SCALINGS = ("additive", "signal", "exposure")
-"""How a pattern grows: not, with the light, with the exposure."""
+SCALINGS = ("additive", "signal", "exposure", "codes")
+"""How a pattern grows: not, with the light, with the exposure. The last, of recordings at several gains, is
+added behind the gain: the same number of codes at all of them."""
+_AT_ONE_GAIN = 3
 _NONE = np.zeros((1, 1), np.float32)
 
 
 def response(field: Fields, scaling: str) -> np.ndarray:
-    """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s) or
-    signal/sigma (fraction)."""
+    """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s),
+    signal/sigma (fraction), or 1/sigma in DN of the recording."""
     # `relative` is the light by the weight, rounded once less.
     return field.relative if scaling == "signal" else field.weight * _unit_effect(field, scaling)
 
@@ -54,12 +56,23 @@ def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]
     if mixed is None:
         out = _unit_effect(field, scaling)
     else:
-        first = zip(mixed[SCALINGS.index(scaling)], SCALINGS, strict=True)
+        first = zip(mixed[SCALINGS.index(scaling)], _told_apart(mixed), strict=True)
         out = sum((share * _unit_effect(field, s) for share, s in first if _has(field, s)), _NONE)
     return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
 
 
-def _looks(fields: tuple[Fields, ...], axis: str) -> Float[np.ndarray, "3 3 h w"] | None:
+def _told_apart(mixed: Float[np.ndarray, "k k h w"]) -> tuple[str, ...]:
+    """The scalings that patterns were told apart by."""
+    return SCALINGS[: len(mixed)]
+
+
+def _scalings(fields: tuple[Fields, ...], *asked: str) -> tuple[str, ...]:
+    """Those that recordings can tell apart where nothing was taken out of them, and what is asked for."""
+    several = "codes" in asked or any(f.unit != fields[0].unit for f in fields)
+    return SCALINGS if several else SCALINGS[:_AT_ONE_GAIN]
+
+
+def _looks(fields: tuple[Fields, ...], axis: str) -> Float[np.ndarray, "k k h w"] | None:
     """What patterns of pixels, rows or columns look like, the same in all recordings; None where nothing was
     taken out."""
     known = next((f.answers.mixed for f in fields if f.answers.mixed), {})
@@ -67,11 +80,12 @@ def _looks(fields: tuple[Fields, ...], axis: str) -> Float[np.ndarray, "3 3 h w"
 
 
 def _unit_effect(field: Fields, scaling: str) -> Float[np.ndarray, "#h #w"]:
-    """What an effect of one DN, of the light itself, or of one DN per second adds to the mean, DN, before
-    anything was taken out; light is none in darks."""
+    """What an effect of one DN, of the light itself, of one DN per second, or of one DN of the recording adds
+    to the mean, DN, before anything was taken out; light is none in darks."""
     if scaling == "signal":
         return field.signal if field.lit else np.zeros((1, 1), np.float32)
-    return np.full((1, 1), 1.0 if scaling == "additive" else field.exposure_s or 0.0, np.float32)
+    each = {"additive": 1.0, "exposure": field.exposure_s or 0.0, "codes": 1 / field.unit}
+    return np.full((1, 1), each[scaling], np.float32)
 
 
 def _has(field: Fields, scaling: str) -> bool:
@@ -172,16 +186,17 @@ def less_lines(
 
 def _mixed(
     fields: tuple[Fields, ...], axis: str, scaling: str, taken: Callable[[np.ndarray], np.ndarray]
-) -> Float[np.ndarray, "3 3 h w"]:
+) -> Float[np.ndarray, "k k h w"]:
     """What patterns look like once one that scales so is whitened. taken: of the sums over recordings of its
     response times another, the share of it that goes."""
     size = fields[0].mean.shape
     before = _looks(fields, axis)
     if before is None:
-        before = np.broadcast_to(np.eye(3, dtype=np.float32)[:, :, None, None], (3, 3, *size))
+        k = len(_scalings(fields, scaling))
+        before = np.broadcast_to(np.eye(k, dtype=np.float32)[:, :, None, None], (k, k, *size))
     along = along_fields(fields, axis, scaling)
     own = before[SCALINGS.index(scaling)]
-    falls = np.stack([taken(along(s)) for s in SCALINGS])
+    falls = np.stack([taken(along(s)) for s in _told_apart(before)])
     return (before - falls[:, None] * own).astype(np.float32)
 
 
@@ -191,26 +206,30 @@ def along_fields(
     """By scaling: the sum over recordings of what the static part answers to a pattern of pixels, rows or
     columns that scales so, times what it answers to this one.
 
-    What a pattern looks like as the three that there are, M, is the same in all recordings: the sum is
-    M G M^T, with the sums G over recordings of products of the three as they were at first.
+    What a pattern looks like as those that are told apart, M, is the same in all recordings: the sum is
+    M G M^T, with the sums G over recordings of products of these as they were at first.
     """
-    products = _at_first(fields, axis)
     mixed = _looks(fields, axis)
     if mixed is None:
-        return lambda other: products[frozenset((scaling, other))]
+        first = _at_first(fields, axis, _scalings(fields, scaling))
+        return lambda other: first[frozenset((scaling, other))]
+    names = _told_apart(mixed)
+    products = _at_first(fields, axis, names)
     own = mixed[SCALINGS.index(scaling)]
     mine = [
-        sum((share * products[frozenset((a, b))] for share, a in zip(own, SCALINGS, strict=True)), _NONE)
-        for b in SCALINGS
+        sum((share * products[frozenset((a, b))] for share, a in zip(own, names, strict=True)), _NONE)
+        for b in names
     ]
     return lambda other: sum((s * m for s, m in zip(mixed[SCALINGS.index(other)], mine, strict=True)), _NONE)
 
 
-def _at_first(fields: tuple[Fields, ...], axis: str) -> dict[frozenset[str], Float[np.ndarray, "h w"]]:
+def _at_first(
+    fields: tuple[Fields, ...], axis: str, names: tuple[str, ...]
+) -> dict[frozenset[str], Float[np.ndarray, "h w"]]:
     """By two scalings: sums over recordings of the products of what they answer to both before anything was
     taken out of all of them."""
     size = fields[0].mean.shape
-    out = {frozenset((a, b)): np.zeros(size) for a in SCALINGS for b in SCALINGS}
+    out = {frozenset((a, b)): np.zeros(size) for a in names for b in names}
     for f in fields:
         if f.static is None:
             continue

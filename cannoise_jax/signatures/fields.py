@@ -27,13 +27,13 @@ class Answers(NamedTuple):
     """What the static part answers to frozen patterns where others were taken out of it, see
     `signatures.answers`.
 
-    mixed: by place, what a pattern of each scaling looks like as the three that there are, the same in all
+    mixed: by place, what a pattern of each scaling looks like as those that are told apart, the same in all
     recordings. kept: by axis, what is left of what lines share in this recording [lines]. apart: by scaling,
     pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of lines that
     were taken out and the variance of those of each beside its offset [lines].
     """
 
-    mixed: Mapping[str, Float[np.ndarray, "3 3 h w"]] = MappingProxyType({})
+    mixed: Mapping[str, Float[np.ndarray, "k k h w"]] = MappingProxyType({})
     kept: Mapping[str, Float[np.ndarray, "g"]] = MappingProxyType({})
     apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
     lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})

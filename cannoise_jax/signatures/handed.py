@@ -20,8 +20,9 @@ class Predicted(NamedTuple):
     """What one finding predicts for new frames.
 
     pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting;
-    scaling: 'additive' DN, 'signal' fractions of it, 'exposure' DN per second. row, column, frame:
-    standard deviation of random offsets, DN; exponent: of the spectrum of the row offsets, 0: white.
+    scaling: 'additive' DN, 'signal' fractions of it, 'exposure' DN per second, 'codes' DN of the recording.
+    row, column, frame: standard deviation of random offsets, of that scaling; exponent: of the spectrum of
+    the row offsets, 0: white.
     """
 
     pattern: np.ndarray | None = None

@@ -63,7 +63,7 @@ def signal(s: Seen) -> np.ndarray:
 
 def load_of(scaling: str) -> Load:
     """What the mean answers to a unit effect."""
-    return one if scaling == "additive" else signal
+    return signal if scaling == "signal" else one
 
 
 def random_offsets(over: str, scaling: str, *, frozen: bool) -> Least:

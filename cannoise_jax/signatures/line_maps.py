@@ -8,6 +8,7 @@ import numpy as np
 
 from cannoise_jax.signatures.added import draw, placed, posterior, strength
 from cannoise_jax.signatures.answers import along_fields, less_lines
+from cannoise_jax.signatures.behind_gain import behind_gain
 from cannoise_jax.signatures.fields import Fields, quoted_at
 from cannoise_jax.signatures.handed import Many, Predicted
 from cannoise_jax.signatures.least import random_offsets
@@ -76,10 +77,12 @@ def frozen(
     parameter: str | None = None,
     covers: tuple[str, ...],
 ) -> Signature:
-    """White offsets (or gains, or offsets that grow with the exposure) of lines that stay. parameter: the
-    mechanism's strength."""
-    growing = scaling == "exposure"
+    """White offsets (or gains, or offsets that grow with the exposure, or that no gain changes) of lines that
+    stay. parameter: the mechanism's strength."""
+    growing, of_codes = scaling == "exposure", scaling == "codes"
     shape = (-1, 1) if axis == "row" else (1, -1)
+    simulate = strength(parameter) if parameter else NOT_SIMULATED
+    place = placed(line_point(axis, scaling, "frozen"), by_exposure=growing)
 
     def predict(fields: Many, score: Score) -> Predicted | None:
         sums, seconds = static_sums(fields, axis, scaling), quoted_at(fields, scaling)
@@ -105,10 +108,10 @@ def frozen(
         covers=covers,
         predict=predict,
         pattern=pattern,
-        simulate=strength(parameter) if parameter else NOT_SIMULATED,
-        place=placed(line_point(axis, scaling, "frozen"), by_exposure=growing),
+        simulate=behind_gain(simulate) if of_codes else simulate,
+        place=behind_gain(place) if of_codes else place,
         detectable=BY_SHIFT,
-        least=NO_CLOSED_FORM if growing else random_offsets(axis, scaling, frozen=True),
+        least=NO_CLOSED_FORM if growing or of_codes else random_offsets(axis, scaling, frozen=True),
         drawn_once=True,
         map_of=(axis, scaling),
     )

@@ -110,7 +110,7 @@ def component_score(
     fit = variance_component(power, information, dof, scale_variance)
     sigma = np.sqrt(fit.variance)
     error = fit.error / (2 * sigma) if sigma > 0 else np.sqrt(fit.error)
-    unit = "DN" if scaling == "additive" else "1"
+    unit = "DN" if scaling in ("additive", "codes") else "1"
     cost = 0.5 * np.log(np.sum(dof))
     return Score(
         log_p=fit.log_p,

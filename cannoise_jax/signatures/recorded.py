@@ -67,7 +67,7 @@ class Recorded(NamedTuple):
     (DN/e-) and read noise (DN) per gain setting that are judged, None: none are; fitted_too: whether they are
     themselves fits. step: of the codes, span: white minus black, DN. mono: whether neighbours see the same
     colour. times: numbers of the frames of every recording, in the order they were taken. occurred: see
-    `Occurred`.
+    `Occurred`. units: DN of each gain setting in one of the lowest, where they are known.
     """
 
     black: Float[np.ndarray, "4"]
@@ -83,3 +83,9 @@ class Recorded(NamedTuple):
     mono: bool
     times: dict[int, list[int]]
     occurred: Occurred
+    units: tuple[float, ...] = (1.0,)
+
+    @property
+    def several_gains(self) -> bool:
+        """Whether what a gain changes is told from what it does not."""
+        return len(set(self.units)) > 1

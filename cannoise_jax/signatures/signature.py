@@ -23,7 +23,7 @@ from cannoise_jax.signatures.least import Law, Seen
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score
 
-Scales = Literal["additive", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
+Scales = Literal["additive", "codes", "signal", "signal squared", "exposure", "all noise", "scene", "none"]
 
 
 @dataclass(frozen=True)

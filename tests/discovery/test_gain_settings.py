@@ -21,18 +21,25 @@ ROWS, PIXELS, CURRENT = 0.8, 0.6, 0.5
 """Row noise and offsets of pixels, e-, dark current, e-/s."""
 
 
-def camera(seed=0):
-    """Biases, darks and flats at three gain settings in plain NumPy."""
+BEHIND = 1.6
+"""Row noise and offsets of columns that are added behind the gain, DN."""
+
+
+def camera(seed=0, before=1.0, behind=0.0):
+    """Biases, darks and flats at three gain settings in plain NumPy, with so much of what is added before the
+    gain, and behind it."""
     rng = np.random.default_rng(seed)
-    offsets = PIXELS * rng.standard_normal(SIZE)
+    offsets = before * PIXELS * rng.standard_normal(SIZE)
+    columns = behind * BEHIND * rng.standard_normal((1, SIZE[1]))
     out = []
     for iso, gain in GAINS.items():
         shots = (("bias", 1e-3, 0.0), ("dark", 20.0, 0.0), ("flat", 0.01, 400.0), ("flat", 0.01, 1200.0))
         for kind, seconds, light in shots:
             charge = rng.poisson(light + CURRENT * seconds, (8, *SIZE)) + offsets
             charge = charge + READ * rng.standard_normal(charge.shape)
-            charge = charge + ROWS * rng.standard_normal((8, SIZE[0], 1))
-            codes = np.clip(np.round(BLACK + gain * charge), 0, 16383).astype(np.uint16)
+            charge = charge + before * ROWS * rng.standard_normal((8, SIZE[0], 1))
+            added = columns + behind * BEHIND * rng.standard_normal((8, SIZE[0], 1)) if behind else 0.0
+            codes = np.clip(np.round(BLACK + gain * charge + added), 0, 16383).astype(np.uint16)
             out.append(
                 Recording(codes, "RGGB", (BLACK,) * 4, 16383.0, kind=kind, exposure_s=seconds, iso=iso)
             )
@@ -78,3 +85,39 @@ def test_frames_held_back_are_in_the_units_of_those_that_look():
     units = {f.number: f.unit for f in splits.looking.fields}
     for other in (splits.held_back, splits.together):
         assert {f.number: f.unit for f in other.fields} == units
+
+
+@pytest.fixture(scope="module")
+def behind():
+    return diagnose(camera(3, before=0.0, behind=1.0), compare=False)
+
+
+def test_what_is_added_behind_the_gain_is_the_same_number_of_codes(behind):
+    found = {s.named.mechanism: s.named for s in behind.fitted.steps}
+    for mechanism in ("row_noise", "column_fpn"):
+        assert found[mechanism].signature.axes.scales == "codes"
+        assert found[mechanism].score.amplitude == pytest.approx(BEHIND, rel=0.2)
+    assert not {"row_pink_noise", "column_noise", "column_gain", "dsnu"} & set(found)
+
+
+def test_the_camera_model_adds_it_behind_the_gain(behind):
+    """Row noise and offsets of columns, DN, of draws without light."""
+    for iso, gain in GAINS.items():
+        frames = np.asarray(
+            behind.model.sample(jax.random.key(1), jnp.zeros(SIZE), Settings(iso, 1e-3, frames=16))
+        )
+        columns = frames.mean((0, 1))
+        pixels = np.hypot(gain * READ, 0.3)
+        assert np.sqrt(columns.var() - pixels**2 / 16 / SIZE[0]) == pytest.approx(BEHIND, rel=0.2)
+        rows = frames[:, :, ::2].mean(2)
+        moving = (rows - rows.mean(0) - rows.mean(1, keepdims=True)).std() * np.sqrt(16 / 15)
+        assert np.sqrt(moving**2 - pixels**2 / (SIZE[1] / 2)) == pytest.approx(BEHIND, rel=0.25)
+
+
+def test_frames_held_back_at_every_gain_confirm_both(found, behind):
+    """Frames are scored as they were recorded, whatever units the findings are in."""
+    for result in (found, behind):
+        proofs = dict(zip((s.named.mechanism for s in result.fitted.steps), result.proofs, strict=True))
+        for mechanism in {"row_noise", "dsnu", "column_fpn"} & set(proofs):
+            assert proofs[mechanism].basis == "likelihood" and proofs[mechanism].confirmed
+        assert result.proven.after < result.proven.before

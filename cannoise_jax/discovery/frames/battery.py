@@ -112,6 +112,7 @@ def prepare(
         capture.recordings[0].cfa == "MONO",
         {n: list(frames) for n, frames in enumerate(chosen)},
         occurrences(stacks, fields, chosen, step),
+        tuple(units),
     )
     return Prepared(
         same,

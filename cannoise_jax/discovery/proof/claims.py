@@ -68,7 +68,7 @@ def lasting(step: Step) -> Doubt | None:
     axes = signature.axes
     if step.named.mechanism == UNKNOWN or (axes.time, axes.law) != ("frozen", "white"):
         return None
-    if axes.scales not in ("additive", "signal", "exposure"):
+    if axes.scales not in ("additive", "codes", "signal", "exposure"):
         return None
     if axes.varies_over not in ("row", "column", "pixel"):
         return None

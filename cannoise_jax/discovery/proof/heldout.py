@@ -22,7 +22,7 @@ from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.contrasts import Stack, at_level
 from cannoise_jax.physics.likelihood.codes import CodeGrid
 from cannoise_jax.physics.likelihood.crossed import SharedTerms, crossed_gaussian, stationary_factor
-from cannoise_jax.signatures.fields import Fields, channel_index, stratum
+from cannoise_jax.signatures.fields import Fields, channel_index, native, stratum
 from cannoise_jax.signatures.handed import Predicted
 from cannoise_jax.signatures.line_sums import whiten_lines
 
@@ -44,11 +44,13 @@ class Scored(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """One recording as it is scored: its frames, fields and expected value, DN, the share of a frame's
-    variance that the estimate of that adds, and the pixels."""
+    """One recording as it is scored: its frames, its fields in DN of their own, DN of its own in one of the
+    findings', the expected value, DN, the share of a frame's variance that the estimate of that adds, and the
+    pixels."""
 
     stacked: Stack
     field: Fields
+    unit: float
     mean: Float[np.ndarray, "h w"]
     extra: float
     usable: Bool[np.ndarray, "h w"]
@@ -77,15 +79,16 @@ def score_frames(
     """Scores the frames held back, `chosen` per recording. A mean that is not modelled (a reference averaged
     from the recording's own frames, or none) is rebuilt from the frames that looked, its noise added to the
     pixel's. masks: pixels to score, by recording. parts_for: score parts as `pieces` cuts them as well."""
-    before = {f.number: (s, f) for s, f in zip(first.stacks, first.fields, strict=True)}
+    before = {f.number: (s, native(f)) for s, f in zip(first.stacks, first.fields, strict=True)}
     values, recordings, pixels, parts = [], [], [], []
-    for stacked, field in zip(second.stacks, second.fields, strict=True):
+    for stacked, referred in zip(second.stacks, second.fields, strict=True):
+        field, unit = native(referred), referred.unit
         mean, extra, usable = _mean(stacked, field, before.get(field.number))
         usable = usable & masks[field.number] if masks and field.number in masks else usable
         if mean is None or not usable.any():
             continue
         frames = chosen[field.number][: field.frames]
-        look = _Look(stacked, _by_pixels(field, found), mean, extra, usable)
+        look = _Look(stacked, _by_pixels(field, unit, found), unit, mean, extra, usable)
         scored = _score(look, found, frames, (slice(None), slice(None)))
         values.append(scored)
         recordings.append(np.full(scored.size, stratum(field)))
@@ -118,7 +121,7 @@ def _score(
     look: _Look, found: list[Predicted], frames: list[int], part: tuple[slice, slice]
 ) -> Float[np.ndarray, "t"]:
     """Log-likelihood of a part of the frames of one recording, nats per frame."""
-    stacked, field, mean, extra, usable = look
+    stacked, field, unit, mean, extra, usable = look
     step = field.step
     spread = np.maximum(field.sigma.astype(np.float64) ** 2 - step**2 / 12, (0.05 * step) ** 2)
     own, shift = spread * (1 + extra), np.zeros(field.mean.shape)
@@ -126,12 +129,13 @@ def _score(
     row, column, frame = np.zeros(height), 0.0, 0.0
     for p in found:
         if p.pattern is not None and not extra:  # a mean of the recording's own frames holds the pattern
-            unit = _unit(p.scaling, field)
-            if unit is not None:
-                shift += np.broadcast_to(p.pattern * unit, shift.shape)
-                own = own + p.doubt * unit**2
-        row = row + p.row**2 * _autocovariance(height, p.exponent)
-        column, frame = column + p.column**2, frame + p.frame**2
+            one = _in_codes(p.scaling, field, unit)
+            if one is not None:
+                shift += np.broadcast_to(p.pattern * one, shift.shape)
+                own = own + p.doubt * one**2
+        offset = _of_offsets(p, unit)
+        row = row + (p.row * offset) ** 2 * _autocovariance(height, p.exponent)
+        column, frame = column + (p.column * offset) ** 2, frame + (p.frame * offset) ** 2
     factor = stationary_factor(jnp.asarray(row, jnp.float32)) if row[0] > 0 else jnp.zeros((height, 1))
     terms = SharedTerms(
         factor,
@@ -150,11 +154,11 @@ def _score(
     return out - masked * float((~usable[part]).sum())
 
 
-def _by_pixels(field: Fields, found: list[Predicted]) -> Fields:
+def _by_pixels(field: Fields, unit: float, found: list[Predicted]) -> Fields:
     """The field with the noise of its pixels alone: offsets of rows and columns are in the fitted read noise,
     drift of whole frames was kept out of it. As measured within the lines, where several frames are seen."""
     for axis in ("row", "column"):
-        variance = float(sum(getattr(p, axis) ** 2 for p in found))
+        variance = float(sum((getattr(p, axis) * _of_offsets(p, unit)) ** 2 for p in found))
         if variance and len(field.contrasts):
             field = whiten_lines(field, axis, "additive", variance)
         elif variance:
@@ -163,11 +167,20 @@ def _by_pixels(field: Fields, found: list[Predicted]) -> Fields:
     return field
 
 
-def _unit(scaling: str, field: Fields) -> np.ndarray | float | None:
-    """DN per unit of a pattern in this recording; None where it does not reach."""
+def _in_codes(scaling: str, field: Fields, unit: float) -> np.ndarray | float | None:
+    """DN of this recording per unit of a pattern; None where it does not reach."""
     if scaling == "signal":
         return field.signal if field.lit else None
-    return (field.exposure_s or None) if scaling == "exposure" else 1.0
+    if scaling == "codes":
+        return 1.0
+    if scaling == "exposure":
+        return unit * field.exposure_s if field.exposure_s else None
+    return unit
+
+
+def _of_offsets(law: Predicted, unit: float) -> float:
+    """DN of a recording per DN of random offsets."""
+    return 1.0 if law.scaling == "codes" else unit
 
 
 def _centred(shift: np.ndarray, field: Fields, usable: Bool[np.ndarray, "h w"]) -> np.ndarray:

@@ -20,6 +20,7 @@ CERTAIN = 10.0
 _TIME = {"frozen": "the same in every frame", "redrawn": "new in every frame"}
 _SCALES = {
     "additive": "whatever the signal",
+    "codes": "the same number of codes at every gain",
     "signal": "in proportion to the signal",
     "signal squared": "as the square of the signal",
     "exposure": "in proportion to the exposure",
