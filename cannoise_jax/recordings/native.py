@@ -1,8 +1,8 @@
 """The native format: one HDF5 file per recording, read lazily and written atomically.
 
-Required: dataset `frames` `uint16[T, H, W]`, attributes `cfa`, `black_level`, `white_level`. Optional:
-dataset `clean` `float32[H, W]` or `[T, H, W]`, and the other fields of `Recording` as attributes of the same
-names.
+Required: dataset `frames`, `uint16[T, H, W]` or uint8, attributes `cfa`, `black_level`, `white_level`.
+Optional: dataset `clean` `float32[H, W]` or `[T, H, W]`, and the other fields of `Recording` as attributes of
+the same names.
 """
 
 from __future__ import annotations
@@ -49,12 +49,13 @@ def open_native(path: str | Path) -> Opened:
         for name in ("frames", "clean"):
             if isinstance(file.get(name), h5py.Dataset):
                 check_claim(path, file[name].shape, file[name].dtype.itemsize)
+        narrow = file["frames"].dtype == np.uint8
         known = {k: _plain(file.attrs[k]) for k in FIELDS if k in file.attrs}
         if isinstance(file.get("clean"), h5py.Dataset):
             clean = _view(path, file["clean"])
             known["clean"] = clean if clean.ndim == 3 else np.asarray(file["clean"])
-        frames = _view(path, file["frames"])
-    return Opened(frames, known)
+        frames = _view(path, file["frames"], widened=True)
+    return Opened(frames, known, {"bits": 8} if narrow else {})
 
 
 def write_recording(path: str | Path, recording: Recording) -> None:
@@ -137,8 +138,10 @@ def _write_dataset(
         between()
 
 
-def _view(path: Path, dataset: h5py.Dataset) -> LazyArray:
+def _view(path: Path, dataset: h5py.Dataset, widened: bool = False) -> LazyArray:
+    """widened: codes of 8 bits as those of 16."""
     dtype = dataset.dtype.newbyteorder("=")
+    dtype = np.dtype(np.uint16) if widened and dtype == np.uint8 else dtype
     read = partial(_read_dataset, str(path), dataset.name, dtype)
     return LazyArray(read, tuple(dataset.shape), dtype)
 

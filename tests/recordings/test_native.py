@@ -45,6 +45,13 @@ def test_required_fields_are_enough(path):
     np.testing.assert_array_equal(recording.frames[:], FRAMES)
 
 
+def test_codes_of_8_bits_are_read_as_such(path):
+    narrow = (FRAMES // 4).astype(np.uint8)
+    recording = read_recording(write(path, frames=narrow, black_level=3.0, white_level=255.0))
+    assert recording.frames.dtype == np.uint16
+    np.testing.assert_array_equal(recording.frames[1:], narrow[1:])
+
+
 def test_everything_survives_writing_and_reading(path):
     before = Recording(
         frames=FRAMES,
