@@ -14,14 +14,10 @@ def louder(field: Fields, variance: np.ndarray) -> Fields:
     frames show: its charge arrives one by one."""
     if not len(field.contrasts):
         return field
-    before = field.sigma.astype(np.float64) ** 2
-    each = np.minimum(field.contrasts**2 * before, 25 * (before + variance))
-    # Where little of it is known, the rest is told best.
-    share = field.usable / (before + variance) ** 2
-    rest = max(float(np.sum(share * (each.mean(0) - variance)) / np.sum(share * before)), 0.05)
-    after = rest * before + variance
-    root = np.sqrt(after / before).astype(np.float32)
-    shot = ((field.shot * rest * before + variance) / after).astype(np.float32)
+    rest = _rest(field, variance)
+    after = rest + variance
+    root = _growth(field, after)
+    shot = ((field.shot * rest + variance) / after).astype(np.float32)
     static = None if field.static is None else field.static / root
     field = field._replace(
         contrasts=field.contrasts / root,
@@ -30,6 +26,20 @@ def louder(field: Fields, variance: np.ndarray) -> Fields:
         static=static,
     )
     return field if static is None else _level_out(field, static)
+
+
+def _rest(field: Fields, variance: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """What of the noise does not grow, as the frames show it, DN^2."""
+    before = field.sigma.astype(np.float64) ** 2
+    each = np.minimum(field.contrasts**2 * before, 25 * (before + variance))
+    # Where little of it is known, the rest is told best.
+    share = field.usable / (before + variance) ** 2
+    return before * max(float(np.sum(share * (each.mean(0) - variance)) / np.sum(share * before)), 0.05)
+
+
+def _growth(field: Fields, variance: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """Noise of this variance over that of the field."""
+    return np.sqrt(variance / field.sigma.astype(np.float64) ** 2).astype(np.float32)
 
 
 def _level_out(field: Fields, static: np.ndarray) -> Fields:
@@ -59,11 +69,10 @@ def steadied(
     charge = np.where(known, np.maximum(rate - np.quantile(rate[known], _LOWEST), 0.0), 0.0)
 
     def own(f: Fields) -> Fields:
-        if f.lit or not f.exposure_s or not np.all(f.gain > 0):
+        if f.lit or not f.exposure_s or not np.all(f.gain > 0) or not len(f.contrasts):
             return f
-        return f._replace(
-            contrasts=louder(f, f.gain[channel_index(rate.shape)] * charge * f.exposure_s).contrasts
-        )
+        variance = f.gain[channel_index(rate.shape)] * charge * f.exposure_s
+        return f._replace(contrasts=f.contrasts / _growth(f, _rest(f, variance) + variance))
 
     return tuple(own(f) for f in fields)
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays
@@ -45,6 +47,10 @@ STANDS_OUT = 30.0
 million normal values."""
 _STANDS_OUT = 8.0
 """Standard deviations of a map and its noise from which on a pixel is no part of the map."""
+_FAR_OF_LINES = 4.0
+"""Standard deviations of most pixels up to which one moves its line."""
+_FEWEST = 16
+"""Pixels of a line from which on it has an offset of its own."""
 
 
 def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | None:
@@ -117,12 +123,31 @@ def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...])
     return LineSums(np.asarray(score), np.asarray(information)) if np.ndim(score) else None
 
 
+def beside_lines(sums: LineSums) -> Float[np.ndarray, "h w"]:
+    """What pixels score, in standard deviations, beside the offsets that their rows and columns share: of
+    lines that differ all pixels would be a map of more variance than that of pixels is, and once the lines
+    are found too much were taken out of all else that stays. Pixels far out move no line."""
+    root = np.sqrt(sums.information)
+    z = sums.score / np.maximum(root, 1e-15)
+    seen = root > 0
+    if min(z.shape) < _FEWEST or not seen.any():
+        return z
+    limit = _FAR_OF_LINES * max(robust_std(z[seen], 0), 1.0)
+    left = np.ones(z.shape)
+    for axis in (1, 0, 1, 0):
+        total = np.maximum(np.sum(sums.information, axis, keepdims=True), 1e-30)
+        z = z - root * (np.sum(np.clip(z, -limit, limit) * root, axis, keepdims=True) / total)
+    for axis in (0, 1):
+        left = left - sums.information / np.maximum(np.sum(sums.information, axis, keepdims=True), 1e-30)
+    return z / np.sqrt(np.maximum(left, 0.5))
+
+
 def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | None:
     """Frozen white pattern of pixels, the same in every recording."""
     sums = pixel_sums(fields, scaling, KINDS)
     if sums is None or (scaling == "signal" and not any(f.lit and f.static is not None for f in fields)):
         return None
-    power = np.ravel(sums.score**2 / np.maximum(sums.information, 1e-30))
+    power = np.ravel(beside_lines(sums) ** 2)
     # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map. A
     # map far above the noise puts every pixel out.
     seen = power[np.ravel(sums.information) > 0]
@@ -184,8 +209,8 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
     sums = pixel_sums(fields, scaling, KINDS)
     if sums is None:  # no recording of the kind that shows it
         return fields
-    tau = score.payload * sums.information
-    apart = sums.score**2 >= _STANDS_OUT**2 * sums.information * (1 + tau)
+    apart = np.abs(beside_lines(sums)) >= _STANDS_OUT * np.sqrt(1 + score.payload * sums.information)
+    apart &= sums.information > 0
     left = less_map(fields, scaling, score.payload, apart)
     if scaling != "exposure":
         return left
