@@ -199,7 +199,7 @@ def test_every_name_is_used_by_the_package_itself():
 
 WHOLE = {
     "Axes": "dataclasses.asdict(signature.axes)",
-    "_Look": "stacked, field, mean, extra, usable = look",
+    "_Look": "stacked, field, unit, mean, extra, usable = look",
     "Curves": 'getattr(curves, f"{name}_spectrum")',
     "Effect": "getattr(effect, name)",
     "ArrayPatches": 'getattr(self.source, "setting", None)',

@@ -62,7 +62,7 @@ def main(argv: list[str] | None = None) -> int:
     if left is not None and left > 1:
         print(f"the mismatch of what is handed back is {left:.3g} times that of what was judged, in nats")
     entered = [finding["in_simulator"] for finding in report["findings"]]
-    if entered and not any(entered):
+    if entered and all(e is False for e in entered):
         print("sensor.json has none of it: it would be no nearer to the recordings, see the report")
     print(f"{arguments.out / 'report.html'}")
     return 0

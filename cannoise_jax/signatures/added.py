@@ -48,7 +48,7 @@ def strength(
         maps = {}
         if found.pattern is not None:
             maps = {"field": as_map(found.pattern / (1.0 if unit_map else max(value, 1e-12)))}
-        return Addition(values, maps, found.by_exposure if by_exposure else None)
+        return Addition(values, maps, found.by_exposure(parameter) if by_exposure else None)
 
     return simulate
 
@@ -76,7 +76,7 @@ def placed(
         values = {amplitude_name(at): value, **beside(found)}
         if at.time == "telegraph":
             values["rate"] = 0.5
-        return Addition(values, maps, found.by_exposure if by_exposure else None, at)
+        return Addition(values, maps, found.by_exposure(amplitude_name(at)) if by_exposure else None, at)
 
     return place
 

@@ -67,10 +67,14 @@ class Found(NamedTuple):
     span: float
     size: tuple[int, int]
 
-    @property
-    def by_exposure(self) -> Scaling:
-        """Growing with the exposure from the longest one."""
-        return Scaling(exposure=1.0, reference_exposure_s=self.longest or 1.0)
+    def by_exposure(self, parameter: str) -> Scaling:
+        """Of a strength of this name: growing with the exposure from the longest one and, where it is in DN,
+        with the gain."""
+        return Scaling(
+            gain=1.0 if parameter.endswith("_dn") else 0.0,
+            exposure=1.0,
+            reference_exposure_s=self.longest or 1.0,
+        )
 
 
 class Addition(NamedTuple):

@@ -30,12 +30,13 @@ def camera(seed=0, before=1.0, behind=0.0):
     gain, and behind it."""
     rng = np.random.default_rng(seed)
     offsets = before * PIXELS * rng.standard_normal(SIZE)
+    uneven = CURRENT * rng.gamma(4.0, 0.25, SIZE)
     columns = behind * BEHIND * rng.standard_normal((1, SIZE[1]))
     out = []
     for iso, gain in GAINS.items():
         shots = (("bias", 1e-3, 0.0), ("dark", 20.0, 0.0), ("flat", 0.01, 400.0), ("flat", 0.01, 1200.0))
         for kind, seconds, light in shots:
-            charge = rng.poisson(light + CURRENT * seconds, (8, *SIZE)) + offsets
+            charge = rng.poisson(light + before * uneven * seconds, (8, *SIZE)) + offsets
             charge = charge + READ * rng.standard_normal(charge.shape)
             charge = charge + before * ROWS * rng.standard_normal((8, SIZE[0], 1))
             added = columns + behind * BEHIND * rng.standard_normal((8, SIZE[0], 1)) if behind else 0.0
@@ -70,6 +71,17 @@ def test_the_camera_model_has_them_at_every_setting(found):
         assert np.sqrt(moving**2 - pixels**2) == pytest.approx(gain * ROWS, rel=0.2)
 
 
+def test_so_has_it_what_grows_with_the_exposure(found):
+    """Offsets of pixels of long darks beyond those of biases, DN, of draws."""
+    for iso, gain in GAINS.items():
+        dark, bias = (
+            np.asarray(found.model.sample(jax.random.key(2), jnp.zeros(SIZE), Settings(iso, s, frames=32)))
+            for s in (20.0, 1e-3)
+        )
+        more = (dark.mean(0) - bias.mean(0)).var() - (dark.var(0) + bias.var(0)).mean() / 31
+        assert np.sqrt(more) == pytest.approx(gain * 20.0 * CURRENT / 2, rel=0.2)
+
+
 def test_units_there_and_back_are_the_same():
     capture = camera(1)
     for f in prepare(capture, all_frames(split_recordings(capture)), False).fields:
@@ -90,6 +102,13 @@ def test_frames_held_back_are_in_the_units_of_those_that_look():
 @pytest.fixture(scope="module")
 def behind():
     return diagnose(camera(3, before=0.0, behind=1.0), compare=False)
+
+
+@pytest.mark.parametrize("seed", (6, 9, 11))
+def test_strong_columns_are_no_gains_of_columns(seed):
+    """The smooth surface of a flat takes up nothing of what the darks show of columns."""
+    fitted = diagnose(camera(seed, before=0.0, behind=1.0), compare=False).fitted
+    assert "column_gain" not in {s.named.mechanism for s in fitted.steps}
 
 
 def test_what_is_added_behind_the_gain_is_the_same_number_of_codes(behind):

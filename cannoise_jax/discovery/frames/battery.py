@@ -13,6 +13,7 @@ from cannoise_jax.discovery.frames.contrasts import (
     detected_step,
     stack,
 )
+from cannoise_jax.discovery.frames.dark_lines import beside_darks
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, iso_numbers
@@ -78,10 +79,12 @@ def prepare(
             )
     step = code_step(capture)
     known = before or [[] for _ in chosen]
-    stacks = tuple(
-        stack(r, n, c, step, b)
-        for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
-        if c
+    stacks = beside_darks(
+        [
+            stack(r, n, c, step, b)
+            for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
+            if c
+        ]
     )
     _check_noise(stacks)
     isos = gain_groups(capture)

@@ -29,7 +29,8 @@ _DEGREE = 4
 
 class Stack(NamedTuple):
     """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails. earlier:
-    mean of the `before` frames of the other split, against which the last contrast is taken; None: none."""
+    mean of the `before` frames of the other split, against which the last contrast is taken; None: none.
+    lines: offsets of rows and columns that darks show, DN; None: none."""
 
     recording: Recording
     number: int
@@ -43,6 +44,7 @@ class Stack(NamedTuple):
     high: float
     before: int = 0
     earlier: Float[np.ndarray, "h w"] | None = None
+    lines: Float[np.ndarray, "h w"] | None = None
 
 
 def stack(
@@ -207,6 +209,7 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
     """Mean of a flat (a surface per channel, of degree 4 or as the light needs, see `smooth`) or of a dark (a
     constant per channel), DN."""
     mean, size = stacked.mean, stacked.mean.shape
+    mean = mean if stacked.lines is None else mean - stacked.lines
     channel = channel_index(size)
     out = np.zeros(size, np.float32)
     degree = _DEGREE if stacked.recording.kind == "flat" else 0

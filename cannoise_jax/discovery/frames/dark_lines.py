@@ -1,0 +1,62 @@
+"""Offsets of rows and columns that darks show: no part of the light of a flat.
+
+Its smooth surface would take up what of them is smooth. In the darks that is left to the pattern, so that
+both together would look like gains of lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
+from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.recordings.recording import DARK
+
+_LONGER, _SHORT_S = 10.0, 0.1
+"""Exposure of a dark, over that of a flat, and in seconds, up to which what it collected is taken to be small
+beside offsets."""
+_MEDIAN = 1.57
+"""Variance of a median of normal values over that of their mean."""
+_TOLD = 0.5
+"""Share of the variance of lines that must be no chance."""
+
+
+def beside_darks(stacks: Sequence[Stack]) -> tuple[Stack, ...]:
+    """The stacks, flats with the lines that the dark nearest in exposure shows at their gain."""
+    darks = [s for s in stacks if s.recording.kind in DARK and len(s.contrasts)]
+
+    def shown(flat: Stack) -> Stack:
+        seconds = flat.recording.exposure_s or 0.0
+        longest = max(_LONGER * seconds, _SHORT_S)
+        like = [
+            (abs((s.recording.exposure_s or 0.0) - seconds), n)
+            for n, s in enumerate(darks)
+            if s.recording.iso == flat.recording.iso and (s.recording.exposure_s or 0.0) <= longest
+        ]
+        return flat._replace(lines=lines_of(darks[min(like)[1]])) if like else flat
+
+    return tuple(shown(s) if s.recording.kind == "flat" else s for s in stacks)
+
+
+def lines_of(dark: Stack) -> Float[np.ndarray, "h w"] | None:
+    """Offsets of the rows and columns of every site of the mosaic, as far as they differ by more than chance
+    and than lines that are new in every frame do, DN; None where there are none."""
+    out = np.zeros(dark.mean.shape)
+    for at in SITES:
+        left = dark.mean[at].astype(np.float64) - robust_mean(dark.mean[at])
+        for axis in (1, 0):
+            offsets = np.median(left, axis)
+            moving = [np.var(np.median(c[at], axis)) for c in dark.contrasts]
+            chance = _MEDIAN * robust_std(left, 0) ** 2 / left.shape[axis]
+            chance += float(np.mean(moving)) / dark.frames
+            share = 1 - chance / max(float(np.var(offsets)), 1e-30)
+            if share < _TOLD:
+                continue
+            part = np.expand_dims(share * (offsets - np.mean(offsets)), axis)
+            left = left - part
+            out[at] += part
+    return out if out.any() else None
