@@ -11,6 +11,7 @@ from cannoise_jax.discovery.frames.blocks import leave_out
 from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.proof.gains import strength_beyond
 from cannoise_jax.discovery.search.locate import locate
+from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import contrast_matrix, frame_fields
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.score import Score, sidak
@@ -37,6 +38,16 @@ def test_recordings_of_two_frames_look_and_prove_in_turn():
     splits = split_recordings(capture_set(50, kinds="df", frames=2))
     assert {tuple(map(tuple, s)) for s in splits} <= {((0, 1), ()), ((), (0, 1))}
     assert splits[0] == ([0, 1], [])
+
+
+def test_a_dark_of_every_gain_setting_looks():
+    pairs = capture_set(54, kinds="ddff", frames=2).recordings
+    at = {iso: [dataclasses.replace(r, iso=iso) for r in pairs] for iso in (100.0, 400.0, 1600.0)}
+    capture = CaptureSet("pairs", tuple(r for iso in at for r in at[iso]))
+    splits = list(zip(capture.recordings, split_recordings(capture), strict=True))
+    assert {r.iso for r, (look, _) in splits if r.kind == "dark" and look} == set(at)
+    for kind in ("dark", "flat"):
+        assert any(held for r, (_, held) in splits if r.kind == kind)
 
 
 def test_one_frame_held_back_shows_its_noise_and_what_stays():

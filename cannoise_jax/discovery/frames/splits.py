@@ -14,7 +14,7 @@ from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.lazy import LazyArray, kept
-from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.recordings.recording import DARK, CaptureSet
 
 
 def read_once(capture: CaptureSet) -> CaptureSet:
@@ -36,15 +36,19 @@ def split_frames(count: int) -> tuple[list[int], list[int]]:
 
 def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
     """Frames of every recording that look for effects, and those that prove. Recordings that cannot be split
-    look and prove in turn, those of each kind by themselves. Of long ones `MOST_FRAMES` in all are used,
-    spread evenly."""
+    look and prove in turn, those of each kind by themselves; the first dark of every gain setting looks, for
+    without it neither black level nor read noise of that setting are known. Of long ones `MOST_FRAMES` in all
+    are used, spread evenly."""
     out, short = [], dict.fromkeys({r.kind for r in capture.recordings}, 0)
+    known: set[float | None] = set()
     for r in capture.recordings:
         used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
         look, show = ([int(used[n]) for n in part] for part in split_frames(used.size))
         if not show:
-            look, show = (look, show) if short[r.kind] % 2 == 0 else (show, look)
+            needed = r.kind in DARK and r.iso not in known
+            look, show = (look, show) if needed or short[r.kind] % 2 == 0 else (show, look)
             short[r.kind] += 1
+        known |= {r.iso} if len(look) > 1 and r.kind in DARK else set()
         out.append((look, show))
     return out
 
