@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from jaxtyping import Float
 from scipy import optimize
 
 from cannoise_jax.recordings.packing import SITES
@@ -24,6 +25,8 @@ which is a half as well. The whole log, as the p-value counts them, would be 1.6
 
 _MOST_FALLS = 8
 """Falls of one glow."""
+_LOWEST = 0.005
+"""Share of the pixels below what a glow brings to all of them."""
 
 
 @lru_cache(maxsize=4)
@@ -87,7 +90,13 @@ def formed_fall(fields: tuple[Fields, ...], names: tuple[str, ...], g: np.ndarra
         if gain - gained < COST:
             break
         chosen, strengths, gained = trial, fitted, gain
-    return _unit_fall(strengths @ every[chosen]).reshape(size)
+    return above_least((strengths @ every[chosen]).reshape(size))
+
+
+def above_least(fall: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """A fall of rms 1 above what it brings to all pixels alike: that is told from no dark current, and falls
+    that reach far have any amount of it."""
+    return _unit_fall(np.maximum(fall - np.quantile(fall, _LOWEST), 0.0)).reshape(fall.shape)
 
 
 def _along(fields: tuple[Fields, ...], falls: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from cannoise_jax.signatures.charge_noise import louder
 from cannoise_jax.signatures.falls import (
     COST,
     TRIALS,
+    above_least,
     formed_fall,
     glow_templates,
     over_longest,
@@ -55,6 +56,9 @@ _BEFORE_MAPS = 8.0
 maps of pixels, which hold it as well. Independent levels look like none of it."""
 _MOSTLY = 0.8
 """And the share of how levels differ from place to place that it explains."""
+_SIDES = (8, 4)
+"""Of what is around a pixel, pixels of its site of the mosaic: the second follows light that falls steeply.
+"""
 _OPEN = 0.02
 """Posterior weight, against the best, down to which a template may be the glow."""
 
@@ -100,8 +104,11 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     if formed:
         template = formed_fall(fields, names, g, k)
         strength, error = _one(fields, template)
-        amplitude = strength
         stands_out = _stands_out(fields, float(z[k]), template)
+        if stands_out:
+            template = _free_form(fields, template, strength, longest)
+            strength, error = _one(fields, template)
+        amplitude = strength
     return Score(
         log_p=sidak(normal_log_p(float(z[k]), 1), TRIALS),
         gain=0.5 * max(float(z[k]), 0.0) ** 2,
@@ -129,6 +136,20 @@ def _stands_out(fields: tuple[Fields, ...], z: float, template: np.ndarray) -> b
     levels, fall = (v - np.median(v) for v in (around, template))
     share = float(np.sum(levels * fall) ** 2 / max(float(np.sum(levels**2) * np.sum(fall**2)), 1e-30))
     return share > _MOSTLY
+
+
+def _free_form(
+    fields: tuple[Fields, ...], template: np.ndarray, strength: float, longest: float | None
+) -> np.ndarray:
+    """The template with what the levels around every pixel have beside it: no two cameras glow alike."""
+    sums = pixel_sums(fields, "exposure" if longest else "additive", DARK)
+    if sums is None:
+        return template
+    rate = template * strength / (longest or 1.0)
+    for side in _SIDES:
+        left = sums._replace(score=sums.score - sums.information * rate)
+        rate = rate + levels_around(left, side)
+    return above_least(rate)
 
 
 def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float]:

@@ -46,22 +46,23 @@ def less_levels(sums: LineSums, levels: Float[np.ndarray, "h w"]) -> LineSums:
     return sums._replace(score=sums.score - sums.information * levels)
 
 
-def levels_around(sums: LineSums) -> Float[np.ndarray, "h w"]:
-    """The level around every pixel as far as such levels differ by more than noise, DN or DN/s."""
+def levels_around(sums: LineSums, side: int = _BLOCK) -> Float[np.ndarray, "h w"]:
+    """The level around every pixel as far as such levels differ by more than noise, DN or DN/s. side: of what
+    is around a pixel, pixels of its site of the mosaic."""
     around = np.zeros(sums.score.shape)
-    if min(around.shape) < 4 * _BLOCK:
+    if min(around.shape) < 4 * side:
         return around
     estimate = sums.score / np.maximum(sums.information, 1e-30)
     for at in SITES:
-        around[at] = _around(estimate[at], sums.information[at])
+        around[at] = _around(estimate[at], sums.information[at], side)
     return around
 
 
 def _around(
-    values: Float[np.ndarray, "h w"], information: Float[np.ndarray, "h w"]
+    values: Float[np.ndarray, "h w"], information: Float[np.ndarray, "h w"], side: int
 ) -> Float[np.ndarray, "h w"]:
     """Medians of blocks, linear between their middles, shrunk by what of them is chance."""
-    edges = [np.linspace(0, n, n // _BLOCK + 1).astype(int) for n in values.shape]
+    edges = [np.linspace(0, n, n // side + 1).astype(int) for n in values.shape]
     rows, columns = (np.repeat(np.arange(len(e) - 1), np.diff(e)) for e in edges)
     shape = len(edges[0]) - 1, len(edges[1]) - 1
     known = information > 0

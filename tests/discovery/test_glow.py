@@ -113,3 +113,19 @@ def test_the_noise_of_a_strong_glow_is_no_noise_of_some_pixels():
     for f, told in zip((fields[1], glow_absorb(fields, score)[1]), (False, True), strict=True):
         ratio = np.mean(f.contrasts[:, corner] ** 2) / np.mean(f.contrasts[:, ~corner] ** 2)
         assert (abs(ratio - 1) < 0.1) == told
+
+
+def test_a_glow_of_its_own_form_leaves_no_lines_and_no_level():
+    """An oval that belongs to no corner, over a dark current: what is left is noise, and the dark current."""
+    rng = np.random.default_rng(7)
+    y, x = np.indices(SIZE)
+    oval = np.exp(-np.hypot((y - SIZE[0]) / 20, (x - 0.8 * SIZE[1]) / 36))
+    signal = 40 * oval + 2.0
+    fields = darks(rng, signal, 6)
+    score = glow_score(fields)
+    assert score.payload.stands_out
+    assert score.amplitude == pytest.approx(40 * np.sqrt(np.mean(oval**2)), rel=0.05)
+    left = glow_absorb(fields, score)
+    (_, _, _), (_, level, _) = dark_levels(left)
+    assert level.mean() == pytest.approx(2.0, abs=0.5)
+    assert np.std(left[1].static) == pytest.approx(1, abs=0.1)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.recordings.recording import DARK, Recording
 
 _LONGER, _SHORT_S = 10.0, 0.1
 """Exposure of a dark, over that of a flat, and in seconds, up to which what it collected is taken to be small
@@ -25,26 +25,33 @@ _TOLD = 0.5
 """Share of the variance of lines that must be no chance."""
 
 
+Known = Sequence[tuple[Recording, Float[np.ndarray, "h w"] | None]]
+"""Darks with the lines that each shows."""
+
+
 def beside_darks(stacks: Sequence[Stack]) -> tuple[Stack, ...]:
-    """The stacks, flats with the lines that the dark nearest in exposure shows at their gain."""
-    darks = [s for s in stacks if s.recording.kind in DARK and len(s.contrasts)]
+    """The stacks, flats with the lines that darks show."""
+    known = [(s.recording, lines_of(s)) for s in stacks if s.recording.kind in DARK]
+    return tuple(s._replace(lines=lines_for(s.recording, known)) for s in stacks)
 
-    def shown(flat: Stack) -> Stack:
-        seconds = flat.recording.exposure_s or 0.0
-        longest = max(_LONGER * seconds, _SHORT_S)
-        like = [
-            (abs((s.recording.exposure_s or 0.0) - seconds), n)
-            for n, s in enumerate(darks)
-            if s.recording.iso == flat.recording.iso and (s.recording.exposure_s or 0.0) <= longest
-        ]
-        return flat._replace(lines=lines_of(darks[min(like)[1]])) if like else flat
 
-    return tuple(shown(s) if s.recording.kind == "flat" else s for s in stacks)
+def lines_for(recording: Recording, known: Known) -> Float[np.ndarray, "h w"] | None:
+    """Of a flat, the lines of the dark nearest in exposure at its gain, DN; None: none are known."""
+    seconds = recording.exposure_s or 0.0
+    longest = max(_LONGER * seconds, _SHORT_S)
+    like = [
+        (abs((dark.exposure_s or 0.0) - seconds), n)
+        for n, (dark, lines) in enumerate(known)
+        if lines is not None and dark.iso == recording.iso and (dark.exposure_s or 0.0) <= longest
+    ]
+    return known[min(like)[1]][1] if like and recording.kind == "flat" else None
 
 
 def lines_of(dark: Stack) -> Float[np.ndarray, "h w"] | None:
     """Offsets of the rows and columns of every site of the mosaic, as far as they differ by more than chance
-    and than lines that are new in every frame do, DN; None where there are none."""
+    and than lines that are new in every frame do, DN; None where there are none, or one frame only."""
+    if not len(dark.contrasts):
+        return None
     out = np.zeros(dark.mean.shape)
     for at in SITES:
         left = dark.mean[at].astype(np.float64) - robust_mean(dark.mean[at])

@@ -14,9 +14,11 @@ from jaxtyping import Array, Float, Key
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import modelled, smooth_part
 from cannoise_jax.discovery.frames.contrasts import Stack, stack
+from cannoise_jax.discovery.frames.dark_lines import lines_for, lines_of
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import settings_of
+from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import Fields, frame_fields, native, referred
 
 _CHUNK, _PIXELS = 4, 1 << 17
@@ -71,6 +73,9 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
     """The drawn frames as fields beside those of the recordings: their own mean taken out, the baseline's
     standard deviation and the recordings' usable pixels."""
     baselines = {b.iso: b for b in prepared.baselines}
+    order = {f.number: n for n, f in enumerate(prepared.fields)}
+
+    known: dict[int, tuple[Recording, np.ndarray | None]] = {}
 
     def one(pair: tuple[Stack, Fields]) -> Fields:
         stacked, shown = pair
@@ -79,6 +84,10 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
         all_frames, a = list(range(len(frames))), field.before
         own = dataclasses.replace(r, frames=frames)
         taken = stack(own, field.number, all_frames[a:], prepared.step, all_frames[:a])
+        if field.lit:
+            taken = taken._replace(lines=lines_for(r, [known[n] for n in sorted(known)]))
+        else:
+            known[field.number] = r, lines_of(taken)
         weight = (field.usable / field.sigma).astype(np.float32)
         static, mean = None, field.mean
         if field.static is not None:
@@ -90,8 +99,10 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
         drawn_too = field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static)
         return referred(drawn_too, shown.unit)
 
-    pairs = zip(prepared.stacks, prepared.fields, strict=True)
-    return tuple(each(one, [(s, f) for s, f in pairs if f.number in drawn]))
+    pairs = [p for p in zip(prepared.stacks, prepared.fields, strict=True) if p[1].number in drawn]
+    # Darks first: flats are seen beside the lines that they show.
+    out = [each(one, [p for p in pairs if p[1].lit == lit]) for lit in (False, True)]
+    return tuple(sorted((f for part in out for f in part), key=lambda f: order[f.number]))
 
 
 def spread_codes(field: Fields, rng: np.random.Generator) -> Float[np.ndarray, "t h w"]:
