@@ -105,7 +105,8 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
         template = formed_fall(fields, names, g, k)
         strength, error = _one(fields, template)
         stands_out = _stands_out(fields, float(z[k]), template)
-        if stands_out:
+        # Once maps of pixels were taken out, the levels of areas are theirs as well.
+        if stands_out and not any(f.answers.mixed for f in fields):
             template = _free_form(fields, template, strength, longest)
             strength, error = _one(fields, template)
         amplitude = strength
