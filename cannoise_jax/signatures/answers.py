@@ -97,18 +97,18 @@ def _as_lines(values: np.ndarray, axis: str) -> np.ndarray:
     return values[:, None] if axis == "row" else values[None, :]
 
 
-def as_it_stays(field: Fields) -> Fields:
-    """The field with the weights that an offset of a single pixel has in its static part, for templates that
-    are fitted to all pixels at once.
+def as_it_stays(field: Fields, axis: str = "pixel") -> Fields:
+    """The field with the weights that an offset of a single pixel, or of a whole row or column, has in its
+    static part, for templates that are fitted to all pixels at once.
 
-    Where maps of pixels were taken out that is what a template answers that stays the same in all recordings.
-    Two things are left aside. What it shares with lines that were taken out counts as its own still, and one
-    that grows with the exposure answers as an offset does, though of it a map takes another share. Pixels
-    that answer the other way round, after maps of several scalings, are not used.
+    Where maps were taken out that is what a template answers that stays the same in all recordings. Two
+    things are left aside. What one of pixels shares with lines that were taken out counts as its own still,
+    and one that grows with the exposure answers as an offset does, though of it a map takes another share.
+    Pixels that answer the other way round, after maps of several scalings, are not used.
     """
     if not field.answers.mixed:
         return field
-    weight = stays(field, "pixel", "additive")
+    weight = stays(field, axis, "additive")
     seen = field.usable & (weight > 0)
     return field._replace(usable=seen, sigma=np.where(seen, 1 / np.where(seen, weight, 1.0), field.sigma))
 

@@ -67,7 +67,7 @@ def minus(field: Fields, standardised: np.ndarray) -> Fields:
 
 def step_score(fields: tuple[Fields, ...]) -> Score[tuple[str, float, float]] | None:
     """A step in offset between two regions: the boundary is looked for along rows and along columns."""
-    dark = tuple(as_it_stays(f) for f in fields if f.kind in DARK and f.static is not None)
+    dark = tuple(f for f in fields if f.kind in DARK and f.static is not None)
     if not dark:
         return None
     best: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
@@ -116,7 +116,8 @@ def step_absorb(fields: tuple[Fields, ...], score: Score[tuple[str, float, float
     axis, at, step = score.payload
     rows, columns = np.indices(fields[0].mean.shape)
     template = np.where((rows if axis == "row" else columns) >= at, step, 0.0)
-    return tuple(f if f.static is None else minus(f, project(as_it_stays(f), template)) for f in fields)
+    # A step is one of lines, and answers as they do.
+    return tuple(f if f.static is None else minus(f, project(as_it_stays(f, axis), template)) for f in fields)
 
 
 def halves(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
