@@ -49,6 +49,8 @@ _STANDS_OUT = 8.0
 """Standard deviations of a map and its noise from which on a pixel is no part of the map."""
 _FAR_OF_LINES = 4.0
 """Standard deviations of most pixels up to which one moves its line."""
+_ROUNDS = 3
+"""Of rows and columns together, for pixels do not all tell alike."""
 _FEWEST = 16
 """Pixels of a line from which on it has an offset of its own."""
 
@@ -133,12 +135,17 @@ def beside_lines(sums: LineSums) -> Float[np.ndarray, "h w"]:
     if min(z.shape) < _FEWEST or not seen.any():
         return z
     limit = _FAR_OF_LINES * max(robust_std(z[seen], 0), 1.0)
-    left = np.ones(z.shape)
-    for axis in (1, 0, 1, 0):
-        total = np.maximum(np.sum(sums.information, axis, keepdims=True), 1e-30)
-        z = z - root * (np.sum(np.clip(z, -limit, limit) * root, axis, keepdims=True) / total)
-    for axis in (0, 1):
-        left = left - sums.information / np.maximum(np.sum(sums.information, axis, keepdims=True), 1e-30)
+
+    def shared(values: np.ndarray, axis: int | None) -> Float[np.ndarray, "..."]:
+        total = np.sum(sums.information, axis, keepdims=True)
+        return np.sum(values * root, axis, keepdims=True) / np.maximum(total, 1e-30)
+
+    for _ in range(_ROUNDS):
+        near = np.clip(z, -limit, limit)
+        z = z - root * (shared(near, 1) + shared(near, 0) - shared(near, None))
+    # What the means of its lines take of a value.
+    own = [sums.information / np.maximum(np.sum(sums.information, k, keepdims=True), 1e-30) for k in (0, 1)]
+    left = 1 - own[0] - own[1]
     return z / np.sqrt(np.maximum(left, 0.5))
 
 
