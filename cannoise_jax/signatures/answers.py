@@ -56,7 +56,7 @@ def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]
     if mixed is None:
         out = _unit_effect(field, scaling)
     else:
-        first = zip(mixed[SCALINGS.index(scaling)], _told_apart(mixed), strict=True)
+        first = zip(_row(mixed, scaling, field.unit), _told_apart(mixed), strict=True)
         out = sum((share * _unit_effect(field, s) for share, s in first if _has(field, s)), _NONE)
     return out * _as_lines(answers.kept[axis], axis) if axis in answers.kept else out
 
@@ -64,6 +64,13 @@ def _in_dn(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "#h #w"]
 def _told_apart(mixed: Float[np.ndarray, "k k h w"]) -> tuple[str, ...]:
     """The scalings that patterns were told apart by."""
     return SCALINGS[: len(mixed)]
+
+
+def _row(mixed: Float[np.ndarray, "k k h w"], scaling: str, unit: float) -> Float[np.ndarray, "k h w"]:
+    """What a pattern of this scaling looks like; at one gain, of this unit, one behind it is an offset."""
+    if scaling in _told_apart(mixed):
+        return mixed[SCALINGS.index(scaling)]
+    return mixed[SCALINGS.index("additive")] / np.float32(unit)
 
 
 def _scalings(fields: tuple[Fields, ...], *asked: str) -> tuple[str, ...]:
@@ -106,7 +113,7 @@ def as_it_stays(field: Fields, axis: str = "pixel") -> Fields:
     and one that grows with the exposure answers as an offset does, though of it a map takes another share.
     Pixels that answer the other way round, after maps of several scalings, are not used.
     """
-    if not field.answers.mixed:
+    if not field.answers.mixed and axis not in field.answers.kept:
         return field
     weight = stays(field, axis, "additive")
     seen = field.usable & (weight > 0)
@@ -195,7 +202,7 @@ def _mixed(
         k = len(_scalings(fields, scaling))
         before = np.broadcast_to(np.eye(k, dtype=np.float32)[:, :, None, None], (k, k, *size))
     along = along_fields(fields, axis, scaling)
-    own = before[SCALINGS.index(scaling)]
+    own = _row(before, scaling, fields[0].unit)
     falls = np.stack([taken(along(s)) for s in _told_apart(before)])
     return (before - falls[:, None] * own).astype(np.float32)
 
@@ -215,12 +222,13 @@ def along_fields(
         return lambda other: first[frozenset((scaling, other))]
     names = _told_apart(mixed)
     products = _at_first(fields, axis, names)
-    own = mixed[SCALINGS.index(scaling)]
+    unit = fields[0].unit
+    own = _row(mixed, scaling, unit)
     mine = [
         sum((share * products[frozenset((a, b))] for share, a in zip(own, names, strict=True)), _NONE)
         for b in names
     ]
-    return lambda other: sum((s * m for s, m in zip(mixed[SCALINGS.index(other)], mine, strict=True)), _NONE)
+    return lambda other: sum((s * m for s, m in zip(_row(mixed, other, unit), mine, strict=True)), _NONE)
 
 
 def _at_first(

@@ -128,7 +128,7 @@ def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...])
 def beside_lines(sums: LineSums) -> Float[np.ndarray, "h w"]:
     """What pixels score, in standard deviations, beside the offsets that their rows and columns share: of
     lines that differ all pixels would be a map of more variance than that of pixels is, and once the lines
-    are found too much were taken out of all else that stays. Pixels far out move no line."""
+    are found too much were taken out of all else that stays. Pixels far out move a line as others do."""
     root = np.sqrt(sums.information)
     z = sums.score / np.maximum(root, 1e-15)
     seen = root > 0

@@ -10,6 +10,9 @@ from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 
+_ANOTHER_GAIN = 1.2
+"""Gain over another from which on strengths at both are told apart."""
+
 
 class Level(NamedTuple):
     """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
@@ -88,4 +91,4 @@ class Recorded(NamedTuple):
     @property
     def several_gains(self) -> bool:
         """Whether what a gain changes is told from what it does not."""
-        return len(set(self.units)) > 1
+        return max(self.units) > _ANOTHER_GAIN * min(self.units)

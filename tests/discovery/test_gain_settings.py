@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -139,3 +141,20 @@ def test_frames_held_back_at_every_gain_confirm_both(found, behind):
         proofs = dict(zip((s.named.mechanism for s in result.fitted.steps), result.proofs, strict=True))
         for mechanism in {"row_noise", "dsnu", "column_fpn"} & set(proofs):
             assert proofs[mechanism].basis == "likelihood" and proofs[mechanism].confirmed
+
+
+def test_frames_held_back_at_one_gain_alone_are_looked_at():
+    """The other gain has recordings of two frames only, all of which look."""
+    capture = camera(4, before=1.0, behind=1.0)
+    few = [r for r in capture.recordings if r.iso == 100.0]
+    pairs = [
+        dataclasses.replace(r, frames=r.frames[:2])
+        for r in capture.recordings
+        if r.iso == 1600.0 and r.kind in ("bias", "flat")
+    ]
+    mixed = CaptureSet("camera", (*few, *pairs[:2]))
+    assert {
+        r.iso for r, (_, held) in zip(mixed.recordings, split_recordings(mixed), strict=True) if held
+    } == {100.0}
+    result = diagnose(mixed, compare=False)
+    assert result.fitted.steps and len(result.proofs) == len(result.fitted.steps)

@@ -50,6 +50,12 @@ def test_a_dark_of_every_gain_setting_looks():
         assert any(held for r, (_, held) in splits if r.kind == kind)
 
 
+def test_darks_of_one_frame_look_and_prove_in_turn():
+    one = capture_set(55, kinds="d", frames=1).recordings[0]
+    splits = split_recordings(CaptureSet("short", (one,) * 4))
+    assert [bool(look) for look, _ in splits] == [True, False, True, False]
+
+
 def test_one_frame_held_back_shows_its_noise_and_what_stays():
     capture = capture_set(51, kinds="df", frames=4)
     splits = split_recordings(capture)

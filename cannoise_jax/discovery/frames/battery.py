@@ -17,6 +17,7 @@ from cannoise_jax.discovery.frames.dark_lines import beside_darks
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, iso_numbers
+from cannoise_jax.signatures.behind_gain import BEHIND
 from cannoise_jax.signatures.code_spacing import occurrences
 from cannoise_jax.signatures.fields import Fields, referred, refit
 from cannoise_jax.signatures.levels import frame_jitter
@@ -134,19 +135,24 @@ def first_gain(baselines: tuple[GroupBaseline, ...], isos: dict[float | None, fl
 
 
 def gain_units(baselines: tuple[GroupBaseline, ...], isos: dict[float | None, float]) -> list[float]:
-    """Gain of every setting over that of the lowest one: DN of each in one DN of that. Ones where a gain is
-    not known."""
-    if not all(np.all(b.gain > 0) and np.all(b.gain_stderr < _KNOWN_GAIN * b.gain) for b in baselines):
+    """Gain of every setting over that of the lowest one: DN of each in one DN of that. Ones where a gain was
+    not measured."""
+    if not all(np.all((b.gain_stderr > 0) & (b.gain_stderr < _KNOWN_GAIN * b.gain)) for b in baselines):
         return [1.0] * len(baselines)
     first = first_gain(baselines, isos)
     return [float(np.mean(b.gain) / np.mean(first.gain)) for b in baselines]
 
 
 def in_units_of(prepared: Prepared, first: Prepared) -> Prepared:
-    """A split in the units of another one: gains that its own few frames tell are other ones, or none."""
+    """A split in the units of another one, by which what is behind the gain is looked for too: gains that its
+    own few frames tell are other ones, or none."""
     units = {first.baselines[f.group].iso: f.unit for f in first.fields}
     own = {n: units.get(b.iso, 1.0) for n, b in enumerate(prepared.baselines)}
-    return prepared._replace(fields=tuple(referred(f, own[f.group]) for f in prepared.fields))
+    kept = [s for s in prepared.signatures if not s.name.endswith(BEHIND)]
+    return prepared._replace(
+        fields=tuple(referred(f, own[f.group]) for f in prepared.fields),
+        signatures=(*kept, *(s for s in first.signatures if s.name.endswith(BEHIND))),
+    )
 
 
 def _check_noise(stacks: tuple[Stack, ...]) -> None:

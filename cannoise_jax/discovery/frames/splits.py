@@ -45,7 +45,7 @@ def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
         used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
         look, show = ([int(used[n]) for n in part] for part in split_frames(used.size))
         if not show:
-            needed = r.kind in DARK and r.iso not in known
+            needed = r.kind in DARK and len(look) > 1 and r.iso not in known
             look, show = (look, show) if needed or short[r.kind] % 2 == 0 else (show, look)
             short[r.kind] += 1
         known |= {r.iso} if len(look) > 1 and r.kind in DARK else set()
