@@ -21,6 +21,9 @@ def get_config() -> ConfigDict:
             "patch": 32,  # packed pixels, what G and D are trained on; paper: 64
             "reference": 64,  # packed pixels, what E is trained on; paper: 64
             "width": 1 / 16,  # of every channel count; paper: 1
+            # Of the convolutions in a training step: float32, or on an accelerator bfloat16. Weights, norms,
+            # losses and the gradient penalty are float32 either way.
+            "compute": "float32",
             "literal": False,  # the paper's tables and raw units as printed; see networks/
             "paper": False,  # the same without the two norms that keep it from learning any level
             "encoder": True,  # False: a generator without camera awareness

@@ -11,7 +11,8 @@ import numpy as np
 
 class Item(NamedTuple):
     """One piece of work. kind: "step", one training step; "sample", noise for a batch of clean images. base:
-    of the configs, "paper" with the paper's tables or "default". side: packed pixels."""
+    of the configs, "paper" with the paper's tables or "default". side: packed pixels. compute: as in a
+    config. accelerator: too much for a few CPU cores."""
 
     name: str
     title: str
@@ -20,6 +21,8 @@ class Item(NamedTuple):
     width: float
     batch: int
     side: int
+    compute: str = "float32"
+    accelerator: bool = False
 
 
 _LISTED = (
@@ -29,7 +32,14 @@ _LISTED = (
     Item("sample_one", "`sample_noise`, paper, 64x64, batch 1", "sample", "paper", 1.0, 1, 64),
     Item("sample_batch", "`sample_noise`, paper, 64x64, batch 16", "sample", "paper", 1.0, 16, 64),
     Item("sample_image", "`sample_noise`, default, 512x512", "sample", "default", 1 / 16, 1, 512),
-)
+    *(
+        Item(f"step_{base}_{name}", f"training step, {base}, full width, batch 64, {compute}", "step", base,
+             1.0, 64, 64, compute, True)
+        for base in ("paper", "default") for name, compute in (("64", "float32"), ("64_bf16", "bfloat16"))
+    ),
+    Item("sample_image_full", "`sample_noise`, default at full width, 512x512", "sample", "default",
+         1.0, 1, 512, accelerator=True),
+)  # fmt: skip
 ITEMS = {item.name: item for item in _LISTED}
 NLF = (1e-3, 1e-6)
 """Shot and read noise of every image, normalised units."""
@@ -42,7 +52,7 @@ def config_of(item: Item) -> Any:
     folders = (package.parent / "configs", package / "configs")
     folder = next(f for f in folders if (f / "default.py").is_file())
     config = runpy.run_path(str(folder / f"{item.base}.py"))["get_config"]()
-    config.update({"width": item.width, "batch_size": item.batch})
+    config.update({"width": item.width, "batch_size": item.batch, "compute": item.compute})
     if item.kind == "step":
         config.patch = item.side
     return config

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,7 +93,7 @@ def _ratios(calls: dict[str, list[dict[str, float]]], unit: str) -> Spread:
 
 
 class Worker:
-    """A process that holds one engine ready. started: what that cost. Raises BadInput where it cannot."""
+    """A process that holds one engine ready. Raises BadInput where it cannot."""
 
     def __init__(
         self, engine: str, item: Item, place: Path, environment: dict[str, str], cores: int | None = None
@@ -103,12 +104,17 @@ class Worker:
             [sys.executable, "-m", "cannoise_jax.bench.worker", engine, item.name, str(place)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment},
         )  # fmt: skip
-        self.started = self._answer()
 
-    def call(self) -> dict[str, Any]:
-        """Seconds (s, cpu_s) and memory (mib) of one more call."""
-        assert self._process.stdin
-        self._process.stdin.write("\n")
+    @cached_property
+    def started(self) -> dict[str, float]:
+        """What starting cost, once it is ready."""
+        return self._answer()
+
+    def call(self, times: int = 1) -> dict[str, Any]:
+        """Seconds (s, cpu_s) a call and memory (mib) of calls in a row, none waiting for the one before
+        where the engine need not."""
+        assert self._process.stdin and self.started
+        self._process.stdin.write(f"{times}\n")
         self._process.stdin.flush()
         return self._answer()
 

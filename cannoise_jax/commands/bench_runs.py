@@ -250,9 +250,12 @@ def write_table(
     rows: Sequence[tuple[str, ...]],
     values: dict[str, str],
     code: Sequence[str] = CODE,
+    machine: str | None = None,
 ) -> None:
-    """The table as `bin/bench docs --take` reads it, where --out names a file. code: what it depends on."""
+    """The table as `bin/bench docs --take` reads it, where --out names a file. code: what it depends on.
+    machine: where it was measured, if it may be taken elsewhere."""
     if arguments.out is not None:
         table = {"columns": columns, "rows": rows, "values": values, "code": code}
+        table |= {"machine": machine} if machine else {}
         with texts_in_place({arguments.out: json.dumps(table, indent=1, ensure_ascii=False) + "\n"}):
             pass

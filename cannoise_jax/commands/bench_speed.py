@@ -16,7 +16,8 @@ from cannoise_jax.recordings.recording import BadInput
 CODE = ("cannoise_jax/networks", "cannoise_jax/training", "cannoise_jax/sampling.py", "cannoise_jax/bench")
 """What the table depends on."""
 PEERS = ("torch",)
-WITH_PEER = tuple(name for name, item in ITEMS.items() if item.base == "paper")
+HERE = tuple(name for name, item in ITEMS.items() if not item.accelerator)
+WITH_PEER = tuple(name for name in HERE if ITEMS[name].base == "paper")
 """What the reference in PyTorch can do."""
 COLUMNS = (
     "work", "ours, ms", "PyTorch, ms", "PyTorch / ours (quartiles)", "of CPU time", "memory, MiB",
@@ -28,7 +29,7 @@ def add_speed(commands: Any) -> None:
     """The flags of `bin/bench speed`, to the parser's commands."""
     parser = commands.add_parser("speed", help="training steps and sampling, alone or beside PyTorch")
     parser.add_argument("--against", choices=PEERS, help="the same work in PyTorch, by turns")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(ITEMS)}")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(HERE)}")
     parser.add_argument("--pairs", type=int, default=9, help="timed calls each, taken by turns")
     parser.add_argument("--cores", type=int, help="of the machine to use (default: all)")
     add_table(parser)
@@ -39,9 +40,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Measures, prints and writes the table."""
     from cannoise_jax.commands.bench_runs import check_table, write_table
 
-    wanted = arguments.only or list(ITEMS)
-    if set(wanted) - set(ITEMS):
-        raise BadInput(f"speed: {', '.join(sorted(set(wanted) - set(ITEMS)))}: known are {', '.join(ITEMS)}")
+    wanted = arguments.only or list(HERE)
+    if set(wanted) - set(HERE):
+        raise BadInput(f"speed: {', '.join(sorted(set(wanted) - set(HERE)))}: known are {', '.join(HERE)}")
     if arguments.pairs < 1 or (arguments.cores or 1) < 1:
         raise BadInput("speed: --pairs and --cores from 1")
     if arguments.against and find_spec("torch") is None:

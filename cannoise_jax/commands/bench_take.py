@@ -31,7 +31,8 @@ def take(root: Path, file: Path, name: str, title: str | None, command: list[str
     """The result that a file holds, measured on the code of this checkout as it is now.
 
     The file's own kind decides what of it is shown and which code it depends on. A table is
-    {"columns": [...], "rows": [[...]], "values": {...}, "code": [paths]}. Raises BadInput.
+    {"columns": [...], "rows": [[...]], "values": {...}, "code": [paths]}, and may name its machine and have
+    notes. Raises BadInput.
     """
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
@@ -49,6 +50,7 @@ def take(root: Path, file: Path, name: str, title: str | None, command: list[str
         ) from error
     code = {"commits": _commit(root, paths), "paths": paths, "sha256": source_sha256(root, paths)}
     machine, date = here()
+    machine = str(content.get("machine", machine))
     return Result(name, title or name.replace("_", " "), tuple(command), code, machine, date, **parts)
 
 
@@ -72,6 +74,7 @@ def _parts(root: Path, name: str, content: Any) -> tuple[list[str], _Parts]:
         "columns": tuple(content.get("columns", ())),
         "rows": rows,
         "values": values,
+        "notes": tuple(str(note) for note in content.get("notes", ())),
     }
 
 

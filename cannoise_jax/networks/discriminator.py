@@ -34,7 +34,8 @@ class Discriminator(nn.Module):
     padding 1 on the last layer, so 64x64 gives 7x7 scores (the printed h/16 would need stride 2).
     spectral, norm ("none", "channel", "instance"): of d2, d3 and, spectral only, the last layer.
     hidden: channels of the pointwise branch; 0: none. rows: show row means. moments: show size and square.
-    output_norm: the literal table's last norm, with which the loss has no gradient.
+    output_norm: the literal table's last norm, with which the loss has no gradient. dtype: of the products of
+    all but the pointwise branch, see `Conv`.
 
     `noise`: normalised units. `latent`: of the camera, or None; to be given always or never.
     Returns (scores, features): the score map, and d3 (the table's D_f) at an eighth of the size.
@@ -50,6 +51,7 @@ class Discriminator(nn.Module):
     moments: bool = True
     level_input: bool = True
     output_norm: bool = True
+    dtype: str | None = None
 
     @nn.compact
     def __call__(
@@ -66,6 +68,7 @@ class Discriminator(nn.Module):
             "spectral": spectral,
             "initial": "torch" if self.literal else "he",
             "twice": True,
+            "dtype": self.dtype,
         }
         if self.literal:
             x = pixels = jnp.concatenate([clean, noise], -1)
@@ -84,6 +87,7 @@ class Discriminator(nn.Module):
         if not self.literal:
             x = self._join(x, pixels, latent, train)
         scores = Conv(1, 4, 1, 1, use_bias=not self.literal, **shared, name="out")(x, train=train)
+        scores, features = (v.astype(noise.dtype) for v in (scores, features))
         if self.literal and self.output_norm:
             scores = Norm("instance", name="out_norm")(scores)
         return scores, features
@@ -106,6 +110,7 @@ class Discriminator(nn.Module):
             return x
         x = jnp.concatenate(parts, -1)
         x = Conv(
-            scaled(self.width, 256), 1, spectral=self.spectral, use_bias=True, initial="he", name="mix"
+            scaled(self.width, 256), 1, spectral=self.spectral, use_bias=True, initial="he",
+            dtype=self.dtype, name="mix",
         )(x, train=train)  # fmt: skip
         return leaky_relu(x)

@@ -29,7 +29,7 @@ class Encoder(nn.Module):
     spectral, norm ("none", "channel", "instance"): of e1..e4. latent_scale: the latent's length; 0: raw, so
     that an image that tells much counts for more in the mean of several.
     hidden: width of the layers that read the statistics. Their parameters `centre` and `spread` are constants
-    of the data, see `standardised`.
+    of the data, see `standardised`. dtype: of the products of e1..e4, see `Conv`.
     """
 
     width: float = 1.0
@@ -38,17 +38,18 @@ class Encoder(nn.Module):
     norm: str = "none"
     latent_scale: float = 1.0
     hidden: int = 64
+    dtype: str | None = None
 
     @nn.compact
     def __call__(self, noisy: Float[Array, "b h w 4"], *, train: bool) -> Float[Array, "b l"]:
         latent_size = scaled(self.width, 512)
         if self.literal:
-            return jnp.mean(self._features(noisy, train), (1, 2))
+            return jnp.mean(self._features(noisy, train), (1, 2), noisy.dtype)
         statistics, residual = noise_statistics(noisy)
         centre = self.param("centre", nn.initializers.zeros, statistics.shape[1:])
         spread = self.param("spread", nn.initializers.ones, statistics.shape[1:])
         statistics = (statistics - lax.stop_gradient(centre)) / lax.stop_gradient(spread)
-        pooled = jnp.mean(self._features(jnp.clip(residual, -8, 8), train), (1, 2))
+        pooled = jnp.mean(self._features(jnp.clip(residual, -8, 8), train), (1, 2), noisy.dtype)
         x = leaky_relu(nn.Dense(self.hidden, name="statistics")(statistics))
         x = leaky_relu(nn.Dense(self.hidden, name="join")(jnp.concatenate([x, pooled], -1)))
         latent = nn.Dense(latent_size, name="latent")(x)
@@ -59,7 +60,11 @@ class Encoder(nn.Module):
     def _features(self, x, train):
         """e1..e4."""
         spectral, norm = (True, "instance") if self.literal else (self.spectral, self.norm)
-        shared: dict[str, Any] = {"spectral": spectral, "initial": "torch" if self.literal else "he"}
+        shared: dict[str, Any] = {
+            "spectral": spectral,
+            "initial": "torch" if self.literal else "he",
+            "dtype": self.dtype,
+        }
         for i, channels in enumerate((64, 128, 256, 512), 1):
             size, stride, padding = (7, 1, 3) if i == 1 else (4, 2, 1)
             kind = "none" if i == 1 else norm

@@ -50,17 +50,19 @@ class ResidualBlock(nn.Module):
     spectral: bool = True
     norm: str = "instance"
     literal: bool = True
+    dtype: str | None = None
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w c"], *, train: bool) -> Float[Array, "b h w c"]:
-        channels, initial = x.shape[-1], "torch" if self.literal else "he"
+        shared: dict[str, Any] = {
+            "spectral": self.spectral,
+            "initial": "torch" if self.literal else "he",
+            "dtype": self.dtype,
+        }
         y = Block(
-            channels, 3, 1, 1, spectral=self.spectral, norm=self.norm, initial=initial,
-            activate=not self.literal, name="first",
+            x.shape[-1], 3, 1, 1, norm=self.norm, activate=not self.literal, **shared, name="first"
         )(x, train=train)  # fmt: skip
-        return x + Conv(channels, 3, 1, 1, spectral=self.spectral, initial=initial, name="second")(
-            y, train=train
-        )
+        return x + Conv(x.shape[-1], 3, 1, 1, **shared, name="second")(y, train=train)
 
 
 class UNet(nn.Module):
@@ -75,12 +77,18 @@ class UNet(nn.Module):
     norm: str
     literal: bool
     output_norm: bool = True
+    dtype: str | None = None
 
     @nn.compact
     def __call__(
         self, x: Float[Array, "b h w i"], latent: Float[Array, "b l"], *, train: bool
     ) -> Float[Array, "b h w o"]:
-        shared: dict[str, Any] = {"spectral": self.spectral, "initial": "torch" if self.literal else "he"}
+        shared: dict[str, Any] = {
+            "spectral": self.spectral,
+            "initial": "torch" if self.literal else "he",
+            "dtype": self.dtype,
+        }
+        full = x.dtype
         skips = []
         for i, channels in enumerate((64, 128, 256, 512, 512), 1):
             norm = "none" if i == 1 else self.norm
@@ -90,13 +98,15 @@ class UNet(nn.Module):
             if i == 3:
                 spread = jnp.broadcast_to(latent[:, None, None], (*x.shape[:3], latent.shape[-1]))
                 x = jnp.concatenate([x, spread], -1)
-            x = ResidualBlock(self.spectral, self.norm, self.literal, name=f"res{i}")(x, train=train)
+            x = ResidualBlock(self.spectral, self.norm, self.literal, self.dtype, name=f"res{i}")(
+                x, train=train
+            )
         for i, channels in enumerate((512, 256, 128, 64), 1):
             x = Block(
                 scaled(self.width, channels), transposed=True, norm=self.norm, **shared, name=f"t{i}"
             )(x, train=train)  # fmt: skip
             x = jnp.concatenate([x, skips[4 - i]], -1)
-        x = Conv(self.outputs, 4, transposed=True, **shared, name="out")(x, train=train)
+        x = Conv(self.outputs, 4, transposed=True, **shared, name="out")(x, train=train).astype(full)
         return Norm("instance", name="out_norm")(x) if self.literal and self.output_norm else x
 
 
@@ -142,7 +152,8 @@ class Generator(nn.Module):
     row_noise: add noise common to a sensor row; needs the random stream `noise`.
     physics: the branches; they replace `direct` and `row_noise`, and need the stream `noise`. Their
     parameters are sown into the collection `physics`. residue: the networks after them. output_norm: of the
-    literal table's last layer, with which no level can be learned.
+    literal table's last layer, with which no level can be learned. dtype: of the U-Net's convolutions, as
+    `Conv` has it.
 
     Returns noise in normalised units, not clipped. Height and width must be multiples of 32. For a tile of an
     image, summary: that of the whole image; draws: its part of those of the whole image; lines=False:
@@ -163,6 +174,7 @@ class Generator(nn.Module):
     physics: bool = True
     residue: bool = True
     output_norm: bool = True
+    dtype: str | None = None
 
     @nn.compact
     def __call__(
@@ -181,7 +193,7 @@ class Generator(nn.Module):
     ) -> Any:
         if self.literal:
             x = jnp.concatenate([clean, n_init], -1)
-            unet = UNet(self.width, 4, True, "instance", True, self.output_norm, name="unet")
+            unet = UNet(self.width, 4, True, "instance", True, self.output_norm, self.dtype, name="unet")
             noise = _part(n_init + jnp.tanh(unet(x, latent, train=train)), part)
             return noise if lines else (noise, jnp.zeros_like(noise))
         told = latent * latent.shape[-1] ** 0.5
@@ -220,7 +232,8 @@ class Generator(nn.Module):
         # A hot pixel of a hundred sigma would mark whatever the networks reach around it.
         seen = sigma * bent(noise / sigma, KNEE)
         x = in_sigma_units(clean, seen, sigma, level=self.level_input)
-        features = UNet(self.width, 8, self.spectral, self.norm, False, name="unet")(x, latent, train=train)
+        unet = UNet(self.width, 8, self.spectral, self.norm, False, dtype=self.dtype, name="unet")
+        features = unet(x, latent, train=train)
         x, features, noise, sigma = (_part(v, part) for v in (x, features, noise, sigma))
         x = jnp.concatenate([x, features], -1)
         # One hidden layer: how far a camera is from its published noise differs from setting to setting.

@@ -78,6 +78,11 @@ def _normalise(x, axes):
     return centred * lax.rsqrt(jnp.mean(jnp.square(centred), axes, keepdims=True) + 1e-5)
 
 
+def _at_least_single(x):
+    """In float32 where it has fewer bits: sums over many pixels need them."""
+    return x.astype(jnp.promote_types(x.dtype, jnp.float32))
+
+
 class Norm(nn.Module):
     """`kind`: "instance", "channel", or "none" (no parameters)."""
 
@@ -89,7 +94,8 @@ class Norm(nn.Module):
             return x
         scale = self.param("scale", nn.initializers.ones, (x.shape[-1],))
         bias = self.param("bias", nn.initializers.zeros, (x.shape[-1],))
-        return {"instance": instance_norm, "channel": channel_norm}[self.kind](x, scale, bias)
+        norm = {"instance": instance_norm, "channel": channel_norm}[self.kind]
+        return norm(_at_least_single(x), scale, bias).astype(x.dtype)
 
 
 # PyTorch's default for convolutions, uniform on +-1/sqrt(fan in), and the one that keeps the signal's
@@ -105,7 +111,8 @@ class Conv(nn.Module):
     spectral: divides by the kernel's largest singular value; the vectors live in the collection `spectral`
     and move only when that is mutable and `train` is true; without that collection the kernel is taken as
     normalised already (see `fold_spectral_norm`). twice: a gradient of this layer will be
-    differentiated again.
+    differentiated again. dtype: of the products and of what is returned, as "bfloat16"; None: that of
+    the input. Parameters keep their own.
     """
 
     features: int
@@ -117,20 +124,27 @@ class Conv(nn.Module):
     use_bias: bool = False
     initial: str = "torch"
     twice: bool = False
+    dtype: str | None = None
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
         shape = (self.size, self.size, x.shape[-1], self.features)
         kernel = self.param("kernel", INITS[self.initial], shape)
+        normalised = self.spectral and (self.is_initializing() or self.has_variable("spectral", "u"))
+        sigma = self._sigma(kernel, train) if normalised else None
+        if self.dtype is not None:
+            # Divided before it is rounded: sigma in few bits would scale the whole layer wrongly.
+            kernel, sigma = (kernel if sigma is None else kernel / sigma), None
+            x, kernel = x.astype(self.dtype), kernel.astype(self.dtype)
         if self.transposed:
             y = conv_transpose2d(x, kernel)
         else:
             y = conv2d(x, kernel, self.stride, self.padding, twice=self.twice)
-        if self.spectral and (self.is_initializing() or self.has_variable("spectral", "u")):
+        if sigma is not None:
             # Scaling the output is the same as scaling the kernel, and far less to write.
-            y = y / self._sigma(kernel, train)
+            y = y / sigma
         if self.use_bias:
-            y = y + self.param("bias", nn.initializers.zeros, (self.features,))
+            y = y + self.param("bias", nn.initializers.zeros, (self.features,)).astype(y.dtype)
         return y
 
     def _sigma(self, kernel, train):
@@ -163,13 +177,14 @@ class Block(nn.Module):
     initial: str = "torch"
     activate: bool = True
     twice: bool = False
+    dtype: str | None = None
 
     @nn.compact
     def __call__(self, x: Float[Array, "b h w i"], *, train: bool) -> Float[Array, "b y x o"]:
         x = Conv(
             self.features, self.size, self.stride, self.padding, self.transposed, self.spectral,
             use_bias=self.norm == "none" and self.initial != "torch", initial=self.initial, twice=self.twice,
-            name="conv",
+            dtype=self.dtype, name="conv",
         )(x, train=train)  # fmt: skip
         x = Norm(self.norm, name="norm")(x)
         return leaky_relu(x) if self.activate else x

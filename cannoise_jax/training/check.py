@@ -9,6 +9,7 @@ from ml_collections import ConfigDict
 from cannoise_jax.physics.initial_noise import INITIAL_NOISE, sensors_of
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import LEVELS
+from cannoise_jax.training.state import COMPUTE
 
 _COUNTS = (
     "steps", "batch_size", "critic_updates", "log_every", "evaluate_every", "checkpoint_every",
@@ -29,6 +30,7 @@ _NOT_NEGATIVE = (
 _BELOW_ONE = ("ema", "optimiser.beta1", "optimiser.beta2")
 _CHOICES = {
     "level": LEVELS,
+    "compute": COMPUTE,
     "critic_condition": ("none", "camera", "latent"),
     "optimiser.schedule": ("constant", "cosine"),
     "loss.feature_target": ("clean", "real"),
@@ -66,6 +68,8 @@ def check_config(config: ConfigDict) -> None:
     noise = config.initial_noise
     if not callable(noise) and not str(noise).startswith(("sensor:", "preset:")):
         choices["initial_noise"] = tuple(INITIAL_NOISE)
+    if "compute" not in config:  # a run of before there was a choice
+        del choices["compute"]
     for name, allowed in choices.items():
         if _value(config, name) not in allowed:
             raise _wrong(name, _value(config, name), f"use one of {', '.join(allowed)}")

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
-from ml_collections import ConfigDict
+from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.networks import Discriminator, Encoder, Generator
 from cannoise_jax.networks.encoder import standardised
@@ -21,6 +21,7 @@ from cannoise_jax.physics.initial_noise import INITIAL_NOISE
 from cannoise_jax.training.compiler import compiler_options
 
 Variables = Mapping[str, Any]
+COMPUTE = ("float32", "bfloat16")
 
 
 class Networks(NamedTuple):
@@ -57,10 +58,17 @@ class State(NamedTuple):
     average: Variables
 
 
-def make_networks(config: ConfigDict) -> Networks:
+def make_networks(config: ConfigDict | FrozenConfigDict, compute: str = "float32") -> Networks:
     """The modules that the config describes. Noise that is drawn from a sensor model has its mechanisms
-    already, and is no normal number that the branches could shape: they are left out."""
-    shared = {"width": config.width, "literal": config.literal or config.paper}
+    already, and is no normal number that the branches could shape: they are left out.
+
+    compute: in what the convolutions are worked out; a model is always sampled in float32.
+    """
+    shared: dict[str, Any] = {
+        "width": config.width,
+        "literal": config.literal or config.paper,
+        "dtype": None if compute == "float32" else compute,
+    }
     norm: dict[str, Any] = {"output_norm": not config.paper}
     generator = config.networks.generator.to_dict()
     if config.initial_noise not in tuple(INITIAL_NOISE):

@@ -79,7 +79,9 @@ def make_train_step(
 @lru_cache(maxsize=4)
 def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoise, mesh: Mesh | None):
     """Cached, so that a run that is resumed in the same process compiles once."""
-    networks, optimisers = make_networks(config), make_optimisers(config)
+    networks = make_networks(config, config.get("compute", "float32"))
+    optimisers = make_optimisers(config)
+    exact = make_networks(config)  # the penalty is a slope of a slope, for which few bits are too few
     draw = initial_noise_by_camera(choice, config.exposure_s)
     weights = config.loss
     adversarial = bool(weights.adversarial or weights.feature_matching)
@@ -128,7 +130,7 @@ def _train_step(config: FrozenConfigDict, cameras: int, choice: str | InitialNoi
 
             def scores_at(noise):
                 frozen = {"params": params, "spectral": spectral}
-                return networks.critic.apply(frozen, noise * unit, clean, sigma, train=False, latent=told)[0]
+                return exact.critic.apply(frozen, noise * unit, clean, sigma, train=False, latent=told)[0]
 
             wasserstein = losses.critic_loss(real_scores, fake_scores)
             penalty = losses.gradient_penalty(scores_at, between, weights.slope)

@@ -58,6 +58,7 @@ def test_several_sensors_must_be_those_of_the_cameras(tmp_path):
         ("initial_noise", "none"),
         ("critic_condition", "name"),
         ("level", "published"),
+        ("compute", "float16"),
         ("loss.quantiles", -1.0),
         ("data.cameras", 0),
         ("optimiser.schedule", "linear"),
@@ -77,3 +78,9 @@ def test_nonsense_is_refused_by_name(name, value):
     with pytest.raises(BadInput, match=f"^config.{name}: .*: use ") as refused:
         check_config(config)
     assert "\n" not in str(refused.value)
+
+
+def test_a_run_of_before_there_was_a_choice_of_its_arithmetic_goes_on():
+    config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
+    del config.compute
+    check_config(config)

@@ -63,6 +63,21 @@ def test_one_step_moves_every_network_and_counts(trained):
     assert all(np.isfinite(value) for value in metrics.values())
 
 
+def test_a_step_in_bfloat16_is_near_and_its_weights_and_penalty_are_float32(config, trained):
+    changed = config.copy_and_resolve_references()
+    changed.compute = "bfloat16"
+    after, metrics = make_train_step(changed, 2)(init_state(changed, 2), make_batch())
+    assert {x.dtype for x in jax.tree.leaves((after.generator, after.encoder, after.critic))} == {
+        jnp.dtype("float32")
+    }
+    exact = trained[3]
+    # Of the same fake images up to their rounding; the slope itself is worked out in float32.
+    assert float(metrics["critic/penalty"]) == pytest.approx(float(exact["critic/penalty"]), rel=0.02)
+    for name in ("critic/wasserstein", "generator/triplet"):
+        assert float(metrics[name]) == pytest.approx(float(exact[name]), rel=0.1, abs=0.01)
+        assert float(metrics[name]) != float(exact[name]), name
+
+
 def test_training_starts_at_the_initial_noise(trained):
     assert float(trained[3]["generator/spread"]) == pytest.approx(1, abs=0.02)
 
