@@ -11,8 +11,11 @@ from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.dark_laws import (
     DOUBLING_C,
     THERMAL,
+    VARIATION,
     WIDENHORN,
     added_charge,
+    log_normal_pixels,
+    of_pixels,
     per_second,
     rate_of,
 )
@@ -29,8 +32,8 @@ from cannoise_jax.vocabulary import RMS, Term
 DARK_CURRENT = Mechanism(
     id="dark_current",
     point=Point("pixel", "mean", "frame", "frozen"),
-    parameters=(rate_of("mean dark current", 10.0),),
-    equation=r"\mu \to \mu + D\,t\,2^{(T-T_0)/T_d}",
+    parameters=(rate_of("mean dark current", 10.0), VARIATION),
+    equation=r"\mu_{ij} \to \mu_{ij} + D\,(1 + v\,d_{ij})\,t\,2^{(T-T_0)/T_d}",
     sentence="Warm silicon frees electrons without light: the darks rise with exposure and temperature, and "
     "get noisier as they do.",
     reference=WIDENHORN,
@@ -43,8 +46,9 @@ DARK_CURRENT = Mechanism(
         "compensated_dark_current",
     ),
     amplitude=per_second,
-    sample=lambda key, x, values, maps, context: x + values["e_per_s"],
-    effect=lambda values, maps, context: added_charge(values["e_per_s"], context),
+    sample=lambda key, x, values, maps, context: x + of_pixels(values, maps),
+    draw_maps=log_normal_pixels,
+    effect=lambda values, maps, context: added_charge(of_pixels(values, maps), context),
     scaling=THERMAL,
     scales="e_per_s",
 )
@@ -52,13 +56,14 @@ DARK_CURRENT = Mechanism(
 
 def _compensated(key, x, values, maps, context: Context):
     # What scatters is left of the charge: the clamp takes its mean away.
-    charge = sample_poisson(key, jnp.broadcast_to(values["e_per_s"], x.shape))
+    charge = sample_poisson(key, jnp.broadcast_to(of_pixels(values, maps), x.shape))
     return x + charge - values["share"] * values["e_per_s"]
 
 
 def _compensated_effect(values, maps, context):
-    added = added_charge(values["e_per_s"], context)
-    return added._replace(mean=(1 - values["share"]) * added.mean)
+    added = added_charge(of_pixels(values, maps), context)
+    taken = values["share"] * values["e_per_s"] * context.gain_dn_per_e
+    return added._replace(mean=added.mean - jnp.broadcast_to(taken, (1, *context.size))[0])
 
 
 COMPENSATED_DARK_CURRENT = Mechanism(
@@ -67,8 +72,10 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     parameters=(
         rate_of("dark current whose mean the camera subtracts", 10.0),
         Parameter("share", "1", 1.0, 0.0, 10.0, "what is subtracted, over its mean"),
+        VARIATION,
     ),
-    equation=r"e \to e + n - s\,q,\quad n \sim \mathrm{Poisson}(q),\ q = D\,t\,2^{(T-T_0)/T_d}",
+    equation=r"e \to e + n - s\,q,\quad n \sim \mathrm{Poisson}(q\,(1 + v\,d_{ij})),\ "
+    r"q = D\,t\,2^{(T-T_0)/T_d}",
     sentence="The camera clamps its black level to shielded pixels: long darks do not rise, yet the noise of "
     "the dark current stays in them.",
     reference="EMVA 1288 release 4.0, section 7 (dark current from the variance)",
@@ -76,6 +83,7 @@ COMPENSATED_DARK_CURRENT = Mechanism(
     confused_with=("dark_current", "read_noise_error"),
     amplitude=per_second,
     sample=_compensated,
+    draw_maps=log_normal_pixels,
     effect=_compensated_effect,
     scaling=THERMAL,
     scales="e_per_s",

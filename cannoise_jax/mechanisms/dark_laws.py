@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from cannoise_jax.physics.core.mechanism import Context, Effect, Parameter, Scaling
+from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 
 DOUBLING_C = 7.0
 """Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
@@ -22,6 +23,25 @@ def added_charge(charge, context: Context) -> Effect:
         third=(gain**3 * charge)[0],
         fourth=(gain**4 * charge)[0],
     )
+
+
+VARIATION = Parameter(
+    "variation", "1", 0.0, 0.0, 10.0, "standard deviation of the pixels' dark currents over their mean", 0.0
+)
+
+
+def log_normal_pixels(key, values, context: Context):
+    """What pixels have beyond the mean, in units of their standard deviation: log-normal, as the currents of
+    one kind of defect that every pixel has many of."""
+    variation = jnp.maximum(values["variation"], 1e-6)
+    shape = jnp.sqrt(jnp.log1p(variation**2))
+    drawn = jnp.exp(shape * sample_normal(key, (1, *context.size)) - shape**2 / 2)
+    return {"pixels": (drawn - 1) / variation}
+
+
+def of_pixels(values, maps):
+    """Mean charge of every pixel, none below zero."""
+    return values["e_per_s"] * jnp.maximum(1 + values["variation"] * maps["pixels"], 0.0)
 
 
 def rate_of(definition: str, default: float) -> Parameter:

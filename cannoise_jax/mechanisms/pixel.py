@@ -253,7 +253,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.patterns.pixel("additive", name="pixel_additive_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
             looks.patterns.pixel("exposure", name="pixel_thermal_static", parameter="sigma_dn",
-                covers=looks.DARK_LEVELS),
+                covers=looks.DARK_LEVELS, charge_of=("dark_current", "compensated_dark_current")),
         ),
         estimator=Estimator(maps.dsnu, maps=measured.offsets),
         examples=Examples("spatial", dim=True, strong={"sigma_dn": 3.0},

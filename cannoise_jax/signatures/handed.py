@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -81,7 +81,8 @@ class Addition(NamedTuple):
     """What a finding adds to a camera model: strengths of a mechanism, measured maps, another place or
     scaling than its own where given. black_shift: DN per channel taken from the black level; fitted_black:
     whether the model takes the black level that was fitted. bare: nothing but these. record: of a mechanism
-    from outside. beside: values that hold instead where a mechanism of this id is added too."""
+    from outside. beside: values that hold instead where a mechanism of this id is added too. into: where one
+    of this id is added too, what that one becomes with this in it, or None where it cannot hold it."""
 
     values: dict[str, float] = {}
     maps: dict[str, Any] = {}
@@ -92,6 +93,7 @@ class Addition(NamedTuple):
     bare: bool = False
     record: Mechanism | None = None
     beside: Mapping[str, dict[str, float]] = MappingProxyType({})
+    into: Mapping[str, Callable[[Addition], Addition | None]] = MappingProxyType({})
 
 
 class Asked(NamedTuple):

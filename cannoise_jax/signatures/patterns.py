@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -11,12 +12,12 @@ from scipy import stats
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import KINDS
-from cannoise_jax.signatures.added import draw_pixels, placed, posterior, strength
+from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays
 from cannoise_jax.signatures.charge_noise import steadied
 from cannoise_jax.signatures.fields import Fields, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
-from cannoise_jax.signatures.handed import Many, Predicted
+from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted
 from cannoise_jax.signatures.least import (
     frame_offsets,
     random_offsets,
@@ -267,8 +268,34 @@ def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
     )
 
 
-def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
-    """A frozen offset (or gain, or dark current) of every pixel."""
+_NONE_LEFT = 0.02
+"""Share of pixels with less than no charge, up to which it is their noise that made them so."""
+
+
+def _within(own: Addition, found: Found, growing: Addition) -> Addition | None:
+    """The charge of all pixels with what each of them has beyond its mean, `own`, so that it brings its shot
+    noise; None where that cannot be charge: too many pixels would have less than none."""
+    rate, strength = growing.values.get("e_per_s", 0.0), next(iter(own.values.values()))
+    if not (found.gain > 0 and found.longest > 0 and rate > 0) or "pixels" in growing.maps or not own.maps:
+        return None
+    beyond = strength * np.asarray(own.maps["field"], np.float64) / (found.gain * found.longest * rate)
+    variation = float(np.std(beyond))
+    if not variation > 0 or np.mean(beyond < -1) > _NONE_LEFT:
+        return None
+    maps = {**growing.maps, "pixels": as_map(np.squeeze(beyond, 0) / variation)}
+    return growing._replace(values={**growing.values, "variation": variation}, maps=maps)
+
+
+def pixel(
+    scaling: Scales,
+    *,
+    name: str,
+    parameter: str,
+    covers: tuple[str, ...],
+    charge_of: tuple[str, ...] = (),
+) -> Signature:
+    """A frozen offset (or gain, or dark current) of every pixel. charge_of: mechanisms of charge that grows
+    with the exposure alike in all pixels, of which it is the part of each."""
     growing, light = scaling == "exposure", scaling == "signal"
     point = Point("photons", "mean", "pixel", "frozen", "multiply") if light else OFFSETS
 
@@ -290,6 +317,13 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         seconds = longest_exposure(fields)
         return draw_pixels(sums.score, sums.information, variance / seconds**2, rng) * seconds
 
+    def as_charge(add: Callable[[Found], Addition]) -> Callable[[Found], Addition]:
+        def added(found: Found) -> Addition:
+            own = add(found)
+            return own._replace(into={id: partial(_within, own, found) for id in charge_of})
+
+        return added
+
     return Signature(
         name=name,
         kin="pixel",
@@ -300,8 +334,8 @@ def pixel(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         covers=covers,
         predict=predict,
         pattern=pattern,
-        simulate=strength(parameter, by_exposure=growing),
-        place=placed(point, by_exposure=growing),
+        simulate=as_charge(strength(parameter, by_exposure=growing)),
+        place=as_charge(placed(point, by_exposure=growing)),
         detectable=BY_SHIFT,
         least=NO_CLOSED_FORM if growing else random_offsets("pixel", scaling, frozen=True),
         drawn_once=True,

@@ -224,3 +224,64 @@ def test_a_dark_current_that_moves_is_not_drawn_twice():
     assert drawn.mean((1, 2)).std() == pytest.approx(2 * 50 * np.log(2) / 7, rel=0.15)
     closed = both.expected(np.zeros((32, 32), np.float32), setting)
     assert float(np.mean(closed)) == pytest.approx(drawn.mean(), abs=2.5)
+
+
+def own_currents(mean, variation, clamped, gain=1.5):
+    """Every pixel collects charge at its own rate, gamma-distributed, e-/s; a clamp takes the mean away."""
+
+    def alter(rng):
+        rate = rng.gamma(1 / variation**2, mean * variation**2, SIZE)
+
+        def change(dn, signal, kind, exposure):
+            taken = mean * exposure if clamped else 0.0
+            return dn + gain * (rng.poisson(rate * exposure) - taken)
+
+        return change
+
+    return alter
+
+
+@pytest.mark.parametrize("clamped", [False, True])
+def test_the_own_charge_of_pixels_brings_its_shot_noise(clamped):
+    capture = capture_set(60, own_currents(800.0, 0.4, clamped), kinds="df", frames=12)
+    first, steps = found(capture)
+    names = {s.named.mechanism for s in steps}
+    holder = "compensated_dark_current" if clamped else "dark_current"
+    assert {"dsnu", holder} <= names
+    model = extended_model(capture, first, steps)
+    assert holder in [f.mechanism for f in model.mechanisms]
+    held = next(f for f in model.mechanisms if f.mechanism == holder)
+    assert held.parameters["variation"] == pytest.approx(0.4, rel=0.1)
+    assert "dsnu" not in [f.mechanism for f in model.mechanisms]
+    settings = Settings(100.0, 0.1, None, 200)
+    drawn = np.asarray(model.sample(jax.random.key(0), np.zeros(SIZE, np.float32), settings), float)
+    mean, variance = drawn.mean(0), drawn.var(0, ddof=1)
+    truth = capture.recordings[1].frames.astype(float).mean(0)
+    assert mean.std() == pytest.approx(truth.std(), rel=0.05)
+    # Shot noise: the variance of a pixel grows with its mean as the gain says.
+    assert np.polyfit(mean.ravel(), variance.ravel(), 1)[0] == pytest.approx(1.5, rel=0.1)
+    # At strength zero each is apart, and the other as it was.
+    for step in steps:
+        silent = extended_model(capture, first, steps, silent=step)
+        strength = {f.mechanism: f.parameters for f in silent.mechanisms}
+        if step.named.signature.name == "pixel_thermal_static":
+            assert strength["dsnu"]["sigma_dn"] == 0 and strength[holder]["variation"] == 0
+        if step.named.mechanism == holder:
+            assert strength[holder]["e_per_s"] == 0 and strength["dsnu"]["sigma_dn"] > 10
+
+
+def test_what_differs_by_more_than_all_charge_is_an_offset():
+    """A level of every pixel that grows with the exposure and goes below zero is none of a dark current."""
+
+    def alter(rng):
+        rate = 200.0 * rng.standard_normal(SIZE)
+        return lambda dn, signal, kind, exposure: (
+            dn + rate * exposure + 1.5 * rng.poisson(20 * exposure, SIZE)
+        )
+
+    capture = capture_set(61, alter, kinds="df", frames=12)
+    first, steps = found(capture)
+    model = extended_model(capture, first, steps)
+    strengths = {f.mechanism: f.parameters for f in model.mechanisms}
+    assert strengths["dsnu"]["sigma_dn"] == pytest.approx(20, rel=0.1)
+    assert all(p.get("variation", 0) == 0 for p in strengths.values())

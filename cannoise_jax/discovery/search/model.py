@@ -71,7 +71,7 @@ def extended_model(
     if not steps:
         return model
     shown = zip(steps, drawn(steps), strict=True)
-    added = [(step, addition(step, prepared, pattern)) for step, pattern in shown]
+    added = _merged([(step, addition(step, prepared, pattern)) for step, pattern in shown], silent)
     if any(a is not None and a.fitted_black for _, a in added):
         model = dataclasses.replace(model, black_level=bare.black_level)
     temperature = measured_at(capture.recordings)
@@ -84,6 +84,25 @@ def extended_model(
             model = with_addition(model, step, more, temperature)
     matched = start is None or np.size(model.iso) == np.size(bare.iso)
     return balanced(bare, model, prepared) if matched else model
+
+
+def _merged(
+    added: list[tuple[Step, Addition | None]], silent: Step | None
+) -> list[tuple[Step, Addition | None]]:
+    """What findings add, what another one's mechanism can hold within that. A silent one stays apart."""
+    found = {_id(step): n for n, (step, more) in enumerate(added) if more is not None and step is not silent}
+    out = list(added)
+    for n, (step, more) in enumerate(added):
+        if more is None or step is silent:
+            continue
+        for id, merge in more.into.items():
+            at = found.get(id)
+            holder = None if at is None else out[at][1]
+            whole = None if holder is None else merge(holder)
+            if at is not None and whole is not None:
+                out[at], out[n] = (out[at][0], whole), (step, None)
+                break
+    return out
 
 
 def addition(step: Step, prepared: Prepared, pattern: np.ndarray | None) -> Addition | None:
