@@ -104,6 +104,7 @@ def _on_both_sides(signature: Signature, found: tuple[Signature, ...]) -> Signat
         lifted_by=both(signature.lifted_by),
         hides=lambda score: both(signature.hides(score)),
         before=lambda score: both(signature.before(score)),
+        found_in=both(signature.found_in),
     )
 
 

@@ -268,7 +268,8 @@ def interference(
     time: Literal["redrawn", "frozen"], *, name: str, parameter: str, lines: tuple[str, ...] = ()
 ) -> Signature:
     """A plane wave: of a new phase in every frame, or of one that stays. lines: signatures of rows and
-    columns, before which a wave that is most of what these share is judged."""
+    columns, before which a wave that is most of what these share is judged. A lesser one stands out only of
+    noise of lines that is known; taken out with that it would be too weak, and their law another one."""
     redrawn_too = time == "redrawn"
     point = Point("readout", "signal", "raster", time, spectrum="sinusoid")
 
@@ -313,5 +314,6 @@ def interference(
         detectable=wave_detectable if redrawn_too else BY_SHIFT,
         decides=redrawn_too,
         before=lambda score: lines if score.payload.of_lines > _MOST_OF_LINES else (),
+        found_in=lines,
         least=(lambda sets: sinusoid(sets, one)) if redrawn_too else NO_CLOSED_FORM,
     )

@@ -108,3 +108,22 @@ def test_white_rows_are_each_by_themselves():
     _, _, fitted = looked_at(lambda rng: lambda dn, s, kind, t: dn + 0.8 * in_groups(rng, 1, 0, dn.shape))
     assert [s.named.mechanism for s in fitted.steps] == ["row_noise"]
     assert fitted.steps[0].named.score.payload.together == ALONE
+
+
+def test_a_line_that_is_less_than_the_noise_of_rows_takes_nothing_of_it_and_keeps_its_strength():
+    """White rows with a sinusoid in them fit 1/f rows better than white ones, until the sinusoid is known;
+    found after them, it would be as weak as they left it."""
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            y = np.arange(dn.shape[0])
+            wave = 2.5 * np.sin(2 * np.pi * 0.0591 * y + rng.uniform(0, 2 * np.pi))
+            return dn + (wave + 3.0 * rng.standard_normal(y.size))[:, None]
+
+        return change
+
+    steps = looked_at(alter, 73, (160, 96))[2].steps
+    found = {s.named.mechanism: s.named.score for s in steps}
+    assert set(found) == {"banding", "row_noise"}
+    assert found["banding"].amplitude == pytest.approx(2.5, abs=3 * found["banding"].error)
+    assert found["row_noise"].amplitude == pytest.approx(3.0, rel=0.08)

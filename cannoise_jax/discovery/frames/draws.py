@@ -14,11 +14,10 @@ from jaxtyping import Array, Float, Key
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import modelled, smooth_part
 from cannoise_jax.discovery.frames.contrasts import Stack, stack
-from cannoise_jax.discovery.frames.dark_lines import lines_for, lines_of
+from cannoise_jax.discovery.frames.dark_lines import Known, lines_for, lines_of
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import settings_of
-from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import Fields, frame_fields, native, referred
 
 _CHUNK, _PIXELS = 4, 1 << 17
@@ -73,21 +72,17 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
     """The drawn frames as fields beside those of the recordings: their own mean taken out, the baseline's
     standard deviation and the recordings' usable pixels."""
     baselines = {b.iso: b for b in prepared.baselines}
-    order = {f.number: n for n, f in enumerate(prepared.fields)}
 
-    known: dict[int, tuple[Recording, np.ndarray | None]] = {}
-
-    def one(pair: tuple[Stack, Fields]) -> Fields:
+    def one(pair: tuple[Stack, Fields], darks: Known) -> tuple[Fields, np.ndarray | None]:
+        """The field, and of a dark the lines that it shows."""
         stacked, shown = pair
         r, field = stacked.recording, native(shown)
         frames = drawn[field.number]
         all_frames, a = list(range(len(frames))), field.before
         own = dataclasses.replace(r, frames=frames)
         taken = stack(own, field.number, all_frames[a:], prepared.step, all_frames[:a])
-        if field.lit:
-            taken = taken._replace(lines=lines_for(r, [known[n] for n in sorted(known)]))
-        else:
-            known[field.number] = r, lines_of(taken)
+        lines = None if field.lit else lines_of(taken)
+        taken = taken._replace(lines=lines_for(r, darks))
         weight = (field.usable / field.sigma).astype(np.float32)
         static, mean = None, field.mean
         if field.static is not None:
@@ -97,12 +92,15 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
             mean = smooth.astype(np.float32)
             static = ((taken.mean - mean) * weight * np.sqrt(taken.frames)).astype(np.float32)
         drawn_too = field._replace(mean=mean, contrasts=taken.contrasts * weight, static=static)
-        return referred(drawn_too, shown.unit)
+        return referred(drawn_too, shown.unit), lines
 
     pairs = [p for p in zip(prepared.stacks, prepared.fields, strict=True) if p[1].number in drawn]
+    dark, lit = ([p for p in pairs if p[1].lit == of_light] for of_light in (False, True))
     # Darks first: flats are seen beside the lines that they show.
-    out = [each(one, [p for p in pairs if p[1].lit == lit]) for lit in (False, True)]
-    return tuple(sorted((f for part in out for f in part), key=lambda f: order[f.number]))
+    first = each(lambda pair: one(pair, ()), dark)
+    known = [(s.recording, lines) for (s, _), (_, lines) in zip(dark, first, strict=True)]
+    made = {f.number: f for f, _ in (*first, *each(lambda pair: one(pair, known), lit))}
+    return tuple(made[f.number] for _, f in pairs)
 
 
 def spread_codes(field: Fields, rng: np.random.Generator) -> Float[np.ndarray, "t h w"]:

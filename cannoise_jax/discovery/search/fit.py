@@ -185,23 +185,28 @@ def _forward(
             old = set()
             continue
         search.tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
-        previous, (steps, fields) = (
-            fields,
-            _accepted(steps, Step(named, fields, located.log_p[named.signature.name])),
-        )
+        previous, before = fields, steps
+        steps, fields = _accepted(before, Step(named, fields, located.log_p[named.signature.name]))
         active = _active(search.signatures, steps, given_up)
         same = known(located, previous, fields, active)
+        # What was not rejected while more was taken out may be now.
         put_off = {
             s.name: located.scores[s.name]
             for s in active
-            if s.name not in same and located.log_p.get(s.name, -np.inf) >= search.level
+            if len(steps) > len(before)
+            and s.name not in same
+            and located.log_p.get(s.name, -np.inf) >= search.level
         }
         old = {s.name for s in active if s.name in old} | put_off.keys()
         located = locate(fields, active, search.tests, {**same, **put_off})
 
 
 def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, ...]]:
-    """The steps with one more, and what is left of the fields."""
+    """The steps with one more, without those in which it was counted, which are to be found anew; and what is
+    left of the fields."""
+    inside = [n for n, s in enumerate(steps) if s.named.signature.name in new.named.signature.found_in]
+    if inside:
+        return _beneath(steps, new, inside)
     after = (n for n, step in enumerate(steps) if new.named.signature.precedes(step.named.signature))
     at = next(after, len(steps))
     out, fields = steps[:at], steps[at].before if at < len(steps) else new.before
@@ -212,6 +217,17 @@ def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, .
         out.append(step._replace(named=named, before=fields))
         fields = without(named, fields, fields)
     return out, fields
+
+
+def _beneath(steps: list[Step], new: Step, inside: list[int]) -> tuple[list[Step], tuple[Fields, ...]]:
+    """The steps with one more in the place of the first of those `inside`, which are left out."""
+    first, found = inside[0], new.named
+    fields = steps[first].before
+    look = found.signature.again
+    score = look(fields, found.score) if look else found.signature.score(fields)
+    kept = [s for n, s in enumerate(steps) if n > first and n not in inside]
+    later, fields = _again([new._replace(named=found._replace(score=score or found.score)), *kept], fields)
+    return [*steps[:first], *later], fields
 
 
 def _active(
