@@ -174,17 +174,48 @@ def _dark_sigma(fields: Many) -> float:
     return float(np.mean([np.median(f.sigma) for f in fields if not f.lit]))
 
 
+_TRIED = np.arange(-5, 12.01, 0.25)
+"""Logarithms of a pixel's read noise that are tried, in widths of the law of all of them: the quietest are of
+that law, the noisiest need not be."""
+_OF_NO_LAW = 1e-3
+"""Share of the pixels whose noise may be any of these."""
+
+
 def noise_factors(fields: Many, spread: float, rng: np.random.Generator) -> np.ndarray:
     """A draw of every pixel's read noise over the mean one `[H, W]`, log-normal of relative spread
-    `spread`, given its sum of squares."""
-    squares, freedom = dark_squares(fields)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(31)
+    `spread` but for a few, given its sums of squares. What darks of a gain setting have beyond the quietest
+    of them is other noise, the same in all pixels: the shot noise of dark current above all."""
+    groups = _by_read_share(fields)
     width = np.sqrt(np.log1p(spread**2))
-    logs = width * nodes - width**2  # log of the factor; mean square 1
-    chance = np.log(weights)[:, None, None] - freedom * logs[:, None, None]
-    chance = chance - 0.5 * squares * np.exp(-2 * logs)[:, None, None]
-    chosen = np.argmax(chance + rng.gumbel(size=chance.shape), axis=0)
-    return np.exp(logs)[chosen]
+    chance = (1 - _OF_NO_LAW) * stats.norm.pdf(_TRIED) / np.sum(stats.norm.pdf(_TRIED))
+    prior = np.log(chance + _OF_NO_LAW / _TRIED.size)
+    shape = groups[0][1].shape
+    best, factor = np.full(shape, -np.inf), np.ones(shape)
+    for step, own in zip(_TRIED * width - width**2, prior, strict=True):  # mean square of the law 1
+        score = own + rng.gumbel(size=shape)
+        for share, squares, freedom in groups:
+            variance = 1 + share * (np.exp(2 * step) - 1)
+            score -= 0.5 * (freedom * np.log(variance) + squares / variance)
+        better = score > best
+        best, factor = np.where(better, score, best), np.where(better, np.exp(step), factor)
+    return factor
+
+
+def _by_read_share(fields: Many) -> list[tuple[float, np.ndarray, int]]:
+    """Of darks alike in it: the share that read noise has of their variance, the sum of squares of every
+    pixel in units of the noise, and its degrees of freedom."""
+    chosen = [f for f in fields if not f.lit and len(f.contrasts)]
+    level = [float(np.median(f.sigma)) ** 2 / f.unit**2 for f in chosen]
+    least: dict[int, float] = {}
+    for f, v in zip(chosen, level, strict=True):
+        least[f.group] = min(v, least.get(f.group, v))
+    shares = [round(least[f.group] / v, 2) for f, v in zip(chosen, level, strict=True)]
+    charge = own_charge(fields)
+    out = []
+    for share in sorted(set(shares)):
+        own = tuple(f for f, s in zip(chosen, shares, strict=True) if s == share)
+        out.append((share, _sum_of_squares(own, charge), sum(len(f.contrasts) for f in own)))
+    return out
 
 
 def read_map(sets: tuple[Seen, ...]) -> Law:
