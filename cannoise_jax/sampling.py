@@ -377,8 +377,9 @@ def _sensor(document, arrays, prefix: str) -> SensorModel:
 
 
 def _fields(module):
+    """All but its name and what it is worked out in: models are sampled in float32."""
     return {
         field.name: getattr(module, field.name)
         for field in dataclasses.fields(module)
-        if field.name not in ("parent", "name")
+        if field.name not in ("parent", "name", "dtype")
     }

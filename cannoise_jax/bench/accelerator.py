@@ -48,17 +48,25 @@ def measure(
                 (engine, item): Worker(engine, ITEMS[item], Path(folder) / f"{item}.npz", dict(_ENVIRONMENT))
                 for engine, item in work[start : start + _TOGETHER]
             }
-            for (engine, item), worker in workers.items():
-                say(f"{item}, {engine}: first call {worker.started['first']:.1f} s")
-            for (engine, item), worker in workers.items():
-                calls = [worker.call(in_a_row) for _ in range(rounds + 1)][1:]
-                seconds, began = spread([c["s"] for c in calls]), worker.started
-                say(f"{item}, {engine}: {1e3 * seconds.median:.2f} ms")
-                found.append(
-                    Timed(item, engine, seconds, began["first"], began.get("operations"), calls[-1]["mib"])
-                )
-                worker.end()
+            try:
+                for worker in workers.values():
+                    worker.started  # noqa: B018 - all have to be ready before one is timed
+                found += [_timed(*pair, worker, rounds, in_a_row, say) for pair, worker in workers.items()]
+            finally:
+                for worker in workers.values():
+                    worker.kill()
     return found
+
+
+def _timed(
+    engine: str, item: str, worker: Worker, rounds: int, in_a_row: int, say: Callable[[str], None]
+) -> Timed:
+    began = worker.started
+    say(f"{item}, {engine}: first call {began['first']:.1f} s")
+    calls = [worker.call(in_a_row) for _ in range(rounds + 1)][1:]
+    seconds = spread([c["s"] for c in calls])
+    say(f"{item}, {engine}: {1e3 * seconds.median:.2f} ms")
+    return Timed(item, engine, seconds, began["first"], began.get("operations"), calls[-1]["mib"])
 
 
 def matrix_rate(dtype: str, rounds: int = 10) -> float:

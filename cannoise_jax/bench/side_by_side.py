@@ -122,6 +122,11 @@ class Worker:
         """Lets the process go."""
         self._process.communicate()
 
+    def kill(self) -> None:
+        """Ends the process, whatever it does."""
+        self._process.kill()
+        self._process.wait()
+
     def _answer(self) -> dict[str, Any]:
         assert self._process.stdout
         line = self._process.stdout.readline()

@@ -83,7 +83,9 @@ def peer(item: Item, place: Path) -> tuple[Call, dict[str, float]]:
     from cannoise_jax.bench import torch_networks, torch_step
     from cannoise_jax.bench.torch_layers import folded, spectral_in_order, weights
 
-    while not place.exists():
+    while not place.exists():  # until ours has written them, or was given up
+        if not place.parent.exists():
+            sys.exit(1)
         time.sleep(0.2)
     with np.load(place, allow_pickle=False) as file:
         parts = unflatten_dict({name: file[name] for name in file.files}, sep="/")
@@ -137,11 +139,11 @@ def _forget_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def peak_mib() -> float:
+def peak_mib(engine: str) -> float:
     """The greatest resident memory since it began anew, MiB; of an accelerator's memory where one works."""
-    if "torch" in sys.modules and os.environ.get("CANNOISE_BENCH_TORCH_DEVICE"):
+    if engine == "torch" and os.environ.get("CANNOISE_BENCH_TORCH_DEVICE"):
         return sys.modules["torch"].cuda.max_memory_allocated() / 2**20
-    if "jax" in sys.modules and (known := sys.modules["jax"].local_devices()[0].memory_stats()):
+    if engine == "ours" and (known := sys.modules["jax"].local_devices()[0].memory_stats()):
         return known["peak_bytes_in_use"] / 2**20
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
@@ -156,12 +158,12 @@ def main(engine: str, name: str, place: str) -> None:
     if cores and hasattr(os, "sched_setaffinity"):  # before either engine is loaded and asks
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-cores:])
     call, started = {"ours": ours, "torch": peer}[engine](ITEMS[name], Path(place))
-    most = peak_mib()
+    most = peak_mib(engine)
     call(1)
     _forget_peak()
     print(json.dumps({**started, "start_mib": most}), flush=True)
     for line in sys.stdin:
-        print(json.dumps({**_timed(call, int(line)), "mib": peak_mib()}), flush=True)
+        print(json.dumps({**_timed(call, int(line)), "mib": peak_mib(engine)}), flush=True)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ simulate     megapixels per second of SensorModel.sample beside getframes on the
 coverage     how often the 90 % intervals of every mechanism's estimator hold the truth.
 train        patches per second of the training step on random patches.
 speed        seconds and memory of training steps and of sampling, alone or by turns with PyTorch.
-accelerator  the same at the paper's width and batch, on a GPU or TPU.
+accelerator  the same at the paper's width and batch, on a GPU.
 docs         renders README.md and docs/ from docs/results, and takes in what commands wrote.
 """
 

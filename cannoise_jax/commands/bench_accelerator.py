@@ -1,4 +1,4 @@
-"""bin/bench accelerator: training steps and sampling on the accelerator that JAX finds."""
+"""bin/bench accelerator: training steps and sampling on the GPU that JAX finds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ COLUMNS = (
 
 def add_accelerator(commands: Any) -> None:
     """The flags of `bin/bench accelerator`, to the parser's commands."""
-    parser = commands.add_parser("accelerator", help="the same on an accelerator, the paper's batch of 64")
+    parser = commands.add_parser("accelerator", help="the same on a GPU, the paper's batch of 64")
     parser.add_argument("--against", choices=("torch",), help="also in PyTorch")
     parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(WORK)}")
     parser.add_argument("--rounds", type=int, default=5, help="timed, after one that is not")
@@ -52,8 +52,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise BadInput("accelerator: --rounds and --in-a-row from 1")
     if arguments.against and find_spec("torch") is None:
         raise BadInput("accelerator: PyTorch is not installed: pip install 'cannoise-jax[torch]'")
-    if jax.default_backend() == "cpu":
-        raise BadInput("accelerator: JAX finds none: install it with one, or see bin/bench speed")
+    if jax.default_backend() not in ("gpu", "cuda", "rocm"):
+        raise BadInput("accelerator: JAX finds no GPU: install it with one, or see bin/bench speed")
     check_table(arguments)
     engines = ("ours", *((arguments.against,) if arguments.against else ()))
     work = [(engine, name) for name in wanted for engine in engines if engine == "ours" or name in BESIDE]

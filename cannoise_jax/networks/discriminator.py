@@ -87,7 +87,8 @@ class Discriminator(nn.Module):
         if not self.literal:
             x = self._join(x, pixels, latent, train)
         scores = Conv(1, 4, 1, 1, use_bias=not self.literal, **shared, name="out")(x, train=train)
-        scores, features = (v.astype(noise.dtype) for v in (scores, features))
+        if self.dtype is not None:
+            scores, features = (v.astype(jnp.float32) for v in (scores, features))
         if self.literal and self.output_norm:
             scores = Norm("instance", name="out_norm")(scores)
         return scores, features

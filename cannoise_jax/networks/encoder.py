@@ -44,12 +44,12 @@ class Encoder(nn.Module):
     def __call__(self, noisy: Float[Array, "b h w 4"], *, train: bool) -> Float[Array, "b l"]:
         latent_size = scaled(self.width, 512)
         if self.literal:
-            return jnp.mean(self._features(noisy, train), (1, 2), noisy.dtype)
+            return jnp.mean(self._features(noisy, train), (1, 2))
         statistics, residual = noise_statistics(noisy)
         centre = self.param("centre", nn.initializers.zeros, statistics.shape[1:])
         spread = self.param("spread", nn.initializers.ones, statistics.shape[1:])
         statistics = (statistics - lax.stop_gradient(centre)) / lax.stop_gradient(spread)
-        pooled = jnp.mean(self._features(jnp.clip(residual, -8, 8), train), (1, 2), noisy.dtype)
+        pooled = jnp.mean(self._features(jnp.clip(residual, -8, 8), train), (1, 2))
         x = leaky_relu(nn.Dense(self.hidden, name="statistics")(statistics))
         x = leaky_relu(nn.Dense(self.hidden, name="join")(jnp.concatenate([x, pooled], -1)))
         latent = nn.Dense(latent_size, name="latent")(x)
@@ -71,7 +71,7 @@ class Encoder(nn.Module):
             x = Block(scaled(self.width, channels), size, stride, padding, norm=kind, **shared, name=f"e{i}")(
                 x, train=train
             )
-        return x
+        return x if self.dtype is None else x.astype(jnp.float32)
 
 
 def standardised(params: Mapping[str, Any], noisy: Float[Array, "n h w 4"]) -> dict[str, Any]:

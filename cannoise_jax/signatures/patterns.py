@@ -15,7 +15,7 @@ from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays
 from cannoise_jax.signatures.charge_noise import steadied
-from cannoise_jax.signatures.fields import Fields, helmert, longest_exposure, quoted_at
+from cannoise_jax.signatures.fields import Fields, channel_index, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted
 from cannoise_jax.signatures.least import (
@@ -268,6 +268,8 @@ def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
     )
 
 
+_MOST_VARIED = 10.0
+"""Standard deviation of pixels' own charge over the mean of all, from which on they are no scatter of it."""
 _NONE_LEFT = 0.02
 """Share of pixels with less than no charge, up to which it is their noise that made them so."""
 
@@ -276,13 +278,17 @@ def _within(own: Addition, found: Found, growing: Addition) -> Addition | None:
     """The charge of all pixels with what each of them has beyond its mean, `own`, so that it brings its shot
     noise; None where that cannot be charge: too many pixels would have less than none."""
     rate, strength = growing.values.get("e_per_s", 0.0), next(iter(own.values.values()))
-    if not (found.gain > 0 and found.longest > 0 and rate > 0) or "pixels" in growing.maps or not own.maps:
+    gains = [f.gain for f in found.fields if f.unit == 1]  # strengths hold at the lowest gain
+    if not (gains and np.all(gains[0] > 0) and found.longest > 0 and rate > 0):
         return None
-    beyond = strength * np.asarray(own.maps["field"], np.float64) / (found.gain * found.longest * rate)
+    if "pixels" in growing.maps or not own.maps:
+        return None
+    field = np.squeeze(np.asarray(own.maps["field"], np.float64), 0)
+    beyond = strength * field / (gains[0][channel_index(field.shape)] * found.longest * rate)
     variation = float(np.std(beyond))
-    if not variation > 0 or np.mean(beyond < -1) > _NONE_LEFT:
+    if not 0 < variation < _MOST_VARIED or np.mean(beyond < -1) > _NONE_LEFT:
         return None
-    maps = {**growing.maps, "pixels": as_map(np.squeeze(beyond, 0) / variation)}
+    maps = {**growing.maps, "pixels": as_map(beyond / variation)}
     return growing._replace(values={**growing.values, "variation": variation}, maps=maps)
 
 

@@ -112,10 +112,9 @@ def wave_score(
     for rows in (slice(0, _PAD + 1), slice(-_PAD, None), slice(middle - _PAD, middle + _PAD + 1)):
         power[rows, last - _PAD :] = 0
     power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
-    if near is not None:
-        power[~_about(near, power.shape, (h, w))] = 0
     raw, around = power, _around(power)
-    where = np.unravel_index(np.argmax(power / around), power.shape)
+    here = 1.0 if near is None else _about(near, power.shape, (h, w))
+    where = np.unravel_index(np.argmax(here * power / around), power.shape)
     power, level = power / around, float(around[where])
     fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields

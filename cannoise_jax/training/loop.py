@@ -68,7 +68,10 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
     try:
         workdir.mkdir(parents=True, exist_ok=True)
         if path.exists():
-            difference = _difference(json.loads(path.read_text()), json.loads(_text(config)))
+            stored = json.loads(path.read_text())
+            if isinstance(stored, dict):  # runs of before there was a choice
+                stored.setdefault("compute", "float32")
+            difference = _difference(stored, json.loads(_text(config)))
             if difference:
                 raise BadInput(
                     f"{workdir}: holds a run with another config ({difference}): use another --workdir, "

@@ -10,6 +10,7 @@ import pytest
 from cannoise_jax.bench import accelerator
 from cannoise_jax.commands import bench, bench_accelerator
 from cannoise_jax.commands.bench_take import take
+from cannoise_jax.recordings.recording import BadInput
 from tests.conftest import ROOT
 
 
@@ -28,7 +29,7 @@ class Pretended:
     def call(self, times=1):
         return {"s": 2e-3, "cpu_s": 1.0, "mib": 1024.0}
 
-    def end(self):
+    def kill(self):
         self.alive.remove(self.name)
 
 
@@ -69,3 +70,24 @@ def test_few_processes_hold_the_memory_at_a_time(monkeypatch):
     monkeypatch.setattr(accelerator, "Worker", Counted)
     accelerator.measure([("ours", name) for name in bench_accelerator.WORK], 1, 1)
     assert max(most) == 3
+
+
+def test_all_processes_end_where_one_fails(monkeypatch):
+    class Failing(Pretended):
+        killed: list[str] = []
+
+        def __init__(self, engine, item, place, environment):
+            super().__init__(engine, item, place, environment)
+            if item.name == "step_default_64":
+                del self.started
+
+        def __getattr__(self, name):
+            raise BadInput("ended")
+
+        def kill(self):
+            self.killed.append(self.name)
+
+    monkeypatch.setattr(accelerator, "Worker", Failing)
+    with pytest.raises(BadInput):
+        accelerator.measure([("ours", name) for name in bench_accelerator.WORK[:3]], 1, 1)
+    assert len(Failing.killed) == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from runpy import run_path
 
@@ -12,6 +13,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.check import check_config, check_sensors
+from cannoise_jax.training.loop import check_workdir
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -80,7 +82,11 @@ def test_nonsense_is_refused_by_name(name, value):
     assert "\n" not in str(refused.value)
 
 
-def test_a_run_of_before_there_was_a_choice_of_its_arithmetic_goes_on():
+def test_a_run_of_before_there_was_a_choice_of_its_arithmetic_goes_on(tmp_path):
     config = run_path(str(CONFIGS / "ci.py"))["get_config"]()
+    stored = config.to_dict()
+    del stored["compute"]
+    (tmp_path / "config.json").write_text(json.dumps(stored))
+    check_workdir(config, tmp_path)
     del config.compute
     check_config(config)

@@ -42,6 +42,11 @@ OF_GAIN = 0.01
 draws come nearer by all that a classifier sees."""
 
 
+WORTH_ALL = 0.05
+"""By how much the two-sample area has to fall for all findings to be given up: what can be understood, drawn
+anew for another unit and taken to other settings is worth that much."""
+
+
 class Gain(NamedTuple):
     """A change with its 90 % interval."""
 
@@ -148,7 +153,7 @@ def remaining(
     # Findings that describe badly what they describe keep the remainder from describing it: it is tried in
     # their place too, and beside the fitted baseline, which also has nothing too much. Findings are what can
     # be understood: they are given up only where the recordings are told less well without them, and less
-    # well than with the remainder beside them.
+    # well than with the remainder beside them; all of them only where much less well.
     beside: tuple[SensorModel, Looked, Tried] | None = None
     for what, some, number in (
         ("remainder", gated.steps, WITH_REST),
@@ -169,6 +174,8 @@ def remaining(
         if some:
             tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(spare)))
         enters = tried.better and (len(some) == len(gated.steps) or tried.nearer)
+        if gated.steps and not some:
+            enters = enters and tried.area is not None and tried.area.value < -WORTH_ALL
         tried = tried._replace(entered=enters)
         if number == WITH_REST and not enters and not tried.worse:
             beside = candidate, looked, tried

@@ -204,7 +204,8 @@ def _forward(
 def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, ...]]:
     """The steps with one more, without those in which it was counted, which are to be found anew; and what is
     left of the fields."""
-    inside = [n for n, s in enumerate(steps) if s.named.signature.name in new.named.signature.found_in]
+    names = new.named.signature.found_in
+    inside = [n for n, s in enumerate(steps) if s.named.signature.name in names and not s.late]
     if inside:
         return _beneath(steps, new, inside)
     after = (n for n, step in enumerate(steps) if new.named.signature.precedes(step.named.signature))
@@ -225,9 +226,10 @@ def _beneath(steps: list[Step], new: Step, inside: list[int]) -> tuple[list[Step
     fields = steps[first].before
     look = found.signature.again
     score = look(fields, found.score) if look else found.signature.score(fields)
+    own = new._replace(named=found._replace(score=score or found.score), before=fields)
     kept = [s for n, s in enumerate(steps) if n > first and n not in inside]
-    later, fields = _again([new._replace(named=found._replace(score=score or found.score)), *kept], fields)
-    return [*steps[:first], *later], fields
+    later, left = _again(kept, without(own.named, fields, fields))
+    return [*steps[:first], own, *later], left
 
 
 def _active(
