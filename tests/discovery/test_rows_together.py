@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.proof.prove import others_out
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import extended_model
@@ -122,8 +123,12 @@ def test_a_line_that_is_less_than_the_noise_of_rows_takes_nothing_of_it_and_keep
 
         return change
 
-    steps = looked_at(alter, 73, (160, 96))[2].steps
+    _, first, fitted = looked_at(alter, 73, (160, 96))
+    steps = fitted.steps
     found = {s.named.mechanism: s.named.score for s in steps}
     assert set(found) == {"banding", "row_noise"}
     assert found["banding"].amplitude == pytest.approx(2.5, abs=3 * found["banding"].error)
     assert found["row_noise"].amplitude == pytest.approx(3.0, rel=0.08)
+    n = next(n for n, s in enumerate(steps) if s.named.mechanism == "banding")
+    proved = steps[n].named.signature.score(others_out(steps, first.fields)(n))
+    assert proved.amplitude == pytest.approx(2.5, abs=3 * proved.error)

@@ -220,9 +220,9 @@ def _maps_beside(
 
 
 def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[[int], tuple[Fields, ...]]:
-    """Fields by number of a finding, asked for in order, with every other finding taken out; of many, and for
-    hot pixels that stand out from a map found after them, those accepted before it. Of one more than there
-    are: with all taken out."""
+    """Fields by number of a finding, asked for in order, with every other finding taken out but those in
+    which it would be counted; of many, and for hot pixels that stand out from a map found after them, those
+    accepted before it. Of one more than there are: with all taken out."""
     done = 0
 
     def without(n: int) -> tuple[Fields, ...]:
@@ -233,7 +233,8 @@ def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[
             return out
         found = steps[n].named
         if len(steps) <= MOST_JOINT and not found.signature.before(found.score):
-            out = without_all(steps[n + 1 :], out)
+            holds_it = found.signature.found_in
+            out = without_all((s for s in steps[n + 1 :] if s.named.signature.name not in holds_it), out)
         return out
 
     return without
