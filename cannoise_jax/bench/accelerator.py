@@ -82,8 +82,3 @@ def matrix_rate(dtype: str, rounds: int = 10) -> float:
         made: Any = product(a, b)
     made.block_until_ready()
     return 2.0 * _SIDE**3 * rounds / (time.perf_counter() - begun)
-
-
-def title(name: str) -> str:
-    """What an item is, for a table."""
-    return ITEMS[name].title

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # the processes share its memory
     import jax
 
-    from cannoise_jax.bench.accelerator import matrix_rate, measure, title
+    from cannoise_jax.bench.accelerator import matrix_rate, measure
     from cannoise_jax.bench.items import ITEMS
     from cannoise_jax.commands.bench_runs import check_table, write_table
 
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> None:
             known = [f"{one.operations / 1e12:.2f}", f"{reached / 1e12:.0f}", f"{share:.2f}"]
         rows.append(
             (
-                title(one.item),
+                ITEMS[one.item].title,
                 {"ours": "ours", "torch": "PyTorch"}[one.engine],
                 f"{1e3 * one.seconds.median:.2f}",
                 f"{1e3 * one.seconds.low:.2f} to {1e3 * one.seconds.high:.2f}",
