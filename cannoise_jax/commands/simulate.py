@@ -159,7 +159,7 @@ def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings)
     import numpy as np
 
     from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
-    from cannoise_jax.physics.core.settings import baseline_at
+    from cannoise_jax.physics.core.settings import baseline_at, black_at
     from cannoise_jax.recordings.recording import Recording, per_channel
 
     with warnings.catch_warnings(record=True) as caught:
@@ -169,11 +169,12 @@ def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings)
         if str(warning.category.__module__).startswith("cannoise_jax"):
             logging.warning("%s", warning.message)
     gain, read_noise = (np.asarray(v) for v in baseline_at(model, settings.iso))
-    shot, read = nlf_from_electrons(gain, read_noise, jnp.asarray(model.white_level) - model.black_level)
+    black = np.asarray(black_at(model, settings.iso))
+    shot, read = nlf_from_electrons(gain, read_noise, jnp.asarray(model.white_level) - black)
     return Recording(
         frames=frames,
         cfa=model.cfa,
-        black_level=per_channel(np.asarray(model.black_level)),
+        black_level=per_channel(black),
         white_level=float(np.asarray(model.white_level)),
         camera=model.camera,
         kind=clean.kind,

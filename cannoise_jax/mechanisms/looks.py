@@ -80,6 +80,13 @@ def always(*signatures: Signature) -> Callable[[Recorded], tuple[Signature, ...]
     return lambda recorded: signatures
 
 
+def if_exposures_differ(*signatures: Signature) -> Callable[[Recorded], tuple[Signature, ...]]:
+    """These signatures, those of what grows with the exposure only where recordings tell it from what does
+    not."""
+    fixed = tuple(s for s in signatures if s.axes.scales != "exposure")
+    return lambda recorded: signatures if recorded.several_exposures else fixed
+
+
 def either_side(
     signature: Signature, of_codes: Signature | None = None
 ) -> Callable[[Recorded], tuple[Signature, ...]]:

@@ -249,7 +249,7 @@ ENTRIES: tuple[Entry, ...] = (
              20, "sensor", "DN", RMS, listed=3),
         DSNU,
         needs="darks of two frames or more",
-        signatures=looks.always(
+        signatures=looks.if_exposures_differ(
             looks.patterns.pixel("additive", name="pixel_additive_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
             looks.patterns.pixel("exposure", name="pixel_thermal_static", parameter="sigma_dn",

@@ -20,10 +20,6 @@ _ALWAYS: tuple[Signature, ...] = (
     ),
     looks.line_maps.frozen("row", "signal", name="row_relative_static", covers=looks.LIGHT_LEVELS),
     *(
-        looks.line_maps.frozen(axis, "exposure", name=f"{axis}_thermal_static", covers=looks.COVERS_NOTHING)
-        for axis in ("row", "column")
-    ),
-    *(
         looks.groups.shared(f"{layout}_{time}", layout, time, covers=looks.DARK_LEVELS)
         for layout in (*TILES, *SITES)
         for time in ("redrawn", "frozen")
@@ -38,8 +34,14 @@ _ALWAYS: tuple[Signature, ...] = (
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),
     looks.shape.skewed(name="skewness"),
 )
+_LINES = looks.if_exposures_differ(
+    *(
+        looks.line_maps.frozen(axis, "exposure", name=f"{axis}_thermal_static", covers=looks.COVERS_NOTHING)
+        for axis in ("row", "column")
+    )
+)
 
 
 def signatures(recorded: Recorded) -> tuple[Signature, ...]:
     """Those that the recordings can be searched for."""
-    return (*_ALWAYS, looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)))
+    return (*_ALWAYS, *_LINES(recorded), looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)))

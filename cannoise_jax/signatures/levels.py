@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.black import alike
 from cannoise_jax.recordings.recording import DARK, mosaic_map
 from cannoise_jax.signatures.added import as_map, placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index, native
@@ -76,7 +78,8 @@ def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.
     group = np.array([f.group for f, _, _ in levels], int)
     for g in np.unique(group):  # each gain setting has a black level of its own
         mine = group == g
-        t[mine] -= np.average(t[mine], weights=1 / v[mine])
+        # Exposures that are one stay so: a mean of equal numbers is another number by its rounding.
+        t[mine] = t[mine] - np.average(t[mine], weights=1 / v[mine]) if np.ptp(t[mine]) else 0.0
     i = float(np.sum(t**2 / v))
     if not i > 0:
         return 0.0, np.inf
@@ -108,42 +111,72 @@ _FOUR_LEVELS = 7.0
 values; `ONE_OF_SEVERAL` for each would be 7.5."""
 
 
-def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded, common: bool) -> Score | None:
-    """Black level against the stated one: what channels share (bookkeeping) or differ in (channel offset)."""
-    levels, units = dark_levels(tuple(native(f) for f in fields)), {f.number: f.unit for f in fields}
+def black_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | None:
+    """Black level, of all channels, against the stated one: at the gain setting where they are furthest
+    apart."""
+    levels = dark_levels(fields)
     if not levels:
         return None
-    shortest = min((f.exposure_s or 0.0) for f, _, _ in levels)
+    # What dark current adds in the shortest exposure is no fault of the black level.
+    rise, doubt = dark_rise(levels, recorded.jitter)
+    known = (rise, doubt) if rise > 3 * doubt else (0.0, 0.0)
+    shortest = {g: _shortest(d for d in levels if d[0].group == g) for g in {f.group for f, _, _ in levels}}
+    least = min(shortest.values())
+    judged = [g for g in sorted(shortest) if alike(shortest[g], least) or np.isfinite(doubt)]
+    scores = [_black_of(tuple(f for f in fields if f.group == g), recorded, *known) for g in judged]
+    worst = min(scores, key=lambda s: s.log_p)
+    return worst.replace(log_p=min(worst.log_p + float(np.log(len(scores))), 0.0))
+
+
+def _shortest(levels: Iterable[tuple[Fields, np.ndarray, float]]) -> float:
+    return min((f.exposure_s or 0.0) for f, _, _ in levels)
+
+
+def _black_of(fields: tuple[Fields, ...], recorded: Recorded, rise: float, doubt: float) -> Score:
+    """The same at one gain setting, where darks rise by so much a second, DN of the lowest one."""
+    levels, unit = dark_levels(tuple(native(f) for f in fields)), fields[0].unit
+    seconds = _shortest(levels) * unit
+    difference, error, frames = _off_stated(levels, recorded)
+    jitter = recorded.jitter * unit**2
+    # A level stated to the nearest code may be off by half a code; the frame offsets scatter the mean.
+    spread = np.sqrt(error**2 / 4 + jitter / frames)
+    value, spread = float(difference.mean()) - rise * seconds, float(np.hypot(spread, doubt * seconds))
+    z = np.sign(value) * max(abs(value) - recorded.tolerance, 0.0) / spread
+    return Score(
+        log_p=student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
+        gain=0.5 * z**2,
+        penalty=ONE_PARAMETER,
+        amplitude=abs(value),
+        error=float(spread),
+        shift=float(spread),
+        power=1,
+        parameters={"black_level_error": (value, "DN", float(spread))},
+        where={"axis": "channel", "channel": "all"},
+        payload=value,
+    )
+
+
+def _off_stated(
+    levels: list[tuple[Fields, np.ndarray, float]], recorded: Recorded
+) -> tuple[Float[np.ndarray, "4"], float, int]:
+    """By how much the darks of the shortest exposure lie off the stated levels of their gain settings, DN of
+    every channel, the standard error of one, and the number of frames."""
+    shortest = _shortest(levels)
     chosen = [(f, level, e) for f, level, e in levels if (f.exposure_s or 0.0) == shortest]
     weight = np.array([1 / e**2 for _, _, e in chosen])
-    error = float(1 / np.sqrt(weight.sum()))
-    jitter = recorded.jitter * float(np.average([units[f.number] ** 2 for f, _, _ in chosen], weights=weight))
-    difference = np.average([level for _, level, _ in chosen], axis=0, weights=weight) - recorded.black
+    off = [level - recorded.black[f.group] for f, level, _ in chosen]
     frames = sum(f.frames for f, _, _ in chosen)
-    if common:
-        # A level stated to the nearest code may be off by half a code; the frame offsets scatter the mean.
-        slack = recorded.tolerance
-        spread = np.sqrt(error**2 / 4 + jitter / frames)
-        value = float(difference.mean())
-        # What dark current adds in the shortest exposure is no fault of the black level.
-        rise, doubt = dark_rise(levels, jitter)
-        if rise > 3 * doubt:
-            value, spread = value - rise * shortest, float(np.hypot(spread, doubt * shortest))
-        z = np.sign(value) * max(abs(value) - slack, 0.0) / spread
-        return Score(
-            log_p=student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
-            gain=0.5 * z**2,
-            penalty=ONE_PARAMETER,
-            amplitude=abs(value),
-            error=float(spread),
-            shift=float(spread),
-            power=1,
-            parameters={"black_level_error": (value, "DN", float(spread))},
-            where={"axis": "channel", "channel": "all"},
-            payload=value,
-        )
+    return np.average(off, axis=0, weights=weight), float(1 / np.sqrt(weight.sum())), frames
+
+
+def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | None:
+    """Black levels against the stated ones: what channels differ in."""
+    levels = dark_levels(tuple(native(f) for f in fields))
+    if not levels:
+        return None
+    difference, error, _ = _off_stated(levels, recorded)
     contrast = difference - difference.mean()
-    slack = recorded.tolerance if np.ptp(recorded.black) > 0 else 0.0
+    slack = recorded.tolerance if np.any(np.ptp(recorded.black, axis=1) > 0) else 0.0
     reduced = np.sign(contrast) * np.maximum(np.abs(contrast) - slack, 0)
     chi2 = float(np.sum((reduced / error) ** 2))
     rms = float(np.sqrt(np.mean(contrast**2)))
@@ -196,7 +229,7 @@ def black(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signatur
         name=name,
         axes=Axes("readout", "channel", "frozen", "additive", "common"),
         reads=_READS,
-        score=partial(channel_score, recorded=recorded, common=True),
+        score=partial(black_score, recorded=recorded),
         absorb=unchanged,
         covers=covers,
         rare=True,
@@ -232,7 +265,7 @@ def black_of_channels(recorded: Recorded, *, name: str, parameter: str, covers: 
         name=name,
         axes=Axes("readout", "channel", "frozen", "additive", "contrast"),
         reads=_READS,
-        score=partial(channel_score, recorded=recorded, common=False),
+        score=partial(channel_score, recorded=recorded),
         absorb=unchanged,
         covers=covers,
         predict=NO_LAW,

@@ -14,6 +14,10 @@ _ANOTHER_GAIN = 1.2
 """Gain over another from which on strengths at both are told apart."""
 
 
+_ANOTHER_EXPOSURE = 1.01
+"""Exposure over another from which on they differ by more than how they are written."""
+
+
 class Level(NamedTuple):
     """One point of a photon-transfer curve: temporal variance of pixels of like signal. full: of full pixels;
     sure: whether the signal of each pixel is known well enough to judge the curve; alone: variance of what
@@ -65,15 +69,16 @@ class Occurred(NamedTuple):
 class Recorded(NamedTuple):
     """What the files say, and what was calibrated.
 
-    black: stated black level per mosaic site, DN; tolerance: how far it may be rounded; greens: sites of the
-    two greens, None: there are none. jitter: variance of the frame offsets of the darks, DN^2. stated: gain
-    (DN/e-) and read noise (DN) per gain setting that are judged, None: none are; fitted_too: whether they are
-    themselves fits. step: of the codes, span: white minus black, DN. mono: whether neighbours see the same
-    colour. times: numbers of the frames of every recording, in the order they were taken. occurred: see
-    `Occurred`. units: DN of each gain setting in one of the lowest, where they are known.
+    black: stated black level of every gain setting, per mosaic site, DN; tolerance: how far it may be
+    rounded; greens: sites of the two greens, None: there are none. jitter: variance of the frame offsets of
+    the darks, DN^2. stated: gain (DN/e-) and read noise (DN) per gain setting that are judged, None: none
+    are; fitted_too: whether they are themselves fits. step: of the codes, span: white minus black, DN. mono:
+    whether neighbours see the same colour. times: numbers of the frames of every recording, in the order they
+    were taken. occurred: see `Occurred`. units: DN of each gain setting in one of the lowest, where they are
+    known. seconds: exposures that recordings state.
     """
 
-    black: Float[np.ndarray, "4"]
+    black: Float[np.ndarray, "g 4"]
     greens: tuple[int, int] | None
     tolerance: float
     jitter: float
@@ -87,6 +92,12 @@ class Recorded(NamedTuple):
     times: dict[int, list[int]]
     occurred: Occurred
     units: tuple[float, ...] = (1.0,)
+    seconds: tuple[float, ...] = ()
+
+    @property
+    def several_exposures(self) -> bool:
+        """Whether what grows with the exposure is told from what does not."""
+        return bool(self.seconds) and max(self.seconds) > _ANOTHER_EXPOSURE * min(self.seconds)
 
     @property
     def several_gains(self) -> bool:

@@ -233,7 +233,8 @@ def _dark_current(fields: tuple[Fields, ...]) -> float:
     y = np.array([float(np.median(f.mean[f.usable])) for f in darks])
     group = np.array([f.group for f in darks], int)
     for g in np.unique(group):  # each gain setting has a black level of its own
-        x[group == g] -= np.mean(x[group == g])
+        mine = group == g
+        x[mine] = x[mine] - np.mean(x[mine]) if np.ptp(x[mine]) else 0.0
     return float(x @ y / (x @ x)) if np.any(x) else 0.0
 
 

@@ -88,8 +88,9 @@ def random_phase(data: HalfReal) -> Source:
 
 def sensor(data: HalfReal, model: SensorModel) -> Source:
     """Frames of a camera model at this exposure, about the median of its own darks."""
-    settings = Settings(iso=iso_of(data, model), exposure_s=data.exposure_s, frames=1)
-    span = np.float32(span_of(model))
+    iso = iso_of(data, model)
+    settings = Settings(iso=iso, exposure_s=data.exposure_s, frames=1)
+    span = np.float32(span_of(model, iso))
     # The frozen patterns of the unit are drawn once, and so is where its black level lies.
     height, width = data.train.shape[1:]
     model = model.with_maps((height, width))
@@ -118,7 +119,8 @@ def learned(data: HalfReal, folder: Path) -> Source:
 def refined(data: HalfReal, model: Model) -> Source:
     """Frames of a generator that starts from a sensor model at this exposure (`refine`), about the median of
     its own darks."""
-    scale = np.float32(data.span_dn / span_of(model.sensors[0]))
+    own = model.sensors[0]
+    scale = np.float32(data.span_dn / span_of(own, iso_of(data, own)))
     level = (scale / data.full_scale_e, 0.0)
     sample = jax.jit(sample_noise)
 

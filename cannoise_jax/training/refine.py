@@ -16,6 +16,7 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import write_sensor
+from cannoise_jax.physics.core.settings import black_at
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.synthetic.scenes import PATCH, Split
 from cannoise_jax.recordings.packing import pack
@@ -30,9 +31,9 @@ _MULTIPLE = 32
 _SCENES = {"train": 32, "validation": 4}
 
 
-def span_of(sensor: SensorModel) -> float:
-    """DN of a sensor model from black to white: its unit."""
-    return float(np.asarray(sensor.white_level) - np.asarray(sensor.black_level).mean())
+def span_of(sensor: SensorModel, iso: float) -> float:
+    """DN of a sensor model from black to white at an ISO: its unit."""
+    return float(np.asarray(sensor.white_level) - np.asarray(black_at(sensor, iso)).mean())
 
 
 def own_black(data: HalfReal, sensor: SensorModel) -> np.ndarray:
@@ -50,8 +51,10 @@ def iso_of(data: HalfReal, sensor: SensorModel) -> float:
 
 def refine_data(data: HalfReal, sensor: SensorModel) -> TrainingData:
     """Scenes with counted photons on the training darks, in the sensor's units and about its black level."""
-    scale = np.float32(data.span_dn / span_of(sensor))
-    shift = (own_black(data, sensor) - np.asarray(sensor.black_level)) / np.float32(span_of(sensor))
+    iso = iso_of(data, sensor)
+    span = np.float32(span_of(sensor, iso))
+    scale = np.float32(data.span_dn) / span
+    shift = (own_black(data, sensor) - np.asarray(black_at(sensor, iso))) / span
     # Robust: the level stands for what most pixels have; the losses are in units of it.
     read = np.float32(np.square(np.median(robust_std(data.train, 0)) * scale))
     shot = np.float32(scale / data.full_scale_e)

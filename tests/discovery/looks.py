@@ -11,7 +11,7 @@ from cannoise_jax.signatures.signature import Signature
 
 _GAIN, _READ = np.full(4, 1.5), np.full(4, 2.0)
 RECORDED = Recorded(
-    black=np.full(4, 100.0),
+    black=np.full((1, 4), 100.0),
     greens=(1, 2),
     tolerance=0.5,
     jitter=0.0,
@@ -37,6 +37,7 @@ RECORDED = Recorded(
     mono=False,
     times={},
     occurred=Occurred(np.zeros(0, int), np.zeros(0), np.zeros(0), 1.0),
+    seconds=(0.01, 1.0),
 )
 """What files say that state the gain and read noise which was fitted, and hold no codes."""
 SIGNATURES: dict[str, Signature] = {s.name: s for s in signatures(RECORDED)}

@@ -26,7 +26,7 @@ from cannoise_jax.training.denoise import (
 )
 from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images, training_part
 from cannoise_jax.training.noise_sources import NAMED, open_source, refined, sensor
-from cannoise_jax.training.refine import refine_data, span_of
+from cannoise_jax.training.refine import iso_of, refine_data, span_of
 
 GAIN, READ_E, BLACK = 2.0, 3.0, 200.0
 SMALL = Recipe(steps=120, batch_size=4, patch=16, features=8, depth=3, scenes=2, realisations=1)
@@ -154,7 +154,7 @@ def test_a_generator_that_learned_nothing_gives_its_sensors_noise(data, unit):
 
 def test_generators_learn_from_the_darks_of_the_exposure_in_the_sensors_units(data, unit):
     made = refine_data(data, unit)
-    scale = data.span_dn / span_of(unit)
+    scale = data.span_dn / span_of(unit, iso_of(data, unit))
     noise = (made.train.noisy - made.train.clean) / scale
     shift = DARK_E_S * data.exposure_s * GAIN / data.span_dn
     assert noise.mean() == pytest.approx(shift, rel=0.1)

@@ -103,7 +103,7 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
         return None
     light = Light(0, raw.mean) if known is None else known
     fitted = light.fit(raw.mean, raw.usable)
-    clean = asked_signal(r, fitted, source, dark)
+    clean = asked_signal(r, fitted, source, dark, iso)
     settings = settings_of(r, iso, max(2 * raw.frames, 4))
     frames = source.frames(0, number, clean, settings)
     if frames is None:

@@ -166,7 +166,7 @@ def _one(
     light = light_for(r, steady, raw.usable, dark)
     known = light if light is not None else _scene(raw)
     fitted = known.fit(steady, raw.usable)
-    clean = asked_signal(r, fitted, source, dark)
+    clean = asked_signal(r, fitted, source, dark, iso)
     settings = settings_of(r, iso, len(frames))
     drawn = [source.frames(m, number, clean, settings) for m in range(sets)]
     if any(d is None for d in drawn):
@@ -212,14 +212,14 @@ def _scene(raw: Raw) -> Light:
     return Light(0, raw.mean)
 
 
-def asked_signal(r: Recording, fitted: np.ndarray, source: Source, dark: bool) -> np.ndarray:
-    """The normalised signal to ask for."""
+def asked_signal(r: Recording, fitted: np.ndarray, source: Source, dark: bool, iso: float) -> np.ndarray:
+    """The normalised signal to ask for at an ISO."""
     if dark:
         return np.zeros(r.size, np.float32)
     if r.clean is not None:
         clean = np.asarray(r.clean, np.float32)
         return clean.mean(0) if clean.ndim == 3 else clean
-    cell = np.asarray(r.black_level if source.black is None else source.black, np.float32)
+    cell = np.asarray(r.black_level if source.black is None else source.black(iso), np.float32)
     black = np.empty(r.size, np.float32)
     for value, at in zip(cell, SITES, strict=True):
         black[at] = value

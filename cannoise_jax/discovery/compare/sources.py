@@ -22,6 +22,7 @@ from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.mechanisms.outside import function_at
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import black_at
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
@@ -33,14 +34,14 @@ class Source(NamedTuple):
 
     frames(set, number, clean, settings): its frames of one recording; None for one that it does not draw.
     sets: how many it can give; None: any number.
-    black, white: its own levels, DN; None: those of the recordings.
+    black (of an ISO), white: its own levels, DN; None: those of the recordings.
     read, gain: variance of the read noise (DN^2) and gain (DN/e-) of a camera model's first gain setting.
     """
 
     label: str
     frames: Callable[[int, int, Float[np.ndarray, "h w"], Settings], Frames | None]
     sets: int | None = None
-    black: Float[np.ndarray, "4"] | None = None
+    black: Callable[[float], Float[np.ndarray, "4"]] | None = None
     white: float | None = None
     read: float | None = None
     gain: float | None = None
@@ -93,7 +94,9 @@ def modelled(model: SensorModel, key: Key[Array, ""]) -> Source:
         own = dataclasses.replace(model, unit_key=jax.random.fold_in(model.unit_key, number_of_set))
         return drawing(own, jax.random.fold_in(key, number_of_set))(number, clean, settings)
 
-    black = np.asarray(model.black_level, float)
+    def black(iso: float) -> Float[np.ndarray, "4"]:
+        return np.asarray(black_at(model, iso), float)
+
     white, gain = float(np.asarray(model.white_level)), np.asarray(model.gain_dn_per_e)[0]
     read = float(np.mean((gain * np.asarray(model.read_noise_e)[0]) ** 2))
     return Source(model.camera, frames, None, black, white, read=read, gain=float(np.mean(gain)))

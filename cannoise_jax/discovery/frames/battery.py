@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from cannoise_jax.discovery.frames.contrasts import (
 from cannoise_jax.discovery.frames.dark_lines import beside_darks
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, iso_numbers
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.signatures.behind_gain import BEHIND
 from cannoise_jax.signatures.code_spacing import occurrences
 from cannoise_jax.signatures.fields import Fields, referred, refit
@@ -105,7 +106,7 @@ def prepare(
     elif judge_stated:
         stated = stated_parameters(capture, baselines)
     recorded = Recorded(
-        *described(capture, step),
+        *described(capture, step, order),
         frame_jitter(same),
         collect_codes(capture, stacks, fields, chosen, step),
         baselines,
@@ -117,6 +118,7 @@ def prepare(
         {n: list(frames) for n, frames in enumerate(chosen)},
         occurrences(stacks, fields, chosen, step),
         tuple(units),
+        tuple(r.exposure_s for r in capture.recordings if r.exposure_s is not None),
     )
     return Prepared(
         same,
@@ -169,15 +171,21 @@ def _check_noise(stacks: tuple[Stack, ...]) -> None:
         )
 
 
-def described(capture: CaptureSet, step: float) -> tuple[np.ndarray, tuple[int, int] | None, float]:
-    """Stated black level, DN, the sites of the two greens, and how far the black level may be rounded, DN."""
-    dark = capture.of_kind(*DARK) or capture.recordings
-    black = stated_black(list(dark))
+def described(
+    capture: CaptureSet, step: float, isos: Iterable[float | None]
+) -> tuple[np.ndarray, tuple[int, int] | None, float]:
+    """Stated black levels of the gain settings, DN, the sites of the two greens, and how far black levels may
+    be rounded, DN."""
+    black = np.stack([stated_black(_darks([r for r in capture.recordings if r.iso == iso])) for iso in isos])
     cfa = capture.recordings[0].cfa
     greens = None if cfa == "MONO" else tuple(n for n, letter in enumerate(cfa) if letter == "G")
     # A stated level is rounded to what it is a multiple of: a code, or a whole number.
     rounded = next((u for u in (step, 1.0) if np.allclose(black / u, np.round(black / u), atol=1e-4)), 0.0)
     return black, greens, 0.5 * rounded  # type: ignore[return-value]
+
+
+def _darks(recordings: list[Recording]) -> list[Recording]:
+    return [r for r in recordings if r.kind in DARK] or recordings
 
 
 def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float) -> tuple:

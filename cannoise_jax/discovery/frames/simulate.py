@@ -22,7 +22,7 @@ from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, smooth_mean, stack
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.core.settings import baseline_at, settings_of
+from cannoise_jax.physics.core.settings import baseline_at, black_at, settings_of
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.sampling import SMALLEST, Model, load_model, of_camera, sample_noise
@@ -87,13 +87,13 @@ def _at_exposure(path: Path, model: Model, capture: CaptureSet) -> Draw:
     except ValueError as error:
         raise BadInput(f"{path}: {error}") from error
     sensor, exposure_s = model.sensors[0], float(model.exposure_s or 0)
-    black = float(np.mean(np.asarray(sensor.black_level)))
-    span = float(np.asarray(sensor.white_level)) - black
     sample, reference = jax.jit(sample_noise), jnp.zeros((SMALLEST, SMALLEST, 4))
 
     def draw(key, clean, settings: Settings):
         if not np.isclose(settings.exposure_s, exposure_s, rtol=1e-3):
             return sensor.placed(np.shape(clean)).sample(key, clean, settings)
+        black = float(np.mean(np.asarray(black_at(sensor, settings.iso))))
+        span = float(np.asarray(sensor.white_level)) - black
         height, width = clean.shape
         more = [(0, max(-n % 4, 2 * SMALLEST - n)) for n in clean.shape]
         packed = pack(jnp.asarray(np.pad(np.asarray(clean), more, mode="reflect")), sensor.cfa)
@@ -122,8 +122,7 @@ def _generator(path: Path, model: Model, capture: CaptureSet) -> Draw:
         references.setdefault(setting, []).append(jnp.asarray(_packed_frame(r)))
     cfa = lit[0].cfa
 
-    black = np.mean(lit[0].black_level)
-    span = lit[0].white_level - black
+    levels = {isos[r.iso]: (float(np.mean(r.black_level)), float(r.white_level)) for r in reversed(lit)}
     sample = jax.jit(sample_noise)
 
     def draw(key, clean, settings: Settings):
@@ -133,6 +132,8 @@ def _generator(path: Path, model: Model, capture: CaptureSet) -> Draw:
         packed = pack(jnp.asarray(np.pad(np.asarray(clean), more, mode="reflect")), cfa)
         wanted = (float(settings.iso), float(settings.exposure_s))
         nearest = min(references, key=lambda have: _distance(have, wanted))
+        black, white = levels[min(levels, key=lambda iso: abs(np.log2(iso / settings.iso)))]
+        span = white - black
         # What lies below black is kept, as a sensor keeps it.
         noise = sample(model, key, packed, jnp.stack(references[nearest][:4]))
         noisy = jnp.clip(packed + noise, -black / span, 1)

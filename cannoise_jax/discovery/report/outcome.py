@@ -36,7 +36,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
             "read_noise_e": read[n],
             "read_noise_dn": gain[n] * read[n],
             "shot_noise": next((known for number, known in grows.items() if np.isclose(number, iso)), True),
-            "black_dn": np.asarray(model.black_level),
+            "black_dn": np.asarray(model.black_level) + np.asarray(model.black_beyond)[n],
             "black_beyond": [
                 {
                     "exposure_s": f.parameters["exposure_s"],

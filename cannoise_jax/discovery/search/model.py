@@ -22,6 +22,7 @@ from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.settings import black_at
 from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
 from cannoise_jax.signatures.handed import Addition, Found
@@ -42,7 +43,7 @@ def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None
     return SensorModel.poisson_gaussian(
         np.stack(gains),
         np.stack(reads),
-        per_channel(baselines[0].pedestal),
+        np.stack([b.pedestal for b in baselines]),
         min(first.white_level, 65535.0),  # a wrong one may lie above every code
         first.cfa,
         iso=tuple(prepared.isos[b.iso] for b in baselines),
@@ -73,7 +74,7 @@ def extended_model(
     shown = zip(steps, drawn(steps), strict=True)
     added = _merged([(step, addition(step, prepared, pattern)) for step, pattern in shown], silent)
     if any(a is not None and a.fitted_black for _, a in added):
-        model = dataclasses.replace(model, black_level=bare.black_level)
+        model = _levelled(model, bare)
     temperature = measured_at(capture.recordings)
     names = {_id(step) for step, more in added if more is not None}
     for step, more in added:
@@ -84,6 +85,12 @@ def extended_model(
             model = with_addition(model, step, more, temperature)
     matched = start is None or np.size(model.iso) == np.size(bare.iso)
     return balanced(bare, model, prepared) if matched else model
+
+
+def _levelled(model: SensorModel, bare: SensorModel) -> SensorModel:
+    """The model with the black levels of another one."""
+    levels = np.stack([np.asarray(black_at(bare, iso)) for iso in np.asarray(model.iso)])
+    return dataclasses.replace(model, black_level=levels[0], black_beyond=levels - levels[0])
 
 
 def _merged(

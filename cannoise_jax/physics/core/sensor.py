@@ -46,9 +46,9 @@ __all__ = ["ExtrapolationWarning", "Fitted", "IsoTable", "SensorModel", "Setting
 class SensorModel:
     """A camera: per ISO the system gain (DN/e-) and read noise (e-), then mechanisms, sorted along the chain.
 
-    iso: [N] ascending. gain_dn_per_e, read_noise_e: [N, 4], mosaic order. black_level: [4] DN.
-    white_level: DN, the highest code. code_step: DN between codes; 0: not on a lattice (codes are rounded
-    to 1).
+    iso: [N] ascending. gain_dn_per_e, read_noise_e: [N, 4], mosaic order. black_level: [4] DN, at the first
+    ISO. black_beyond: [N, 4] DN, by how much it lies beyond that at every ISO. white_level: DN, the highest
+    code. code_step: DN between codes; 0: not on a lattice (codes are rounded to 1).
     unit_key: from which the frozen patterns of this camera unit are drawn where none were measured.
     """
 
@@ -56,6 +56,7 @@ class SensorModel:
     gain_dn_per_e: Numbers
     read_noise_e: Numbers
     black_level: Numbers
+    black_beyond: Numbers
     white_level: Numbers
     code_step: Numbers
     unit_key: Key[Array, ""]
@@ -67,7 +68,7 @@ class SensorModel:
     def poisson_gaussian(
         gain_dn_per_e,
         read_noise_e,
-        black_level: float | PerChannel = 0.0,
+        black_level: float | PerChannel | np.ndarray = 0.0,
         white_level: float = 65535.0,
         cfa: str = "RGGB",
         *,
@@ -77,7 +78,7 @@ class SensorModel:
         unit_key: Key[Array, ""] | None = None,
     ) -> SensorModel:
         """The baseline alone. Gain and read noise: one number, one per mosaic site, or [N, 1 or 4] for N
-        ISOs.
+        ISOs; the black level: one number, one per site, or [N, 4] where it is another at every ISO.
 
         unit_key: default the key of 0. Numbers may be traced. Raises ValueError for counts that do not match
         and for what `ranges.check_baseline` refuses.
@@ -94,11 +95,16 @@ class SensorModel:
                 )
             return _spread(values.reshape(rows, -1), (isos.size, 4))
 
+        black = _array(black_level)
+        blacks = black if black.ndim == 2 else _spread(black, (1, 4))
+        if blacks.shape not in ((1, 4), (isos.size, 4)):
+            raise ValueError(f"expected black levels [{isos.size}, 4], got shape {blacks.shape}")
         return SensorModel(
             iso=isos,
             gain_dn_per_e=table(gain_dn_per_e),
             read_noise_e=table(read_noise_e),
-            black_level=_spread(_array(black_level), (4,)),
+            black_level=_spread(blacks[0], (4,)),
+            black_beyond=_spread(blacks - blacks[:1], (isos.size, 4)),
             white_level=_array(white_level),
             code_step=_array(code_step),
             unit_key=jax.random.key(0) if unit_key is None else unit_key,

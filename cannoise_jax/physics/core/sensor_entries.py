@@ -58,10 +58,15 @@ def model_of(
         name: [_channels(of_row(n, name), f"baseline {n}: {name}") for n in range(len(rows))]
         for name in ("gain_dn_per_e", "read_noise_e")
     }
+    black = _channels(_entry(document, "black_level"), "black_level")
+    blacks = [
+        _channels(row["black_level"], f"baseline {n}: black_level") if "black_level" in row else black
+        for n, row in enumerate(rows)
+    ]
     model = baseline(
         table["gain_dn_per_e"],
         table["read_noise_e"],
-        _channels(_entry(document, "black_level"), "black_level"),
+        blacks if any("black_level" in row for row in rows) else black,
         float(_number(_entry(document, "white_level"), "white_level")),
         entry_of(document, "cfa", str),
         iso=tuple(float(_number(of_row(n, "iso"), f"baseline {n}: iso")) for n in range(len(rows))),

@@ -121,7 +121,9 @@ def _not_in_place(npz: Path, wanted: str) -> bytes:
 
 def sensor_document(model: SensorModel) -> dict[str, Any]:
     """The model as plain JSON values; of the maps only the names."""
-    rows = zip(*map(np.asarray, (model.iso, model.gain_dn_per_e, model.read_noise_e)), strict=True)
+    table = (model.iso, model.gain_dn_per_e, model.read_noise_e, model.black_beyond)
+    rows = zip(*map(np.asarray, table), strict=True)
+    first = np.asarray(model.black_level)
     return {
         "schema": SCHEMA,
         "camera": model.camera,
@@ -130,8 +132,13 @@ def sensor_document(model: SensorModel) -> dict[str, Any]:
         "white_level": _plain(model.white_level),
         "code_step": _plain(model.code_step),
         "baseline": [
-            {"iso": _plain(iso), "gain_dn_per_e": _plain(gain), "read_noise_e": _plain(read)}
-            for iso, gain, read in rows
+            {
+                "iso": _plain(iso),
+                "gain_dn_per_e": _plain(gain),
+                "read_noise_e": _plain(read),
+                **({"black_level": _plain(first + beyond)} if np.any(beyond) else {}),
+            }
+            for iso, gain, read, beyond in rows
         ],
         "mechanisms": [_mechanism(i, fitted) for i, fitted in enumerate(model.mechanisms)],
         **_unit(model.unit_key),

@@ -126,11 +126,18 @@ def baseline_at(model: Any, iso) -> tuple[Float[Array, "4"], Float[Array, "4"]]:
     return at(gains) * (iso / inside), at(reads)
 
 
+def black_at(model: Any, iso) -> Float[Array, "4"]:
+    """Black level at an ISO, DN, mosaic order: linear between tabulated ones, held at the ends."""
+    isos, beyond = jnp.asarray(model.iso), jnp.asarray(model.black_beyond)
+    more = jax.vmap(lambda column: jnp.interp(iso, isos, column), in_axes=1)(beyond)
+    return jnp.asarray(model.black_level) + more
+
+
 def context_of(model: Any, clean: Float[Array, "t h w"], settings: Settings) -> Context:
     """The context of a clean mosaic [T or 1, H, W] at a setting."""
     size = (clean.shape[-2], clean.shape[-1])
     gain, read = baseline_at(model, settings.iso)
-    black = site_map(jnp.asarray(model.black_level), size)[None]
+    black = site_map(black_at(model, settings.iso), size)[None]
     white = jnp.asarray(model.white_level)
     temperature = settings.temperature_c
     return Context(
@@ -150,7 +157,8 @@ def context_of(model: Any, clean: Float[Array, "t h w"], settings: Settings) -> 
 
 def context_of_nlf(model: Any, clean: Float[Array, "b h w"], shot, read) -> Context:
     """The context of mosaics with one noise level function each ([B, 4], mosaic order)."""
-    first = context_of(model, clean, Settings())
+    lowest: Any = jnp.asarray(model.iso)[0]
+    first = context_of(model, clean, Settings(iso=lowest))
     span = jnp.asarray(model.white_level) - jnp.asarray(model.black_level)
     gain, read_noise = electrons_from_nlf(shot, read, span)
     # The ISO at which this model has that gain, one per mosaic, so that tables over ISO apply.

@@ -97,14 +97,16 @@ def without_charge(model: SensorModel, exposures: Sequence[float], size: tuple[i
     measured on, which its mechanisms add. exposures: of that dark at every ISO of the baseline, seconds.
     """
     gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
-    read2, black = np.asarray(read, np.float64) ** 2, np.asarray(model.black_level, np.float64)
+    read2 = np.asarray(read, np.float64) ** 2
+    levels = np.asarray(model.black_level, np.float64) + np.asarray(model.black_beyond, np.float64)
     for n, seconds in enumerate(exposures):
         spread = _charge(model, lambda f: _is_charge(f) and not _is_heat(f), n, seconds, size)
         read2[n] = np.maximum(read2[n] - gain[n] * spread, 0.01 * read2[n])
-    black = black - _charge(model, _is_charge, 0, exposures[0], size)
+        levels[n] -= _charge(model, _is_charge, n, seconds, size)
     return dataclasses.replace(
         model,
-        black_level=black.astype(np.float32),
+        black_level=levels[0].astype(np.float32),
+        black_beyond=(levels - levels[0]).astype(np.float32),
         read_noise_e=(np.sqrt(read2) / gain).astype(np.float32),
     )
 
@@ -118,7 +120,8 @@ def _charge(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a dark outside the range of its own calibration is no news
         mean = np.asarray(bare.expected(jnp.zeros(size), at), np.float64)
-    return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - np.asarray(model.black_level)
+    black = np.asarray(model.black_level) + np.asarray(model.black_beyond)[n]
+    return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - black
 
 
 def without_repetition(

@@ -32,7 +32,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
 from cannoise_jax.physics.transfer.table import aligned, format_outcome
-from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers, per_channel
+from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
 
 Verdict = Literal[
     "in the model",
@@ -162,7 +162,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
     model = SensorModel.poisson_gaussian(
         np.array([b.gain for _, b in measured]),
         np.array([b.read_noise_e for _, b in measured]),
-        per_channel(base.black_level),
+        np.array([b.black_level for _, b in measured]),
         base.white_level,
         first.cfa,
         iso=tuple(numbers[iso] for iso in isos),

@@ -1,0 +1,34 @@
+"""Recordings of one exposure say nothing of what grows with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.mechanisms import signatures
+from cannoise_jax.signatures.levels import dark_rise
+from tests.discovery.looks import RECORDED, white
+
+
+def names(seconds):
+    return {s.name for s in signatures(RECORDED._replace(seconds=seconds))}
+
+
+@pytest.mark.parametrize("seconds", [(), (0.1,), (0.1, 0.1, 0.1000001)])
+def test_no_pattern_is_said_to_grow(seconds):
+    assert not {n for n in names(seconds) if "thermal_static" in n or n == "dark_level"}
+    assert {"pixel_additive_static", "column_additive_static"} <= names(seconds)
+
+
+def test_of_two_exposures_it_may_be():
+    more = names((0.1, 0.1, 0.2)) - names((0.1, 0.1, 0.1))
+    assert more == {"pixel_thermal_static", "row_thermal_static", "column_thermal_static", "dark_level"}
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_darks_of_one_exposure_have_no_slope(number):
+    """Means of equal numbers differ from them by rounding."""
+    fields = [f._replace(exposure_s=0.1) for f in white(np.random.default_rng(0), kinds=("dark",) * number)]
+    for error in np.linspace(0.01, 0.1, 20):
+        levels = [(f, np.full(4, 100.0 + n), error * (n + 1)) for n, f in enumerate(fields)]
+        assert dark_rise(levels) == (0.0, np.inf)
