@@ -38,7 +38,8 @@ _CELL = np.ones((3, 3), bool)
 
 class Spikes(NamedTuple):
     """Spikes of one recording `[t, h, w]`: up and down; back: those above at pixels that spike or are noisy
-    elsewhere too. gain: nats by which the ones above are less likely than noise."""
+    elsewhere too. gain: nats by which the ones above are less likely than noise. earlier: pixels `[h, w]`
+    that were hit in the frames before, from which all of these then differ alike."""
 
     number: int
     up: np.ndarray
@@ -48,6 +49,7 @@ class Spikes(NamedTuple):
     frames: int
     dark: bool
     gain: float
+    earlier: np.ndarray
 
 
 def _limit(field: Fields) -> np.ndarray:
@@ -68,6 +70,10 @@ def _spikes(field: Fields) -> Spikes | None:
         return None
     power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts)
     frames = np.stack(list(each_frame(field, static=False)))
+    if field.before:  # from the mean of the frames before to that of all others
+        number = field.frames + field.before
+        frames *= np.float32(np.sqrt(1 + 1 / field.before))
+        frames = (frames - frames.sum(0) / np.float32(number)) / np.float32(np.sqrt(1 - 1 / number))
     farthest = np.argmax(np.abs(frames), 0)[None]
     value = np.take_along_axis(frames, farthest, 0)[0]
     freedom = len(field.contrasts) - 1
@@ -79,12 +85,17 @@ def _spikes(field: Fields) -> Spikes | None:
         others = field.static / np.sqrt(field.frames) - value / np.sqrt(field.frames * (field.frames - 1))
         alone &= np.abs(others) * np.sqrt(field.frames - 1) < FAR
     at = np.arange(field.frames)[:, None, None] == farthest
-    noisy = (power > stats.chi2.isf(1e-5, len(field.contrasts))) & ~alone & field.usable
+    earlier = np.zeros(power.shape, bool)
+    if field.before:
+        inner = power - field.contrasts[-1] ** 2
+        still = inner < stats.chi2.isf(_QUIET, freedom) if freedom else np.ones(power.shape, bool)
+        earlier = still & (field.contrasts[-1] < -_limit(field)) & field.usable
+    noisy = (power > stats.chi2.isf(1e-5, len(field.contrasts))) & ~alone & ~earlier & field.usable
     up = at & alone & (value > 0)
     gain = float(np.sum(0.5 * np.minimum(value[up.any(0)], 1e3) ** 2 - np.log(max(value.size, 2))))
-    down = at & alone & (value < 0)
+    down = at & alone & (value < 0) & ~earlier
     seconds = field.exposure_s or 0.0
-    return Spikes(field.number, up, down, noisy, seconds, field.frames, not field.lit, gain)
+    return Spikes(field.number, up, down, noisy, seconds, field.frames, not field.lit, gain, earlier)
 
 
 def find(fields: tuple[Fields, ...]) -> list[Spikes]:
@@ -231,7 +242,9 @@ def _twice(spikes: Spikes) -> np.ndarray:
 def without_spikes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """The fields without the pixels that were hit, and those beside them, in the recording where they were:
     the faint ends of a track lie beside its bright pixels. Of many hits a few meet the same pixel twice."""
-    hit = {s.number: ndimage.binary_dilation(s.up.any(0) | _twice(s), _CELL) for s in find(fields)}
+    hit = {
+        s.number: ndimage.binary_dilation(s.up.any(0) | s.earlier | _twice(s), _CELL) for s in find(fields)
+    }
     out = []
     for f in fields:
         mask = hit.get(f.number)

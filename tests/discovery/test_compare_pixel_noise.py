@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, uneven, variances
+from cannoise_jax.discovery.compare.view import bulk_variance
 from cannoise_jax.signatures.fields import helmert
 
 SIZE = (160, 192)
@@ -84,3 +85,19 @@ def test_what_pixels_are_more_unlike_than_simulated_is_drawn_besides():
     bulk = ~drawn.odd
     together = drawn.values * contrasts(rng, 0.1, 8)[1]
     assert np.std(together[bulk]) == pytest.approx(np.std(true[bulk]), rel=0.2)
+
+
+@pytest.mark.parametrize("hit", [0.0, 0.005, 0.02])
+def test_the_variance_of_most_pixels_is_not_that_of_a_few(hit):
+    """A particle leaves ten thousand times the variance of the noise in the pixels that it meets."""
+    rng = np.random.default_rng(3)
+    frames = 4.0 * rng.standard_normal((7, 40_000))
+    frames[0] += np.where(rng.random(40_000) < hit, rng.exponential(3000.0, 40_000), 0.0)
+    assert bulk_variance(frames.var(0, ddof=1), 6) == pytest.approx(16.0, rel=0.04)
+
+
+def test_noise_that_leaves_most_pixels_still_keeps_its_variance():
+    rng = np.random.default_rng(4)
+    frames = np.round(0.185 * rng.standard_normal((6, 200_000)))
+    v = frames.var(0, ddof=1)
+    assert np.mean(v > 0) < 0.05 and bulk_variance(v, 5) == pytest.approx(v.mean(), rel=0.1)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.search.locate import Located, locate
@@ -24,6 +25,9 @@ from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
 """A bound on time: longer lists than this are no explanation."""
+_SOME = 0.05
+"""Share of the pixels that a finding takes out, beyond chance, that another one takes out in its stead. With
+each that is hit by charge its neighbours go, a ninth of them at least being those that were hit."""
 
 
 class Step(NamedTuple):
@@ -96,7 +100,8 @@ def stepwise(
     located: Located | None = None,
 ) -> Fitted:
     """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is rejected.
-    What the final model does not need any more is given up again, the least needed first. every: the fields
+    What the final model does not need any more is given up again, the least needed first; pixels that stand
+    out only where nothing else is found in their stead. every: the fields
     of all frames, for a second look at what is suspected; without it all of alpha is spent on the first.
     located: the first pass of the battery, where it was run already.
     """
@@ -106,9 +111,13 @@ def stepwise(
     start = fields
     steps: list[Step] = []
     given_up: set[str] = set()
+    needed: set[str] = set()
     while True:
         steps, fields, last = _forward(search, steps, fields, last, given_up)
-        final = _in_final_model(steps, first.tests)
+        final = tuple(
+            old if old.named.signature.name in needed else new
+            for old, new in zip(steps, _in_final_model(steps, first.tests), strict=True)
+        )
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
         if not weak:
             late = None
@@ -124,11 +133,35 @@ def stepwise(
             fields = without(named, fields, fields)
             last = locate(fields, _active(signatures, steps, given_up), first.tests)
             continue
-        gone = steps.pop(max(weak, key=lambda n: final[n].log_p))
-        tell(f"given up: {gone.named.mechanism} ({gone.named.signature.name})")
-        given_up.add(gone.named.signature.name)
-        steps, fields = _again(steps, start)
-        last = locate(fields, _active(signatures, steps, given_up), first.tests)
+        n = max(weak, key=lambda n: final[n].log_p)
+        gone = steps[n].named
+        without_it = given_up | {gone.signature.name}
+        others, left = _again([*steps[:n], *steps[n + 1 :]], start)
+        active = _active(signatures, others, without_it)
+        seen = locate(left, active, first.tests)
+        taken = _taken(steps, n, fields)
+        # What it only kept from being asked is no other explanation.
+        kept_off = {*gone.signature.covers, *gone.signature.hides(gone.score)}
+        asked = tuple(s for s in active if s.name not in kept_off)
+        if taken.any() and (name(seen, asked, allowed, search.level) or _others_take(taken, left)):
+            needed.add(gone.signature.name)
+            continue
+        tell(f"given up: {gone.mechanism} ({gone.signature.name})")
+        steps, fields, last, given_up = others, left, seen, without_it
+
+
+def _taken(steps: list[Step], n: int, left: tuple[Fields, ...]) -> Bool[np.ndarray, "r h w"]:
+    """The pixels of every recording that a step takes out. Maps of all pixels that are fitted with these in
+    them take in what makes them stand out, so that it seems superfluous; what they cannot take in is then
+    found elsewhere, or taken out as something else."""
+    before, after = steps[n].before, steps[n + 1].before if n + 1 < len(steps) else left
+    return np.stack([f.usable & ~g.usable for f, g in zip(before, after, strict=True)])
+
+
+def _others_take(taken: Bool[np.ndarray, "r h w"], left: tuple[Fields, ...]) -> bool:
+    """Whether of the pixels that a step took out far more are taken out without it too than of all."""
+    gone = np.stack([~f.usable for f in left])
+    return bool(np.sum(taken & gone) > (_SOME + 2 * np.mean(gone)) * np.sum(taken))
 
 
 def charge(log_p: float, share: float) -> float:
