@@ -224,9 +224,9 @@ ENTRIES: tuple[Entry, ...] = (
              19, "sensor", "e-/s", "mean dark current, e-/s", listed=9, says_exposure=True),
         DARK_CURRENT,
         needs="darks at two exposures or more, exposure_s stated",
-        signatures=lambda recorded: (
+        signatures=lambda recorded: looks.if_exposures_differ(
             looks.levels.by_exposure(recorded, name="dark_level", quantity="dark_current",
-        parameter="e_per_s", covers=("dark_level",)), ),
+                parameter="e_per_s", covers=("dark_level",)))(recorded),
         estimator=Estimator(charge.dark_current),
         examples=Examples("mean", shown={"e_per_s": 30.0}, strong={"e_per_s": 60.0},
                           cases=(Case({"e_per_s": 2.0}, SERIES),)),
@@ -250,7 +250,7 @@ ENTRIES: tuple[Entry, ...] = (
         needs="darks, best at a long exposure",
         signatures=looks.always(
             looks.glow.from_edges(name="glow", parameter="e_per_s",
-                before=(*looks.MAPS, *looks.THERMAL_LINES)),
+                before=(*looks.MAPS, *looks.THERMAL_LINES), lifted_by=("dark_level",)),
         ),
         estimator=Estimator(charge.amp_glow, gives_way_to=("hot_pixels",), maps=measured.glow),
         examples=Examples("columns", strong={"e_per_s": 200.0, "length": 0.4},
@@ -263,8 +263,10 @@ ENTRIES: tuple[Entry, ...] = (
         HOT_PIXELS,
         needs="darks, best at a long exposure",
         signatures=looks.always(
-            looks.hot.standing_out("additive", name="hot_additive", maps=looks.MAPS, covers=("hot_thermal",)),
-            looks.hot.standing_out("exposure", name="hot_thermal", maps=looks.MAPS, covers=("hot_additive",)),
+            looks.hot.standing_out("additive", name="hot_additive", maps=looks.MAPS,
+                covers=("hot_thermal",), lifted_by=imprints.STANDING_OUT),
+            looks.hot.standing_out("exposure", name="hot_thermal", maps=looks.MAPS,
+                covers=("hot_additive",), lifted_by=imprints.STANDING_OUT),
         ),
         estimator=Estimator(charge.hot_pixels, maps=measured.heat),
         examples=Examples("tail", shown={"e_per_s": 300.0, "fraction": 0.004}, dim=True,

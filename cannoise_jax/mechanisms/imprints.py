@@ -40,10 +40,15 @@ IN_FRAMES = (
     *(*_LAGS, "lags_brighter_fatter", *_BENT),
 )
 """What a few far pixels of single frames imprint on: sums over places and products of neighbours."""
-IN_MEANS = (
+STANDING_OUT = (
     *(f"{name}_frozen" for name in (*_TILES, *_DIAGONALS, "wave")),
-    *(*_LINES_THAT_STAY, *_PIXELS_THAT_STAY, "pixel_thermal_static", *_SCENES, "description_scale"),
-    *("step", "taps", "glow", "shading", "greens", *_LEVELS, *_HOT),
+    *(*_LINES_THAT_STAY, "row_thermal_static", "column_thermal_static"),
+    *(*_PIXELS_THAT_STAY, "pixel_thermal_static", "step", "taps"),
+)
+"""What a few far pixels of the means of darks imprint on: what areas, lines and pixels share."""
+IN_MEANS = (
+    *(*STANDING_OUT, *_SCENES, "description_scale"),
+    *("glow", "shading", "greens", *_LEVELS, *_HOT),
 )
 """What a few far pixels of the means imprint on."""
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
 from cannoise_jax.physics.robust import robust_std
@@ -28,6 +28,8 @@ _LOST = 0.5
 """Share of the signal that a dead pixel misses at least."""
 _CLEAR = 8.0
 """Standard deviations of the spread of the responses that this share must be."""
+_RUN, _WIDE = 32, 3
+"""Pixels of a dead row or column from which on it is one, and across it from which on it is none."""
 _COARSE = 0.8
 """Noise, codes, below which rounding hides whether a pixel is the mean of its neighbours."""
 _MOST_LISTED = 0.15
@@ -83,8 +85,23 @@ def find_dead(fields: tuple[Fields, ...]) -> np.ndarray | None:
     spread = max(robust_std(least[known]), 1e-4)
     dead = known & (least > _LOST) & (least > _CLEAR * spread)
     # An edge where the reference is off is dark along a line, dust over an area; a dead pixel stands alone.
-    around = ndimage.convolve(dead.astype(np.int16), np.ones((5, 5), np.int16), mode="constant") - dead
-    return dead & (around <= max(3, 100 * float(dead.mean())))
+    lines = _dead_lines(dead) if not any(f.kind == "scene" for f in fields) else np.zeros(dead.shape, bool)
+    single = dead & ~lines
+    around = ndimage.convolve(single.astype(np.int16), np.ones((5, 5), np.int16), mode="constant") - single
+    return lines | single & (around <= max(3, 100 * float(single.mean())))
+
+
+def _dead_lines(dead: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Those in straight runs along a row or column, no wider than a line and its neighbour: no shadow has two
+    edges so near."""
+    out = np.zeros(dead.shape, bool)
+    for along in (0, 1):
+        run = [1, 1]
+        run[along] = min(_RUN, dead.shape[along])
+        line = ndimage.binary_opening(dead, np.ones(run))
+        run[1 - along] = _WIDE
+        out |= line & ~ndimage.binary_opening(line, np.ones(run))
+    return out
 
 
 def dead_score(fields: tuple[Fields, ...]) -> Score | None:

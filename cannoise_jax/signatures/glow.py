@@ -209,7 +209,9 @@ def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
     return float(np.clip(shown, means.min(), means.max()))
 
 
-def from_edges(*, name: str, parameter: str, before: tuple[str, ...]) -> Signature:
+def from_edges(
+    *, name: str, parameter: str, before: tuple[str, ...], lifted_by: tuple[str, ...]
+) -> Signature:
     """Light that falls off from a corner or an edge of the darks. before: signatures of patterns that hold it
     as well, which are judged once it is gone."""
 
@@ -242,4 +244,5 @@ def from_edges(*, name: str, parameter: str, before: tuple[str, ...]) -> Signatu
         detectable=BY_SHIFT,
         least=least,
         before=lambda score: before if score.payload.stands_out else (),
+        lifted_by=lifted_by,
     )

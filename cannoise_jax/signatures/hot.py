@@ -32,7 +32,7 @@ from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import NO_CLOSED_FORM, OFFSETS, STATIC, Axes, Scales, Signature
 from cannoise_jax.signatures.sparse import hot_amplitude, hot_found
 
-_STRONG = 2.0
+_STRONG = 1.2
 """Spread of the levels of most pixels, in standard deviations of their noise, from which on every pixel has a
 level of its own and the hot ones are those that stand out from these: beside a map, not in place of it."""
 _LEAST_NOISE = 0.6
@@ -181,7 +181,9 @@ def _least(sets: tuple[Seen, ...]) -> Law:
     return lambda shift: hot_amplitude(np.asarray(information), shift)
 
 
-def standing_out(scaling: Scales, *, name: str, maps: tuple[str, ...], covers: tuple[str, ...]) -> Signature:
+def standing_out(
+    scaling: Scales, *, name: str, maps: tuple[str, ...], covers: tuple[str, ...], lifted_by: tuple[str, ...]
+) -> Signature:
     """A few pixels far above the others in the darks. maps: signatures of maps of all pixels, which are
     judged once the pixels that stand out from them are gone."""
     growing = scaling == "exposure"
@@ -215,6 +217,7 @@ def standing_out(scaling: Scales, *, name: str, maps: tuple[str, ...], covers: t
         score=partial(hot_score, scaling=scaling),
         absorb=mask_hot,
         covers=covers,
+        lifted_by=lifted_by,
         before=lambda score: maps if score.payload.beside_map else (),
         rare=True,
         predict=predict,

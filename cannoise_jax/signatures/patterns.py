@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special, stats
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.robust import robust_std
@@ -274,6 +274,28 @@ _NONE_LEFT = 0.02
 """Share of pixels with less than no charge, up to which it is their noise that made them so."""
 
 
+_SURELY_BELOW, _FEW_BELOW = 3.0, 5e-3
+"""Standard errors by which a pixel has less than no charge, and the share of pixels up to which that is
+chance: of normal errors it is 1.3e-3."""
+
+
+def _none_below(fields: Many, level: Float[np.ndarray, "h w"]) -> bool:
+    """Whether levels of pixels about this mean, DN/s, are such as charges have: none surely below zero."""
+    sums = pixel_sums(fields, "exposure", KINDS)
+    if sums is None or not (seen := sums.information > 0).any():
+        return False
+    above = sums.score[seen] / sums.information[seen] + level[seen]
+    return bool(np.mean(above * np.sqrt(sums.information[seen]) < -_SURELY_BELOW) < _FEW_BELOW)
+
+
+def _above_none(beyond: Float[np.ndarray, "h w"], variation: float) -> Float[np.ndarray, "h w"]:
+    """The map by the ranks of its values as a log-normal one of this standard deviation about a mean of one,
+    less that: a normal law of charges that vary so would have many below none."""
+    shape = np.sqrt(np.log1p(variation**2))
+    normal = special.ndtri((stats.rankdata(beyond) - 0.5) / beyond.size).reshape(beyond.shape)
+    return np.expm1(shape * normal - shape**2 / 2)
+
+
 def _within(own: Addition, found: Found, growing: Addition) -> Addition | None:
     """The charge of all pixels with what each of them has beyond its mean, `own`, so that it brings its shot
     noise; None where that cannot be charge: too many pixels would have less than none."""
@@ -286,8 +308,12 @@ def _within(own: Addition, found: Found, growing: Addition) -> Addition | None:
     field = np.squeeze(np.asarray(own.maps["field"], np.float64), 0)
     beyond = strength * field / (gains[0][channel_index(field.shape)] * found.longest * rate)
     variation = float(np.std(beyond))
-    if not 0 < variation < _MOST_VARIED or np.mean(beyond < -1) > _NONE_LEFT:
+    if not 0 < variation < _MOST_VARIED:
         return None
+    if np.mean(beyond < -1) > _NONE_LEFT:
+        if not _none_below(found.fields, rate * gains[0][channel_index(field.shape)]):
+            return None
+        beyond = _above_none(beyond, variation)
     maps = {**growing.maps, "pixels": as_map(beyond / variation)}
     return growing._replace(values={**growing.values, "variation": variation}, maps=maps)
 

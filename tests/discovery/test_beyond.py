@@ -64,6 +64,26 @@ def test_dead_pixels_with_their_share_and_place():
     assert all(dead[tuple(at)] for at in found["dead"].where["index"])
 
 
+@pytest.mark.parametrize("place", [np.s_[:, 41], np.s_[30:, 41], np.s_[17:19, :]])
+def test_dead_lines_are_dead_pixels_and_edges_of_scenes_are_not(place):
+    dead = np.zeros(SIZE, bool)
+    dead[place] = True
+
+    def mean(e, rng, kind, s):
+        return np.where(dead, 0, e)
+
+    found, _, _ = scores(frames_of(6, mean=mean, scenes=0))
+    assert rejects(found["dead"]) and np.isclose(found["dead"].amplitude, dead.mean(), rtol=0.05)
+    wide, _, _ = scores(frames_of(6, mean=lambda e, rng, kind, s: np.where(near(dead), 0, e), scenes=0))
+    scene, _, _ = scores(frames_of(6, mean=mean))
+    assert wide["dead"].where["pixels"] < 8 and scene["dead"].where["pixels"] < 8  # corners of lines
+
+
+def near(lines):
+    """Three lines for each."""
+    return lines | np.roll(lines, 1, (0, 1)) | np.roll(lines, 2, (0, 1))
+
+
 def test_pixels_painted_over_are_found_with_the_neighbours_they_were_made_of():
     listed = np.random.default_rng(2).random(SIZE) < 0.01
 

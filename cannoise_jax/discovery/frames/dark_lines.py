@@ -40,11 +40,11 @@ def lines_for(recording: Recording, known: Known) -> Float[np.ndarray, "h w"] | 
     seconds = recording.exposure_s or 0.0
     longest = max(_LONGER * seconds, _SHORT_S)
     like = [
-        (abs((dark.exposure_s or 0.0) - seconds), n)
+        (abs((dark.exposure_s or 0.0) - seconds), lines is None, n)
         for n, (dark, lines) in enumerate(known)
-        if lines is not None and dark.iso == recording.iso and (dark.exposure_s or 0.0) <= longest
+        if dark.iso == recording.iso and (dark.exposure_s or 0.0) <= longest
     ]
-    return known[min(like)[1]][1] if like and recording.kind == "flat" else None
+    return known[min(like)[-1]][1] if like and recording.kind == "flat" else None
 
 
 def lines_of(dark: Stack) -> Float[np.ndarray, "h w"] | None:

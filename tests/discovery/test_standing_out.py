@@ -1,0 +1,81 @@
+"""Pixels that stand out are taken out before what they imprint on, and stay in the list beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from tests.discovery.capture import SIZE, capture_set
+from tests.discovery.test_model import found
+
+LONG_S = 0.05
+"""Exposures beyond it show charge that grows."""
+
+
+def struck(rng):
+    """Hits of single frames of long darks, each of three pixels in a line, among hot pixels and rows."""
+    heat = np.where(rng.random(SIZE) < 0.004, rng.exponential(60.0, SIZE), 0.0)
+
+    def change(dn, signal, kind, t):
+        dn = dn + 1.5 * rng.poisson(heat * (t > LONG_S)) + 1.0 * rng.standard_normal((SIZE[0], 1))
+        if t > LONG_S:
+            for y, x in rng.integers(0, [SIZE[0], SIZE[1] - 3], (8, 2)):
+                dn[y, x : x + 3] += rng.uniform(300, 1500)
+        return dn
+
+    return change
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_hits_are_not_taken_for_hot_pixels(seed):
+    names = [s.named.mechanism for s in found(capture_set(seed, struck, kinds="df"))[1]]
+    assert {"cosmic_rays", "hot_pixels", "row_noise"} == set(names)
+
+
+def column_of_heat(rng):
+    """A column of which most pixels are hot."""
+    heat = np.zeros(SIZE)
+    heat[20:, 57] = rng.uniform(200, 500, SIZE[0] - 20)
+    return lambda dn, signal, kind, t: dn + 1.5 * rng.poisson(heat * (t > LONG_S))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_hot_column_is_of_hot_pixels_and_no_pattern_of_columns(seed):
+    steps = found(capture_set(seed, column_of_heat, kinds="df"))[1]
+    assert [s.named.mechanism for s in steps] == ["hot_pixels"]
+    assert steps[0].named.score.where["pixels"] == pytest.approx(SIZE[0] - 20, abs=3)
+
+
+def warm_and_glowing(rng):
+    """A dark current that all pixels have, and light of the readout from a corner."""
+    y, x = np.indices(SIZE)
+    charge = 30.0 + 40.0 * np.exp(-np.hypot(y, x) / 25.0)
+    return lambda dn, signal, kind, t: dn + 1.5 * rng.poisson(charge * t / 0.1, SIZE)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_dark_current_is_what_a_glow_leaves_of_the_level(seed):
+    steps = found(capture_set(seed, warm_and_glowing, kinds="df"))[1]
+    strength = {s.named.mechanism: s.named.score.amplitude for s in steps}
+    assert strength["dark_current"] == pytest.approx(300.0, rel=0.05)
+    assert "amp_glow" in strength
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_hits_of_the_frames_before_are_out_of_those_held_back(seed):
+    """What was hit before lies far from its mean in all frames that are seen against it."""
+    capture = capture_set(seed, struck, kinds="df")
+    splits = split_recordings(capture)
+    looks, held = (prepare_split(capture, splits, held_back=back) for back in (False, True))
+    hits = next(s for s in looks.signatures if s.name == "hits")
+    score = hits.score(looks.fields)
+
+    def far(fields):
+        return sum(int(np.sum(np.abs(f.contrasts).max(0) > 8)) for f in fields if not f.lit)
+
+    # Shot noise of the hottest pixels lies as far.
+    assert far(held.fields) > 100 and far(hits.absorb(held.fields, score)) < 4
+    rows = next(s for s in held.signatures if s.name == "row_additive_temporal")
+    again = rows.score(hits.absorb(held.fields, score))
+    assert again.amplitude == pytest.approx(1.0, abs=3 * again.error)
