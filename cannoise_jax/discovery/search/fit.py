@@ -32,7 +32,8 @@ each that is hit by charge its neighbours go, a ninth of them at least being tho
 
 class Step(NamedTuple):
     """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
-    with all other accepted mechanisms in the model. late: it took all frames together to see it. left: the
+    with all other accepted mechanisms in the model; of one that is kept for what would be found in its stead,
+    as it was accepted. late: it took all frames together to see it. left: the
     fields with everything taken out that was accepted."""
 
     named: Named
@@ -142,8 +143,8 @@ def stepwise(
         taken = _taken(steps, n, fields)
         # What it only kept from being asked is no other explanation.
         kept_off = {*gone.signature.covers, *gone.signature.hides(gone.score)}
-        asked = tuple(s for s in active if s.name not in kept_off)
-        if taken.any() and (name(seen, asked, allowed, search.level) or _others_take(taken, left)):
+        more = seen._replace(scores={n: s for n, s in seen.scores.items() if n not in kept_off})
+        if taken.any() and (name(more, active, allowed, search.level) or _others_take(taken, left)):
             needed.add(gone.signature.name)
             continue
         tell(f"given up: {gone.mechanism} ({gone.signature.name})")
