@@ -224,9 +224,9 @@ ENTRIES: tuple[Entry, ...] = (
              19, "sensor", "e-/s", "mean dark current, e-/s", listed=9, says_exposure=True),
         DARK_CURRENT,
         needs="darks at two exposures or more, exposure_s stated",
-        signatures=lambda recorded: looks.if_exposures_differ(
+        signatures=lambda recorded: (
             looks.levels.by_exposure(recorded, name="dark_level", quantity="dark_current",
-                parameter="e_per_s", covers=("dark_level",)))(recorded),
+                parameter="e_per_s", covers=("dark_level",)),) if recorded.several_exposures else (),
         estimator=Estimator(charge.dark_current),
         examples=Examples("mean", shown={"e_per_s": 30.0}, strong={"e_per_s": 60.0},
                           cases=(Case({"e_per_s": 2.0}, SERIES),)),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
@@ -68,6 +68,19 @@ def _level(field: Fields, chosen: Bool[np.ndarray, "h w"]) -> float:
     return level + float(rest[kept].mean()) if kept.any() else level
 
 
+def from_means(
+    seconds: Float[np.ndarray, "n"], group: Int[np.ndarray, "n"], weights: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Exposures less the weighted mean of their gain setting, each of which has a black level of its own.
+    Those of one exposure are zero: a mean of equal numbers is another number by its rounding."""
+    out = np.zeros(seconds.shape)
+    for g in np.unique(group):
+        mine = group == g
+        if np.ptp(seconds[mine]):
+            out[mine] = seconds[mine] - np.average(seconds[mine], weights=weights[mine])
+    return out
+
+
 def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.0) -> tuple[float, float]:
     """How the level of the darks of known exposure rises with it, DN/s, and its standard error; (0, inf)
     where all are of one. jitter: variance of the offset of a frame, DN^2."""
@@ -75,11 +88,7 @@ def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.
     t = np.array([f.exposure_s for f, _, _ in levels], float)
     y = np.array([level.mean() for _, level, _ in levels])
     v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
-    group = np.array([f.group for f, _, _ in levels], int)
-    for g in np.unique(group):  # each gain setting has a black level of its own
-        mine = group == g
-        # Exposures that are one stay so: a mean of equal numbers is another number by its rounding.
-        t[mine] = t[mine] - np.average(t[mine], weights=1 / v[mine]) if np.ptp(t[mine]) else 0.0
+    t = from_means(t, np.array([f.group for f, _, _ in levels], int), 1 / v)
     i = float(np.sum(t**2 / v))
     if not i > 0:
         return 0.0, np.inf
@@ -114,16 +123,17 @@ values; `ONE_OF_SEVERAL` for each would be 7.5."""
 def black_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | None:
     """Black level, of all channels, against the stated one: at the gain setting where they are furthest
     apart."""
-    levels = dark_levels(fields)
+    levels, unit = dark_levels(tuple(native(f) for f in fields)), {f.number: f.unit for f in fields}
     if not levels:
         return None
     # What dark current adds in the shortest exposure is no fault of the black level.
-    rise, doubt = dark_rise(levels, recorded.jitter)
+    at_lowest = [(f, level / unit[f.number], e / unit[f.number]) for f, level, e in levels]
+    rise, doubt = dark_rise(at_lowest, recorded.jitter)
     known = (rise, doubt) if rise > 3 * doubt else (0.0, 0.0)
-    shortest = {g: _shortest(d for d in levels if d[0].group == g) for g in {f.group for f, _, _ in levels}}
-    least = min(shortest.values())
-    judged = [g for g in sorted(shortest) if alike(shortest[g], least) or np.isfinite(doubt)]
-    scores = [_black_of(tuple(f for f in fields if f.group == g), recorded, *known) for g in judged]
+    groups = [[d for d in levels if d[0].group == g] for g in sorted({f.group for f, _, _ in levels})]
+    least = _shortest(levels)
+    judged = [d for d in groups if alike(_shortest(d), least) or np.isfinite(doubt)]
+    scores = [_black_of(d, unit[d[0][0].number], recorded, *known) for d in judged]
     worst = min(scores, key=lambda s: s.log_p)
     return worst.replace(log_p=min(worst.log_p + float(np.log(len(scores))), 0.0))
 
@@ -132,9 +142,11 @@ def _shortest(levels: Iterable[tuple[Fields, np.ndarray, float]]) -> float:
     return min((f.exposure_s or 0.0) for f, _, _ in levels)
 
 
-def _black_of(fields: tuple[Fields, ...], recorded: Recorded, rise: float, doubt: float) -> Score:
-    """The same at one gain setting, where darks rise by so much a second, DN of the lowest one."""
-    levels, unit = dark_levels(tuple(native(f) for f in fields)), fields[0].unit
+def _black_of(
+    levels: list[tuple[Fields, np.ndarray, float]], unit: float, recorded: Recorded, rise: float, doubt: float
+) -> Score:
+    """The same of the darks of one gain setting, which rise by so much a second, DN of the lowest one."""
+    fields = tuple(f for f, _, _ in levels)
     seconds = _shortest(levels) * unit
     difference, error, frames = _off_stated(levels, recorded)
     jitter = recorded.jitter * unit**2

@@ -272,8 +272,6 @@ _MOST_VARIED = 10.0
 """Standard deviation of pixels' own charge over the mean of all, from which on they are no scatter of it."""
 _NONE_LEFT = 0.02
 """Share of pixels with less than no charge, up to which it is their noise that made them so."""
-
-
 _SURELY_BELOW, _FEW_BELOW = 3.0, 5e-3
 """Standard errors by which a pixel has less than no charge, and the share of pixels up to which that is
 chance: of normal errors it is 1.3e-3."""

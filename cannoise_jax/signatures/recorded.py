@@ -12,8 +12,6 @@ from cannoise_jax.physics.transfer.baseline import Baseline
 
 _ANOTHER_GAIN = 1.2
 """Gain over another from which on strengths at both are told apart."""
-
-
 _ANOTHER_EXPOSURE = 1.01
 """Exposure over another from which on they differ by more than how they are written."""
 

@@ -19,6 +19,7 @@ from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.group_sums import area_sums
 from cannoise_jax.signatures.handed import Addition, Found
+from cannoise_jax.signatures.levels import from_means
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score, chi2_log_sf
@@ -231,10 +232,7 @@ def _dark_current(fields: tuple[Fields, ...]) -> float:
     darks = [f for f in fields if f.kind in DARK and f.exposure_s is not None and f.usable.any()]
     x = np.array([float(f.exposure_s or 0.0) for f in darks])
     y = np.array([float(np.median(f.mean[f.usable])) for f in darks])
-    group = np.array([f.group for f in darks], int)
-    for g in np.unique(group):  # each gain setting has a black level of its own
-        mine = group == g
-        x[mine] = x[mine] - np.mean(x[mine]) if np.ptp(x[mine]) else 0.0
+    x = from_means(x, np.array([f.group for f in darks], int), np.ones(x.shape))
     return float(x @ y / (x @ x)) if np.any(x) else 0.0
 
 

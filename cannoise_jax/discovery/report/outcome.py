@@ -11,6 +11,7 @@ from cannoise_jax.discovery.compare.report import difference_document
 from cannoise_jax.discovery.proof.gate import Gated, Tried
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
+from cannoise_jax.physics.core.settings import black_levels
 
 _SURE = 3.0
 """Standard errors of the mean gain of the sites from which on noise counts as growing with the light."""
@@ -27,7 +28,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
         diagnosis.first.isos[b.iso]: bool(b.gain.sum() > _SURE * np.linalg.norm(b.gain_stderr))
         for b in diagnosis.first.baselines
     }
-    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e)
+    gain, read, black = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e), black_levels(model)
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
     return [
         {
@@ -36,7 +37,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
             "read_noise_e": read[n],
             "read_noise_dn": gain[n] * read[n],
             "shot_noise": next((known for number, known in grows.items() if np.isclose(number, iso)), True),
-            "black_dn": np.asarray(model.black_level) + np.asarray(model.black_beyond)[n],
+            "black_dn": black[n],
             "black_beyond": [
                 {
                     "exposure_s": f.parameters["exposure_s"],

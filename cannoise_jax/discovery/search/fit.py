@@ -7,7 +7,7 @@ sooner, but no frame is left to confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +33,8 @@ each that is hit by charge its neighbours go, a ninth of them at least being tho
 class Step(NamedTuple):
     """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
     with all other accepted mechanisms in the model; of one that is kept for what would be found in its stead,
-    as it was accepted. late: it took all frames together to see it. left: the
-    fields with everything taken out that was accepted."""
+    as it was accepted. late: it took all frames together to see it. left: the fields with everything taken
+    out that was accepted."""
 
     named: Named
     before: tuple[Fields, ...]
@@ -102,9 +102,9 @@ def stepwise(
 ) -> Fitted:
     """Accepts the best-supported mechanism, takes it out, refits, and looks again until nothing is rejected.
     What the final model does not need any more is given up again, the least needed first; pixels that stand
-    out only where nothing else is found in their stead. every: the fields
-    of all frames, for a second look at what is suspected; without it all of alpha is spent on the first.
-    located: the first pass of the battery, where it was run already.
+    out only where nothing else is found in their stead. every: the fields of all frames, for a second look
+    at what is suspected; without it all of alpha is spent on the first. located: the first pass of the
+    battery, where it was run already.
     """
     share = SHARED.looking if every else 1.0
     first = last = located or locate(fields, signatures)
@@ -115,10 +115,7 @@ def stepwise(
     needed: set[str] = set()
     while True:
         steps, fields, last = _forward(search, steps, fields, last, given_up)
-        final = tuple(
-            old if old.named.signature.name in needed else new
-            for old, new in zip(steps, _in_final_model(steps, first.tests), strict=True)
-        )
+        final = _in_final_model(steps, first.tests, needed)
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
         if not weak:
             late = None
@@ -320,15 +317,15 @@ def _bearing(
     return out[::-1]
 
 
-def _in_final_model(steps: list[Step], tests: float) -> tuple[Step, ...]:
+def _in_final_model(steps: list[Step], tests: float, needed: Set[str]) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
-    that the others leave nothing to look at keeps the p-value of its step. What is left of an effect that is
-    known but approximately, and has no name, does not make it superfluous."""
+    that the others leave nothing to look at, or that is `needed`, keeps the p-value of its step. What is left
+    of an effect that is known but approximately, and has no name, does not make it superfluous."""
     changed = [_changed(step.before, after.before) for step, after in zip(steps, steps[1:], strict=False)]
 
     def alone(k: int) -> Step:
         step = steps[k]
-        if step.late:
+        if step.late or step.named.signature.name in needed:
             return step
         fields, approximate = step.before, step.named.signature.approximate
         taken = [

@@ -22,7 +22,7 @@ from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.physics.core.settings import black_at
+from cannoise_jax.physics.core.settings import black_at, with_black_levels
 from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.recordings.recording import CaptureSet, per_channel
 from cannoise_jax.signatures.handed import Addition, Found
@@ -90,7 +90,7 @@ def extended_model(
 def _levelled(model: SensorModel, bare: SensorModel) -> SensorModel:
     """The model with the black levels of another one."""
     levels = np.stack([np.asarray(black_at(bare, iso)) for iso in np.asarray(model.iso)])
-    return dataclasses.replace(model, black_level=levels[0], black_beyond=levels - levels[0])
+    return with_black_levels(model, levels)
 
 
 def _merged(

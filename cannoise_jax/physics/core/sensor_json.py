@@ -25,7 +25,7 @@ import numpy as np
 from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
 from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
-from cannoise_jax.physics.core.settings import IsoTable
+from cannoise_jax.physics.core.settings import IsoTable, black_levels
 from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.recording import BadInput
@@ -123,7 +123,6 @@ def sensor_document(model: SensorModel) -> dict[str, Any]:
     """The model as plain JSON values; of the maps only the names."""
     table = (model.iso, model.gain_dn_per_e, model.read_noise_e, model.black_beyond)
     rows = zip(*map(np.asarray, table), strict=True)
-    first = np.asarray(model.black_level)
     return {
         "schema": SCHEMA,
         "camera": model.camera,
@@ -136,9 +135,9 @@ def sensor_document(model: SensorModel) -> dict[str, Any]:
                 "iso": _plain(iso),
                 "gain_dn_per_e": _plain(gain),
                 "read_noise_e": _plain(read),
-                **({"black_level": _plain(first + beyond)} if np.any(beyond) else {}),
+                **({"black_level": _plain(black_levels(model)[n])} if np.any(beyond) else {}),
             }
-            for iso, gain, read, beyond in rows
+            for n, (iso, gain, read, beyond) in enumerate(rows)
         ],
         "mechanisms": [_mechanism(i, fitted) for i, fitted in enumerate(model.mechanisms)],
         **_unit(model.unit_key),

@@ -133,6 +133,17 @@ def black_at(model: Any, iso) -> Float[Array, "4"]:
     return jnp.asarray(model.black_level) + more
 
 
+def black_levels(model: Any) -> Float[np.ndarray, "n 4"]:
+    """Black level at every tabulated ISO, DN, of a model that is not traced."""
+    return np.asarray(model.black_level, np.float64) + np.asarray(model.black_beyond, np.float64)
+
+
+def with_black_levels(model: Any, levels: Float[np.ndarray, "n 4"]) -> Any:
+    """The model with these black levels, DN, of its ISOs."""
+    first, beyond = levels[0].astype(np.float32), (levels - levels[0]).astype(np.float32)
+    return dataclasses.replace(model, black_level=first, black_beyond=beyond)
+
+
 def context_of(model: Any, clean: Float[Array, "t h w"], settings: Settings) -> Context:
     """The context of a clean mosaic [T or 1, H, W] at a setting."""
     size = (clean.shape[-2], clean.shape[-1])

@@ -22,6 +22,7 @@ from scipy import special, stats
 from cannoise_jax.physics.core.chain import mechanism_key
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
+from cannoise_jax.physics.core.settings import black_levels, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge, noise
@@ -98,17 +99,13 @@ def without_charge(model: SensorModel, exposures: Sequence[float], size: tuple[i
     """
     gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
     read2 = np.asarray(read, np.float64) ** 2
-    levels = np.asarray(model.black_level, np.float64) + np.asarray(model.black_beyond, np.float64)
+    levels = black_levels(model)
     for n, seconds in enumerate(exposures):
         spread = _charge(model, lambda f: _is_charge(f) and not _is_heat(f), n, seconds, size)
         read2[n] = np.maximum(read2[n] - gain[n] * spread, 0.01 * read2[n])
         levels[n] -= _charge(model, _is_charge, n, seconds, size)
-    return dataclasses.replace(
-        model,
-        black_level=levels[0].astype(np.float32),
-        black_beyond=(levels - levels[0]).astype(np.float32),
-        read_noise_e=(np.sqrt(read2) / gain).astype(np.float32),
-    )
+    quiet = (np.sqrt(read2) / gain).astype(np.float32)
+    return dataclasses.replace(with_black_levels(model, levels), read_noise_e=quiet)
 
 
 def _charge(
@@ -120,8 +117,7 @@ def _charge(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a dark outside the range of its own calibration is no news
         mean = np.asarray(bare.expected(jnp.zeros(size), at), np.float64)
-    black = np.asarray(model.black_level) + np.asarray(model.black_beyond)[n]
-    return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - black
+    return np.array([float(np.mean(site(mean, c))) for c in range(4)]) - black_levels(model)[n]
 
 
 def without_repetition(
