@@ -94,6 +94,13 @@ def test_no_measured_number_is_typed(page):
     assert not set(numbers) - ALLOWED, "state it in docs/results and cite it"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_no_line_of_a_paragraph_begins_with_a_mark(page):
+    """Markdown takes a line that begins with a comment for the end of the paragraph before it."""
+    text = FENCE.sub("", page.read_text())
+    assert not re.findall(r"^ *(?:- )?<!-- results: \w+\.\w+ -->.*", text, re.MULTILINE)
+
+
 def small(tmp_path, **changes):
     """A checkout with one result, one page that shows it, and one source file."""
     (tmp_path / FOLDER).mkdir(parents=True)

@@ -66,7 +66,7 @@ def block(result: Result, older: bool, root: Path, page: Path) -> str:
         if page.is_relative_to(root / "docs"):  # the site's pages see docs/ as their root
             path = Path(*[".."] * (len(page.relative_to(root / "docs").parts) - 1), figure["file"])
         link = path.as_posix()
-        parts.append(f"[![{figure['caption']}]({link})]({link})\n*{figure['caption']}*")
+        parts.append(f"[![{figure['caption']}]({link})]({link})\n\n*{figure['caption']}*")
     parts += result.notes
     parts.append(origin(result, older))
     return "\n\n".join(parts)
