@@ -12,13 +12,14 @@ were taken out (the best linear unbiased prediction; Robinson 1991, Statistical 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
 
 SCALINGS = ("additive", "signal", "exposure", "codes")
@@ -42,6 +43,14 @@ def shows(field: Fields, scaling: str) -> bool:
     if field.answers.mixed:  # what others share with it was taken out of all
         return True
     return _has(field, scaling)
+
+
+def told(fields: Sequence[Fields], scaling: str) -> bool:
+    """Whether recordings tell of a frozen pattern that scales so at all. Under light alone what grows with
+    the exposure cannot be told from what the light brings: a dark of some exposure has to show it."""
+    return scaling != "exposure" or any(
+        f.kind in DARK and bool(f.exposure_s) and f.static is not None for f in fields
+    )
 
 
 def stays(field: Fields, axis: str, scaling: str) -> Float[np.ndarray, "h w"]:

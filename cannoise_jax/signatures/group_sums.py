@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.signatures.answers import shows, stays
+from cannoise_jax.signatures.answers import shows, stays, told
 from cannoise_jax.signatures.fields import Fields
 
 _FAR = 4.0
@@ -166,7 +166,7 @@ def shared_sums(
     pixels, such as hot ones, are none of groups.
     """
     shown = [(f, f.static) for f in fields if f.static is not None and shows(f, scaling)]
-    if not shown or groups.kin.size < 2:
+    if not shown or groups.kin.size < 2 or not told(fields, scaling):
         return None
 
     def together(kept: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
@@ -179,15 +179,15 @@ def shared_sums(
         root = np.sqrt(information)
         return score / np.maximum(root, 1e-15), root
 
-    told = shown[0][0].answers.lines.get(axis)
-    if told is None:
+    lines = shown[0][0].answers.lines.get(axis)
+    if lines is None:
         values, root = together(1.0)
         kept = ~outlying(values, root, groups)
     else:  # as it was when others of these lines were taken out
-        kept, noise = told
+        kept, noise = lines
     values, root = together(kept)
     pixels = group_pixels(values[None], root, groups)
-    noise = _own_noise(pixels) if told is None else noise
+    noise = _own_noise(pixels) if lines is None else noise
     return SharedSums(groups.sums(values * root) / noise, pixels.information / noise, kept, noise)
 
 

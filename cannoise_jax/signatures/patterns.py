@@ -13,7 +13,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
-from cannoise_jax.signatures.answers import less_map, response, shows, stays
+from cannoise_jax.signatures.answers import less_map, response, shows, stays, told
 from cannoise_jax.signatures.charge_noise import steadied
 from cannoise_jax.signatures.fields import Fields, channel_index, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
@@ -117,7 +117,7 @@ def pixel_sums(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...])
     second."""
     score: np.ndarray | float = 0.0
     information: np.ndarray | float = 0.0
-    for f in fields:
+    for f in fields if told(fields, scaling) else ():
         if f.static is None or f.kind not in kinds or not shows(f, scaling):
             continue
         r = stays(f, "pixel", scaling)

@@ -56,6 +56,14 @@ def test_darks_of_one_frame_look_and_prove_in_turn():
     assert [bool(look) for look, _ in splits] == [True, False, True, False]
 
 
+def test_a_single_frame_does_not_keep_a_pair_of_its_kind_from_looking():
+    short, long = capture_set(55, kinds="d", frames=2).recordings
+    bias = dataclasses.replace(short, kind="bias")
+    single = dataclasses.replace(long, frames=long.frames[:1], exposure_s=1.0)
+    splits = split_recordings(CaptureSet("night", (bias, single, long)))
+    assert [look for look, _ in splits] == [[0, 1], [0], [0, 1]]
+
+
 def test_one_frame_held_back_shows_its_noise_and_what_stays():
     capture = capture_set(51, kinds="df", frames=4)
     splits = split_recordings(capture)

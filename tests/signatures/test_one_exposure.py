@@ -25,6 +25,22 @@ def test_of_two_exposures_it_may_be():
     assert more == {"pixel_thermal_static", "row_thermal_static", "column_thermal_static", "dark_level"}
 
 
+def fields_of(*exposures: tuple[str, float]):
+    drawn = white(np.random.default_rng(1), kinds=tuple(kind for kind, _ in exposures))
+    return tuple(f._replace(exposure_s=s) for f, (_, s) in zip(drawn, exposures, strict=True))
+
+
+@pytest.mark.parametrize("name", ["pixel_thermal_static", "row_thermal_static", "column_thermal_static"])
+def test_light_alone_does_not_show_what_grows(name):
+    """A flat of some seconds beside a bias: its pattern may as well be of the light."""
+    look = next(s for s in signatures(RECORDED._replace(seconds=(0.0, 20.0))) if s.name == name)
+    lit, dark = ("flat", 20.0), ("dark", 60.0)
+    assert look.score(fields_of(("bias", 0.0), lit)) is None
+    assert look.score(fields_of(("bias", 0.0), lit, dark)) is not None
+    single = fields_of(("bias", 0.0), lit, dark)
+    assert look.score((*single[:2], single[2]._replace(static=None))) is None
+
+
 @pytest.mark.parametrize("number", range(1, 8))
 def test_darks_of_one_exposure_have_no_slope(number):
     """Means of equal numbers differ from them by rounding."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,18 +37,19 @@ def split_frames(count: int) -> tuple[list[int], list[int]]:
 
 def split_recordings(capture: CaptureSet) -> list[tuple[list[int], list[int]]]:
     """Frames of every recording that look for effects, and those that prove. Recordings that cannot be split
-    look and prove in turn, those of each kind by themselves; the first dark of every gain setting looks, for
-    without it neither black level nor read noise of that setting are known. Of long ones `MOST_FRAMES` in all
-    are used, spread evenly."""
-    out, short = [], dict.fromkeys({r.kind for r in capture.recordings}, 0)
+    look and prove in turn, those of each kind by themselves, and by themselves those of one frame, which show
+    no noise; the first dark of every gain setting looks, for without it neither black level nor read noise of
+    that setting are known. Of long ones `MOST_FRAMES` in all are used, spread evenly."""
+    out, short = [], Counter[tuple[str, bool]]()
     known: set[float | None] = set()
     for r in capture.recordings:
         used = np.unique(np.linspace(0, r.count - 1, min(r.count, MOST_FRAMES)).round().astype(int))
         look, show = ([int(used[n]) for n in part] for part in split_frames(used.size))
         if not show:
             needed = r.kind in DARK and len(look) > 1 and r.iso not in known
-            look, show = (look, show) if needed or short[r.kind] % 2 == 0 else (show, look)
-            short[r.kind] += 1
+            alike = r.kind, len(look) > 1
+            look, show = (look, show) if needed or short[alike] % 2 == 0 else (show, look)
+            short[alike] += 1
         known |= {r.iso} if len(look) > 1 and r.kind in DARK else set()
         out.append((look, show))
     return out
