@@ -120,6 +120,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     from cannoise_jax.recordings.folders.store import capture_of
 
     check_place(arguments.out / "sensor.json")
+    if arguments.out.resolve() == arguments.recordings.resolve():
+        raise BadInput(f"{arguments.out}: holds the recordings: name another folder for the report")
     # What flags name is looked up before minutes are spent on the recordings.
     simulator = arguments.simulator
     if _is_function(simulator):
@@ -140,6 +142,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     import jax
 
     from cannoise_jax.discovery.diagnose import diagnose
+    from cannoise_jax.discovery.report.outcome import not_measured
     from cannoise_jax.discovery.report.save import save
 
     found = diagnose(
@@ -151,7 +154,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         mechanisms=mechanisms,
         tell=tell,
     )
-    for words in _stated_gains(found):
+    for words in (*not_measured(found), *_stated_gains(found)):
         print(f"bin/diagnose: {words}", file=sys.stderr, flush=True)
     report = save(
         found,

@@ -26,7 +26,10 @@ _KIND = {word: kind for kind, words in _WORDS.items() for word in words}
 def kinds_in(text: str) -> set[str]:
     """The kinds that the words of a text name; accents do not matter."""
     plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
-    # "gain100_offset50" is a setting of the camera, no bias.
+    # "gain100_offset50" is a setting of the camera, "Offset_0001" the first bias.
+    numbered = re.match(r"(?i)offsets?[ _-]*\d+", plain)
+    if numbered and not re.search(r"[A-Za-z]{2}", plain[numbered.end() :]):
+        return {"bias"}
     parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+", re.sub(r"(?i)offset[ _-]?\d+", "", plain))
     stems = (re.sub(r"(frame|field)?s?$", "", p.lower()) or p.lower() for p in parts)
     return {_KIND[stem] for stem in (*stems, *(p.lower() for p in parts)) if stem in _KIND}

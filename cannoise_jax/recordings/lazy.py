@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,16 @@ def read_stack(read_one: Callable[[int], np.ndarray], shape: tuple[int, ...], in
     if chosen.size == 0:
         return read_one(0)[tuple(rest)][None][:0]
     return np.stack([read_one(int(number))[tuple(rest)] for number in chosen])
+
+
+def chosen(array: Any, numbers: tuple[int, ...]) -> LazyArray:
+    """The images of these numbers, in that order, of an array or a view of one."""
+    shape = (len(numbers), *array.shape[1:])
+    return LazyArray(partial(_read_chosen, array, numbers, shape), shape, np.dtype(array.dtype))
+
+
+def _read_chosen(array: Any, numbers: tuple[int, ...], shape: tuple[int, ...], index: Any) -> np.ndarray:
+    return read_stack(lambda at: np.asarray(array[numbers[at]]), shape, index)
 
 
 def kept(array: LazyArray, most: int) -> LazyArray:

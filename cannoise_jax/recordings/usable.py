@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import checked, chunks
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Frames, Recording
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
@@ -136,14 +134,5 @@ def _check_size(recording: Recording) -> None:
 def _only(recording: Recording, numbers: list[int]) -> Recording:
     clean: Any = recording.clean
     if clean is not None and clean.ndim == 3:
-        clean = _view(clean, numbers)
-    return dataclasses.replace(recording, frames=_view(recording.frames, numbers), clean=clean)
-
-
-def _view(frames: Frames, numbers: list[int]) -> LazyArray:
-    shape = (len(numbers), *frames.shape[1:])
-    return LazyArray(partial(_read, frames, tuple(numbers), shape), shape, np.dtype(frames.dtype))
-
-
-def _read(frames: Frames, numbers: tuple[int, ...], shape: tuple[int, ...], index: Any) -> np.ndarray:
-    return read_stack(lambda at: np.asarray(frames[numbers[at]]), shape, index)
+        clean = chosen(clean, tuple(numbers))
+    return dataclasses.replace(recording, frames=chosen(recording.frames, tuple(numbers)), clean=clean)

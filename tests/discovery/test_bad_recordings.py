@@ -11,7 +11,7 @@ import pytest
 from cannoise_jax import diagnose
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
-from cannoise_jax.discovery.report.outcome import baseline
+from cannoise_jax.discovery.report.outcome import baseline, not_measured
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import baseline_model
@@ -49,6 +49,36 @@ def of_first(capture, **fields):
 def test_names_that_are_none_are_refused_in_one_line(more, said):
     with pytest.raises(TypeError, match=said):
         diagnose(capture_set(1, kinds="d"), **more)
+
+
+@pytest.mark.parametrize("fields, said", [({"camera": "other"}, "several cameras"),
+                                          ({"cfa": "BGGR"}, "several colour orders")])  # fmt: skip
+def test_recordings_of_two_sensors_are_refused(fields, said):
+    with pytest.raises(BadInput, match=said):
+        diagnose(of_first(capture_set(1, kinds="df"), **fields))
+
+
+def test_single_frames_calibrate_nothing():
+    with pytest.raises(BadInput, match="every recording is of one frame"):
+        diagnose(capture_set(1, kinds="df", frames=1))
+
+
+def test_what_the_baseline_lacks_is_said():
+    """Flats whose values pile up at the highest code tell no gain, darks alone neither; flats alone no read
+    noise."""
+    whole = diagnose(capture_set(2, kinds="df", frames=4, size=SIZE), compare=False)
+    assert not_measured(whole) == []
+    assert (
+        {b["gain_measured"] for b in baseline(whole)}
+        == {b["read_noise_measured"] for b in baseline(whole)}
+        == {True}
+    )
+    darks = not_measured(diagnose(capture_set(2, kinds="d", frames=4, size=SIZE), compare=False))
+    assert len(darks) == 1 and "was not measured, that of the files stands" in darks[0]
+    capture = capture_set(2, kinds="f", frames=4, size=SIZE)
+    one = CaptureSet(capture.camera, capture.recordings[-1:])
+    lit = not_measured(diagnose(one, compare=False))
+    assert any("read noise at ISO 100 was not measured" in line for line in lit)
 
 
 @pytest.mark.parametrize("value", ["text", None, [[1, 2], [3]]])

@@ -338,3 +338,27 @@ def test_recordings_with_and_without_an_iso_make_one_model():
     # Settings of a model ascend; the one that states no ISO stands below those that do.
     assert np.ravel(model.iso).tolist() == [50.0, 100.0]
     np.testing.assert_allclose(np.asarray(model.gain_dn_per_e), GAIN, rtol=0.1)
+
+
+@pytest.mark.parametrize("sigmas", [1.0, 3.0])
+def test_flats_at_the_highest_code_do_not_tell_the_gain(sigmas):
+    """Of pixels that never touch it the upper end of the noise is lost."""
+    rng = np.random.default_rng(3)
+    electrons = 1500.0
+    white = np.floor(BLACK + GAIN * (electrons + sigmas * np.sqrt(electrons + READ**2)))
+    dark = recording(rng, 0.0, white_level=white)
+    near = recording(rng, electrons, kind="flat", white_level=white)
+    assert isinstance(transfer(near, dark).baseline, NotMeasurable)
+    # Beside a dimmer one they do no harm.
+    dim = recording(rng, 700.0, kind="flat", white_level=white)
+    for outcome in transfer(near, dim, dark).outcomes("system gain"):
+        assert isinstance(outcome, Estimate) and outcome.value == pytest.approx(GAIN, rel=0.06)
+
+
+def test_light_that_drifts_leaves_the_gain():
+    rng = np.random.default_rng(4)
+    levels = 1000.0 * 1.25 ** np.arange(6)
+    flat = recording(rng, np.broadcast_to(levels[:, None, None], (6, 96, 128)), frames=6, kind="flat")
+    gains = [o.value for o in transfer(flat, recording(rng, 0.0)).outcomes("system gain")]
+    # The harmonic mean of the light is 0.87 of the mean.
+    assert np.mean(gains) == pytest.approx(GAIN, rel=0.04)

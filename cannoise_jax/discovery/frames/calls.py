@@ -14,7 +14,7 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 def checked_capture(capture: Any) -> CaptureSet:
     """The capture set as given. Raises TypeError for anything else, BadInput for one without recordings,
-    or with some that hold no arrays."""
+    with some that hold no arrays, or of several cameras or colour orders."""
     if not isinstance(capture, CaptureSet):
         raise TypeError(
             f"capture is a {type(capture).__name__}: expected a CaptureSet, of load_capture_set(folder) or "
@@ -27,6 +27,11 @@ def checked_capture(capture: Any) -> CaptureSet:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings")
     for recording in capture.recordings:
         check_fields(recording)
+    place = capture.path or capture.camera
+    for name, what in (("camera", "cameras"), ("cfa", "colour orders")):
+        values = list(dict.fromkeys(str(getattr(r, name)) for r in capture.recordings))
+        if len(values) > 1:
+            raise BadInput(f"{place}: recordings of several {what} ({', '.join(values)}): give those of one")
     return capture
 
 

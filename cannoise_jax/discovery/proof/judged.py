@@ -51,7 +51,12 @@ def opened(
     key: Key[Array, ""],
     tell: Callable[[str], None],
 ) -> Judged:
-    """The simulator as it is judged. Raises BadInput for one that cannot be."""
+    """The simulator as it is judged. Raises BadInput for one that cannot be, or not be calibrated."""
+    if simulator == CALIBRATED and not any(r.count > 1 for r in capture.recordings):
+        raise BadInput(
+            f"{capture.path or capture.camera}: every recording is of one frame, and one shows no noise: "
+            "record two or more of each setting, or compare with a --simulator that is calibrated"
+        )
     if simulator == STATED and not any(r.shot and r.read for r in capture.recordings):
         raise BadInput(
             f"{capture.path or 'recordings'}: state no shot and read: use --simulator {CALIBRATED}"

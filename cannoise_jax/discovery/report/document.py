@@ -56,7 +56,8 @@ def document(
       of every recording, and the files of one that was made from single files, each with its own: then sha256
       is that of all, end to end.
     verdict: see `verdict`.
-    baseline: of the simulator that is handed back; gate: how it was chosen.
+    baseline: of the simulator that is handed back; not_measured: what of it was not, a line each; gate: how
+      it was chosen.
     remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain.
     testable: ids; not_testable: mechanism and needs, what to record.
       Every id that the run may name is in exactly one of them, and every testable one in findings or
@@ -112,6 +113,7 @@ def document(
             "inputs": inputs,
             "verdict": diagnosis.verdict,
             "baseline": outcome.baseline(diagnosis),
+            "not_measured": outcome.not_measured(diagnosis),
             "testable": [*diagnosis.testable, *also],
             "not_testable": [
                 {"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable if id not in also

@@ -9,10 +9,14 @@ import numpy as np
 
 from cannoise_jax.discovery.compare.report import difference_document
 from cannoise_jax.discovery.proof.gate import Gated, Tried
+from cannoise_jax.discovery.proof.judged import CALIBRATED
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.settings import black_levels
+from cannoise_jax.recordings.recording import DARK
 
+_KNOWN = 0.5
+"""Relative error of a read noise that only flats tell, up to which it counts as measured."""
 _SURE = 3.0
 """Standard errors of the mean gain of the sites from which on noise counts as growing with the light."""
 
@@ -21,8 +25,9 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was
     found (DN), where they do. shot_noise: whether noise grows with the light: where it does not, as a
-    bolometer's, gain and read noise in electrons are no measurements. The ISO is None where no file states
-    one, and not the stand-in by which a camera model knows that gain."""
+    bolometer's, gain and read noise in electrons are no measurements. gain_measured, read_noise_measured:
+    see `measured`. The ISO is None where no file states one, and not the stand-in by which a camera model
+    knows that gain."""
     model = diagnosis.model
     grows = {
         diagnosis.first.isos[b.iso]: bool(b.gain.sum() > _SURE * np.linalg.norm(b.gain_stderr))
@@ -30,9 +35,12 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     }
     gain, read, black = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e), black_levels(model)
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
+    told = measured(diagnosis)
     return [
         {
             "iso": stated.get(iso, iso),
+            "gain_measured": told.get(stated.get(iso, iso), (True, True))[0],
+            "read_noise_measured": told.get(stated.get(iso, iso), (True, True))[1],
             "gain_dn_per_e": gain[n],
             "read_noise_e": read[n],
             "read_noise_dn": gain[n] * read[n],
@@ -49,6 +57,37 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
         }
         for n, iso in enumerate(np.asarray(model.iso).tolist())
     ]
+
+
+def measured(diagnosis: Result) -> dict[float | None, tuple[bool, bool]]:
+    """Of every ISO whether its gain, and whether its read noise, was measured; else the baseline has what the
+    files state, or a gain of one. True of a simulator that was handed over."""
+    if diagnosis.simulator != CALIBRATED:
+        return {}
+    dark = {r.iso for r in diagnosis.capture.recordings if r.kind in DARK and r.count > 1}
+    out: dict[float | None, tuple[bool, bool]] = {}
+    for b in diagnosis.first.baselines:
+        known = b.read_stderr > 0
+        sure = bool(np.all(known & (b.read_stderr < _KNOWN * b.read_noise)))
+        out[b.iso] = bool(np.any(b.gain_stderr > 0)), b.iso in dark or sure
+    return out
+
+
+def not_measured(diagnosis: Result) -> list[str]:
+    """A line for every ISO of which the baseline was not measured: what, and what to record."""
+    out = []
+    for iso, (gain, read) in measured(diagnosis).items():
+        at = "" if iso is None else f" at ISO {iso:g}"
+        if not gain:
+            stated = any(r.shot for r in diagnosis.capture.recordings if r.iso == iso)
+            what = "that of the files stands" if stated else "1 DN/e- stands"
+            out.append(
+                f"the gain{at} was not measured, {what} in its place: record two or more flats of an even "
+                "light, dimmer than the white level"
+            )
+        if not read:
+            out.append(f"the read noise{at} was not measured: record two or more darks of a short exposure")
+    return out
 
 
 def shares(diagnosis: Result, listed: list[int]) -> tuple[list[float | None], float]:

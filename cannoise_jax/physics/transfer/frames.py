@@ -102,6 +102,17 @@ def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
     yield from _steady(s.recording, s.row_means, s.relative)
 
 
+def of_variance(s: FrameStatistics) -> Float[np.ndarray, "H W"]:
+    """The level that the variance of every pixel belongs to, over its mean level: one, but for flats whose
+    rows were scaled to their harmonic mean, which under a light that drifts lies below the mean."""
+    size = s.recording.size
+    if not s.relative:
+        return np.ones(size)
+    signal = _row_signal(s.recording, s.row_means)
+    ratio = 1 / (np.mean(1 / signal, axis=0) * np.mean(signal, axis=0))
+    return ratio[:, np.arange(size[1]) % 2]
+
+
 def _row_signal(recording: Recording, rows: Float[np.ndarray, "T H 2"]) -> Float[np.ndarray, "T H 2"]:
     black = np.asarray(recording.black_level).reshape(2, 2)
     return rows - np.stack([black[np.arange(rows.shape[1]) % 2, p] for p in (0, 1)], -1)

@@ -13,18 +13,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
-from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
+from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line, median_quotient
 from cannoise_jax.physics.transfer.frames import (
     FrameStatistics,
     frame_statistics,
+    of_variance,
     pixel_variance,
     with_all_sites,
 )
 from cannoise_jax.physics.transfer.quantities import (
+    DIMMER,
     RECORD_DARKS,
     RECORD_FLATS,
     Quantity,
@@ -40,6 +43,12 @@ from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosai
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
 _LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
+_FROM_RAIL = 4.0
+"""Standard deviations of its noise that a pixel's mean has to lie below the code at which values pile up: of
+pixels nearer to it those that never touched it have lost the upper end of their noise. One value in thirty
+thousand is beyond."""
+_ENOUGH = 0.05
+"""Share of the pixels of a channel that have to be left of a recording."""
 
 
 @dataclass(frozen=True)
@@ -186,8 +195,10 @@ def _levels(
         if s.variance is not None and s.level[c] < _LINEAR * (s.recording.white_level - black[c])
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
-        signal, variance = site(s.mean, c) - black[c], pixel_variance(s, c)
-        levels.append(ChannelMaps(signal, variance, ~site(s.clipped, c), s.recording.count, s.dof, False))
+        signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
+        usable = _below_rail(s, variance, c)
+        if usable.mean() > _ENOUGH:
+            levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
         # Charge that a longer dark holds beyond black has shot noise like any other.
         charge = max(float(dark.frame_means[:, c].mean()) - black[c], 0.0)
@@ -200,14 +211,28 @@ def _levels(
     return levels
 
 
+def _below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels of a channel whose noise ends well below the code at which its values pile up."""
+    usable = ~site(s.clipped, c)
+    top = np.fmin(s.high[c], s.recording.white_level)
+    near = usable & (site(s.mean, c) > _LINEAR * top)
+    if not near.any():
+        return usable
+    sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))
+    return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
+
+
 def _line(
     lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, step: float, c: int
 ) -> Line | NotMeasurable:
     if not any(s.variance is not None for s in lit):
         return NotMeasurable(RECORD_FLATS)
-    line = fit_line(_levels(lit, dark, black, step, c), step**2 / 12)
+    levels = _levels(lit, dark, black, step, c)
+    if all(level.known_signal for level in levels):
+        return NotMeasurable(DIMMER)
+    line = fit_line(levels, step**2 / 12)
     if line is None or not line.sure:
-        reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}; {RECORD_FLATS}"
+        reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}, or flats of several levels"
         return NotMeasurable(reason)
     return line
 

@@ -40,6 +40,7 @@ from cannoise_jax.recordings.recording import DARK, PerChannel
 _UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden
 
 RECORD_FLATS = "record at least 2 frames of an even, steady light, best at several levels up to saturation"
+DIMMER = "values of all flats pile up at the highest code: record dimmer flats, 2 frames or more"
 RECORD_DARKS = (
     "record at least 2 frames of one exposure with the cap on (one alone shows no noise), best that of flats"
 )

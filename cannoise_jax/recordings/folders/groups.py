@@ -36,7 +36,7 @@ class Group:
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return sum(s.shape[0] for s in self.shots)
+        return sum(s.frames for s in self.shots)
 
     @property
     def size(self) -> tuple[int, int]:

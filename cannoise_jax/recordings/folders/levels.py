@@ -83,7 +83,10 @@ def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:
         return level, f"black level {_four(level)} DN: median of {origin or 'what the files state'}"
     dark = [g for g in groups if g.kind in DARK]
     if not dark:
-        return None, "the black level: add bias or dark frames, or state it with --black-level"
+        return None, (
+            "the black level: add bias or dark frames, without which no read noise is measured either, or "
+            "state it with --black-level"
+        )
 
     def order(group: Group) -> tuple:
         exposure = group.settings["exposure_s"]

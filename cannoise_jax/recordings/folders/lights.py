@@ -16,26 +16,62 @@ from cannoise_jax.recordings.folders.shots import Shot
 JUMP = 0.1
 """Levels above black that lie further apart than this share are of two lights. Lamps flicker by less, and a
 sky that changes so much from one frame to the next gives no repeats."""
+DRIFT = 3.0
+"""Times the dimmest level, up to which frames that all differ are of a light that drifts, as a sky at dusk:
+scaled to one level they still show their noise."""
 
 
 def level_of(shots: Sequence[Shot]) -> float:
     """Median level of the shots, DN, mean over the mosaic's sites."""
-    return float(np.median([np.mean(s.medians) for s in shots]))
+    return float(np.median([np.mean(s.medians) if s.pages is None else _level(s) for s in shots]))
 
 
 def by_light(shots: Sequence[Shot], black: float) -> list[list[Shot]]:
-    """The shots parted where their sorted levels jump, dimmest first; each part in the order given.
+    """The shots parted where their sorted levels jump, dimmest first; each part in the order given. A file
+    whose pages are of several lights is parted likewise, into shots of some of its pages.
 
-    black: level of the darks, DN. Where no part would have two frames, the light drifts from frame to frame:
-    all stay together.
+    black: level of the darks, DN. Where no part would have two frames, and the brightest is not far above the
+    dimmest, the light drifts from frame to frame: all stay together.
     """
-    levels = [level_of([s]) - black for s in shots]
-    order = sorted(range(len(shots)), key=levels.__getitem__)
+    single = [one for shot in shots for one in _pages(shot, black)]
+    levels = [_level(one) - black for one in single]
+    order = sorted(range(len(single)), key=levels.__getitem__)
     parts = [order[:1]]
     for dim, bright in pairwise(order):
-        # Medians are whole codes.
-        if levels[bright] - levels[dim] > max(JUMP * levels[bright], 2 * shots[bright].step):
+        if _jumps(levels[dim], levels[bright], single[bright]):
             parts.append([])
         parts[-1].append(bright)
-    made = [[shots[i] for i in sorted(part)] for part in parts]
-    return made if any(sum(s.shape[0] for s in part) > 1 for part in made) else [list(shots)]
+    drifts = levels[order[-1]] < DRIFT * levels[order[0]]
+    if drifts and not any(sum(single[i].frames for i in part) > 1 for part in parts):
+        return [list(shots)]
+    return [_together([single[i] for i in sorted(part)]) for part in parts]
+
+
+def _jumps(dim: float, bright: float, shot: Shot) -> bool:
+    return bright - dim > max(JUMP * bright, 2 * shot.step)  # medians are whole codes
+
+
+def _level(shot: Shot) -> float:
+    return level_of([shot]) if shot.pages is None else float(shot.levels[shot.pages[0]] or 0.0)
+
+
+def _pages(shot: Shot, black: float) -> list[Shot]:
+    """Each page of a stack by itself where their levels jump, without those that hold no noise; else the
+    shot."""
+    known = {n: level - black for n, level in enumerate(shot.levels) if level is not None}
+    order = sorted(known.values())
+    if not any(_jumps(dim, bright, shot) for dim, bright in pairwise(order)):
+        return [shot]
+    return [shot._replace(pages=(n,)) for n in known]
+
+
+def _together(shots: Sequence[Shot]) -> list[Shot]:
+    """Pages of one file as one shot again."""
+    out: dict[str, Shot] = {}
+    for shot in shots:
+        first = out.get(shot.name)
+        if first is None or first.pages is None or shot.pages is None:
+            out[shot.name] = shot
+        else:
+            out[shot.name] = first._replace(pages=(*first.pages, *shot.pages))
+    return list(out.values())

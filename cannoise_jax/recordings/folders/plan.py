@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, sca
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
+
+_LEFT_OUT = ": left out"
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ def plan_folder(
         stated |= fitting
     kinds, more_notes, more_problems = kinds_of(found.shots, assign, overrides.get("kind"))
     notes, problems = notes + more_notes, problems + more_problems
-    usable = [s for s in found.shots if s.name in kinds]
+    usable, silent = _one_pattern([s for s in found.shots if s.name in kinds])
+    notes += silent
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
     camera = next(iter(named)) if len(named) == 1 else folder_name(Path(folder))
     if usable and not named and "camera" not in overrides:
@@ -96,7 +100,8 @@ def plan_folder(
 def check(plan: Plan) -> None:
     """Raises BadInput, in one line that lists everything, where the plan has problems."""
     if plan.problems:
-        raise BadInput(f"{plan.folder}: " + "; ".join(plan.problems))
+        unusable = [note for note in plan.notes if note.endswith(_LEFT_OUT)]
+        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *unusable)))
 
 
 def text(plan: Plan) -> str:
@@ -120,7 +125,7 @@ def text(plan: Plan) -> str:
 
 
 def _row(group: Group) -> tuple[str, str, str, str]:
-    names = [s.name for s in group.shots]
+    names = [s.title for s in group.shots]
     frames = f"{group.frames} frame{'s' * (group.frames > 1)}"
     return (
         f"{group.label}.h5", frames, _settings(group),
@@ -143,12 +148,26 @@ def _settings(group: Group) -> str:
     return ", ".join([*parts, *([group.filter] if group.filter else [])])
 
 
+def _one_pattern(shots: list[Shot]) -> tuple[list[Shot], list[str]]:
+    """The shots of which some state a colour order with it stated by all: darks are often written without.
+    Where files state several, or a camera that states none is named, nothing is said for the silent ones."""
+    said = {s.known["cfa"] for s in shots if "cfa" in s.known}
+    cameras = {s.known.get("camera") for s in shots}
+    silent = [s for s in shots if "cfa" not in s.known and not s.whole]
+    if len(said) != 1 or len(cameras) > 1 or not silent:
+        return shots, []
+    cfa = said.pop()
+    names = {s.name for s in silent}
+    filled = [s._replace(known={**s.known, "cfa": cfa}) if s.name in names else s for s in shots]
+    return filled, [f"{listed(sorted(names))}: no colour order stated: {cfa}, as the others"]
+
+
 def _notes(found: Scan) -> list[str]:
     notes = [f"{name}: an average, no frame ({why}): left out" for name, why in found.averages]
     by_fault: dict[str, list[str]] = {}
     for name, fault in found.duds:
         by_fault.setdefault(fault, []).append(name)
-    notes += [f"{listed(names)}: {fault}: left out" for fault, names in by_fault.items()]
+    notes += [f"{listed(names)}: {fault}{_LEFT_OUT}" for fault, names in by_fault.items()]
     notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
     by_doubt: dict[str, list[str]] = {}
     for shot in found.shots:
@@ -166,13 +185,16 @@ def _notes(found: Scan) -> list[str]:
 
 
 def _failures(found: Scan) -> list[str]:
-    by_reason: dict[str, list[str]] = {}
-    for name, reason in found.failures:
-        by_reason.setdefault(reason, []).append(name)
-    return [
-        f"{listed(names)}: {reason}; or leave {'them' if len(names) > 1 else 'it'} out with --leave-out"
-        for reason, names in by_reason.items()
-    ]
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for name, reason in found.failures:  # reasons that differ by their numbers are one
+        alike.setdefault(re.sub(r"[-+]?\d[\d.]*", "#", reason), []).append((name, reason))
+    out = []
+    for failed in alike.values():
+        names, reasons = zip(*failed, strict=True)
+        first = "" if len(set(reasons)) == 1 else "the first: "
+        them = "them" if len(names) > 1 else "it"
+        out.append(f"{listed(names)}: {first}{reasons[0]}; or leave {them} out with --leave-out")
+    return out
 
 
 def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]:

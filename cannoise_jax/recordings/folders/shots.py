@@ -33,6 +33,8 @@ class Shot(NamedTuple):
     name: below the folder. whole: a recording that is complete by itself (native or SIDD) and joins no other.
     said: the kind as the header has it, named: as names have it. medians: of the first frame, mosaic order.
     top: highest value. step: common spacing of the first frame's values (1: none). print: of all pixels.
+    levels: median of every frame, DN; None: it holds no noise. pages: the frames that are meant, from 0;
+    None: all of them.
     """
 
     path: Path
@@ -47,6 +49,21 @@ class Shot(NamedTuple):
     top: int
     step: int
     print: int
+    levels: tuple[float | None, ...] = ()
+    pages: tuple[int, ...] | None = None
+
+    @property
+    def frames(self) -> int:
+        """How many are meant."""
+        return self.shape[0] if self.pages is None else len(self.pages)
+
+    @property
+    def title(self) -> str:
+        """The name, with the pages that are meant, counted from 1."""
+        if self.pages is None:
+            return self.name
+        word = "page" if len(self.pages) == 1 else "pages"
+        return f"{self.name} ({word} {', '.join(str(n + 1) for n in self.pages)})"
 
 
 class Scan(NamedTuple):
@@ -185,9 +202,11 @@ def _shot(path: Path, name: str, given: frozenset[str]) -> Shot:
             continue
         (about if field in ("gain_setting", "binning") else known).setdefault(field, value)
     check, top, first, fault = 0, 0, None, None
+    middle: list[float | None] = []
     for number in range(shape[0]):
         frame = np.asarray(opened.frames[number])
         wrong = fault_of(frame)
+        middle.append(None if wrong is not None else float(np.median(frame)))
         if wrong is not None:
             fault = fault or wrong
             continue
@@ -198,7 +217,7 @@ def _shot(path: Path, name: str, given: frozenset[str]) -> Shot:
     sites = [np.median(first[SITES[s]]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)]
     return Shot(
         *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
-        *(per_channel(np.array(sites)), top, _step(first), check),
+        *(per_channel(np.array(sites)), top, _step(first), check, tuple(middle)),
     )
 
 

@@ -20,7 +20,7 @@ from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder, text
 from cannoise_jax.recordings.folders.shots import Tell
 from cannoise_jax.recordings.join import join_recordings
-from cannoise_jax.recordings.lazy import LazyArray
+from cannoise_jax.recordings.lazy import LazyArray, chosen
 from cannoise_jax.recordings.load import (
     SeveralCameras,
     called,
@@ -44,7 +44,7 @@ _KEPT = 6
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
-_LAYOUT = "3"
+_LAYOUT = "4"
 """Of what is cached, and of how folders are sorted: entries of another layout are not used."""
 
 
@@ -143,7 +143,10 @@ def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) ->
     for shot in group.shots:
         opened = open_file(shot.path)
         known = {k: v for k, v in stated(opened.known).items() if k not in ("temperature_c", "exposure_s")}
-        parts.append(_lean(make_recording(shot.path, opened.frames, {**known, **settings}, {}, scan=False)))
+        part = _lean(make_recording(shot.path, opened.frames, {**known, **settings}, {}, scan=False))
+        if shot.pages is not None:
+            part = dataclasses.replace(part, frames=chosen(part.frames, shot.pages))
+        parts.append(part)
     recording = join_recordings(parts)
     white = recording.white_level
     if max(s.top for s in group.shots) > white:  # else they need not be read for it

@@ -7,12 +7,13 @@ import shutil
 
 import numpy as np
 import pytest
+import tifffile
 from astropy.io import fits
 
 from cannoise_jax import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.folders.plan import check, plan_folder, text
-from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
+from cannoise_jax.recordings.folders.store import Options, capture_of, recording_of, write_plan
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
@@ -154,6 +155,68 @@ def test_flats_of_a_sky_that_changes_from_frame_to_frame_stay_together(tmp_path)
         shot(tmp_path / f"flat_b{n}.fits", "flat", electrons=4000 * 1.3**n, FILTER="B",
              IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100")  # fmt: skip
     assert labels(plan_folder(tmp_path))["flat_2s_B"] == 5
+
+
+def pages(path, levels, seed=0):
+    """A stack of one page for each number of electrons, 2 DN/e- above 1000 DN."""
+    rng = np.random.default_rng(seed)
+    light = np.asarray(levels, float)[:, None, None] + np.zeros((len(levels), 24, 32))
+    values = np.rint(1000 + 2 * rng.poisson(light) + rng.normal(0, 4, light.shape)).astype(np.uint16)
+    tifffile.imwrite(path, values, photometric="minisblack")
+
+
+def test_pages_of_several_lights_are_recordings_of_their_own(tmp_path):
+    pages(tmp_path / "flat_series.tif", (500, 500, 4000, 4000, 4000))
+    pages(tmp_path / "flat_channels.tif", (1000, 2000) * 3, seed=1)
+    pages(tmp_path / "dark.tif", (0,) * 4, seed=2)
+    plan = plan_folder(tmp_path, {"camera": "scope"})
+    lit = {g.label: (g.frames, [s.title for s in g.shots]) for g in plan.sets[0].groups if g.kind == "flat"}
+    assert sorted(lit.values()) == [
+        (2, ["flat_series.tif (pages 1, 2)"]),
+        (3, ["flat_channels.tif (pages 1, 3, 5)"]),
+        (3, ["flat_channels.tif (pages 2, 4, 6)"]),
+        (3, ["flat_series.tif (pages 3, 4, 5)"]),
+    ]
+    for group in (g for g in plan.sets[0].groups if g.kind == "flat"):
+        frames = recording_of(group, plan.sets[0], plan.overrides).frames[:]
+        assert frames.shape[0] == group.frames
+        assert np.ptp(np.median(frames, (1, 2))) < 0.1 * np.median(frames)
+
+
+def test_numbered_offsets_are_biases_and_settings_are_none(tmp_path):
+    for n in range(2):
+        shot(tmp_path / f"Offset_000{n}.fits", "bias", EXPTIME=0.0)
+        shot(tmp_path / f"Dark_offset50_000{n}.fits", "dark", EXPTIME=60.0)
+        shot(tmp_path / f"PLU_000{n}.fits", "flat", EXPTIME=2.0)
+    assert {g.kind for g in plan_folder(tmp_path, {"camera": "C"}).sets[0].groups} == {"bias", "dark", "flat"}
+
+
+def test_a_colour_order_that_flats_alone_state_is_that_of_all(tmp_path):
+    night(tmp_path)
+    for n in (3, 4):
+        shot(tmp_path / f"flat_{n}.fits", "flat", BAYERPAT="RGGB",
+             IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100")  # fmt: skip
+    plan = plan_folder(tmp_path)
+    assert len(plan.sets) == 1 and not plan.problems and "RGGB, as the others" in notes(plan)
+
+
+def test_reasons_that_differ_by_a_number_are_said_once(tmp_path):
+    night(tmp_path)
+    for n in range(9):
+        planes = np.stack([np.full((24, 32), 1000 * (k + 1) + n, np.uint16) for k in range(3)])
+        fits.PrimaryHDU(planes).writeto(tmp_path / f"colour_{n}.fits")
+    problems = plan_folder(tmp_path).problems
+    assert len(problems) == 1 and "and 6 more: the first: " in problems[0]
+
+
+def test_a_refusal_says_what_was_left_out(tmp_path):
+    night(tmp_path)
+    for path in tmp_path.glob("flat*"):
+        path.unlink()
+    for n in (1, 2):
+        fits.PrimaryHDU(np.full((24, 32), 65535, np.uint16)).writeto(tmp_path / f"flat_{n}.fits")
+    with pytest.raises(BadInput, match=r"flat_1.fits, flat_2.fits: every pixel is 65535 \(saturated\)"):
+        check(plan_folder(tmp_path))
 
 
 def test_gains_in_short_and_darks_of_unknown_exposures_are_not_joined(tmp_path):
