@@ -8,9 +8,6 @@ patches and noise level functions are its leaves; everything static is its struc
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from flax.errors import FlaxError
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
@@ -30,7 +28,7 @@ from cannoise_jax.physics.core.sensor_entries import model_of
 from cannoise_jax.physics.core.sensor_json import sensor_document
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise, sensors_of
 from cannoise_jax.physics.single_image import estimate_nlf
-from cannoise_jax.recordings.atomic import remove_leftovers
+from cannoise_jax.recordings.described import read_described, write_described
 from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.recording import BadInput
 
@@ -43,6 +41,8 @@ LEVELS = ("estimated", "given", "both")
 """Where the level of the initial noise comes from: the references, whoever asks for noise, or either."""
 _BRIGHTEST, _DARKEST = 4.0, -0.5
 """Median of a clean image beyond which it must be in DN: scenes may pass the white level, not by that."""
+_CHECKED = 64
+"""Side of the image by which shapes are checked: the U-Net halves it five times."""
 _MULTIPLE, _MARGIN = 32, 32
 """G works on multiples of 32; a reflected margin keeps the zero padding of its layers out of the image."""
 
@@ -288,7 +288,6 @@ def save_model(path: str | Path, model: Model) -> None:
         for i, fitted in enumerate(sensor.mechanisms):
             for name, values in fitted.maps.items():
                 arrays[f"sensors/{s}/{i}/{name}"] = np.asarray(values)
-    arrays["description"] = np.array(json.dumps(description))
     for part in ("generator", "encoder"):
         for name, leaf in flatten_dict(getattr(model, part), sep="/").items():
             arrays[f"{part}/{name}"] = np.asarray(leaf)
@@ -297,19 +296,7 @@ def save_model(path: str | Path, model: Model) -> None:
         for j, iso in enumerate(isos):
             setting = model.cameras[name].settings[iso]
             arrays[f"cameras/{i}/{j}"] = np.stack([np.asarray(setting.shot), np.asarray(setting.read)])
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    content = io.BytesIO()
-    np.savez(content, **arrays)
-    try:
-        try:
-            partial.write_bytes(content.getbuffer())
-            os.replace(partial, path)
-            remove_leftovers(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+    write_described(path, description, arrays)
 
 
 def load_model(workdir: str | Path) -> Model:
@@ -323,18 +310,37 @@ def load_model(workdir: str | Path) -> Model:
     if not path.is_file():
         raise BadInput(f"{path}: no such file: train a model first, or name the folder of a trained one")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        _refuse_older(path, arrays)
-        return _model(arrays)
+        description, arrays, sealed = read_described(path)
+        _refuse_older(path, description["format"])
+        model = _model(description, arrays)
+        if not sealed:
+            _check_shapes(model)
+        return model
     except BadInput:
         raise
-    except (*BROKEN_ARRAYS, KeyError, TypeError) as error:
+    except (*BROKEN_ARRAYS, KeyError, TypeError, AttributeError, RecursionError, FlaxError) as error:
         raise BadInput(f"{path}: not a readable model: train it again or name another") from error
 
 
-def _refuse_older(path: Path, arrays) -> None:
-    found = json.loads(str(arrays["description"]))["format"]
+def _check_shapes(model: Model) -> None:
+    """Raises ValueError where the variables are not those that the networks have."""
+    image = jax.ShapeDtypeStruct((1, _CHECKED, _CHECKED, 4), jnp.float32)
+    key = jax.eval_shape(lambda: jax.random.key(0))
+    module, encoder = model.generator_module, model.encoder_module
+    latent = jax.ShapeDtypeStruct((1, 1), jnp.float32)
+    if encoder is not None:
+        told = jax.eval_shape(lambda v, i: encoder.apply(v, i, train=False), model.encoder, image)
+        latent = jax.eval_shape(lambda latents: mean_latent(encoder, latents)[None], told)
+    jax.eval_shape(
+        lambda v, k, i, z: module.apply(v, i, i, z, i, train=False, rngs={"noise": k}),
+        *(model.generator, key, image, latent),
+    )
+    for camera in model.cameras.values():
+        if any(np.min(np.asarray(v)) < 0 for s in camera.settings.values() for v in (s.shot, s.read)):
+            raise ValueError("noise levels below 0")
+
+
+def _refuse_older(path: Path, found: str) -> None:
     if found in _OLDER:
         raise BadInput(
             f"{path}: a model of an older version, whose networks look at other numbers: train it again"
@@ -343,8 +349,7 @@ def _refuse_older(path: Path, arrays) -> None:
         raise ValueError(found)
 
 
-def _model(arrays):
-    description = json.loads(str(arrays.pop("description")))
+def _model(description, arrays):
     parts: dict[str, dict[str, Any]] = {"generator": {}, "encoder": {}}
     for name, value in arrays.items():
         part, _, rest = name.partition("/")

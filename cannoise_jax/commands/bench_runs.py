@@ -56,10 +56,16 @@ class Speed(NamedTuple):
         return (self.effects, *sides, "" if np.isnan(self.ratio) else f"{self.ratio:.2f}")
 
 
+MOST_SIDE = 16384
+"""Pixels; frames of more would not fit the memory."""
+
+
 def run_simulate(arguments: argparse.Namespace) -> None:
     """Speed of the simulator beside others."""
-    if min(arguments.sizes) < 2 or arguments.frames < 1 or arguments.repeats < 1:
-        raise BadInput("simulate: sizes from 2, frames and repeats from 1")
+    if not 2 <= min(arguments.sizes) <= max(arguments.sizes) <= MOST_SIDE:
+        raise BadInput(f"simulate: sizes from 2 to {MOST_SIDE}")
+    if arguments.frames < 1 or arguments.repeats < 1:
+        raise BadInput("simulate: frames and repeats from 1")
     check_table(arguments)
     if not all(0 <= e * GAIN < WHITE - BLACK for e in arguments.electrons):
         raise BadInput(f"simulate: --electrons from 0 to {(WHITE - BLACK) / GAIN:g}, the white level")
@@ -203,8 +209,8 @@ def run_coverage(arguments: argparse.Namespace) -> None:
 
 def run_train(arguments: argparse.Namespace) -> None:
     """Speed of training here."""
-    if min(arguments.batch, arguments.steps) < 1 or arguments.patch < 16 or arguments.patch % 16:
-        raise BadInput("train: --batch and --steps from 1, --patch a multiple of 16")
+    if min(arguments.batch, arguments.steps) < 1 or arguments.patch % 16 or not 16 <= arguments.patch <= 1024:
+        raise BadInput("train: --batch and --steps from 1, --patch a multiple of 16 up to 1024")
     rate = train_speed(arguments.width, arguments.batch, arguments.patch, arguments.steps)
     side = arguments.patch
     print(

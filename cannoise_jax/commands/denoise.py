@@ -216,7 +216,10 @@ def _apply(arguments, argv) -> None:
     check_file(arguments.out, ".npy", arguments.force)
     denoiser = load_denoiser(arguments.denoiser)
     recording = load_recording(arguments.recording)
-    span = np.float32(denoiser.about["gain_dn_per_e"] * denoiser.about["full_scale_e"])
+    about: list[Any] = [denoiser.about.get(name) for name in ("gain_dn_per_e", "full_scale_e")]
+    if not all(isinstance(v, (int, float)) and np.isfinite(v) and v > 0 for v in about):
+        raise BadInput(f"{arguments.denoiser}: states no gain and full scale: train it again")
+    span = np.float32(float(about[0]) * float(about[1]))
     network = applied(denoiser.recipe)
     shape = (recording.count, *recording.size)
     header = {"descr": "<f4", "fortran_order": False, "shape": shape}

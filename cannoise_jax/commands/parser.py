@@ -14,12 +14,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, KINDS
+from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, HOTTEST_C, KINDS
 
 if TYPE_CHECKING:
     from cannoise_jax.recordings.folders.store import Options
 
-HOTTEST_C = 1000.0
 _HIGHEST_DN = 65535.0
 
 
@@ -62,6 +61,8 @@ class OneLineParser(argparse.ArgumentParser):
     def _check_names(self, given: Sequence[str]) -> None:
         known = self._option_string_actions
         for word in takewhile(lambda w: w != "--", given):
+            if word.startswith("--") and word.endswith("=--"):  # argparse takes the value for none at all
+                self.error(f"{word[:-3]}: '--' is no value")
             if self._subparsers is not None and not word.startswith("-"):
                 return  # what follows is the subcommand's
             name = word.partition("=")[0]

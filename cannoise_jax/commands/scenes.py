@@ -105,7 +105,9 @@ def _picture(path: Path, suffix: str) -> np.ndarray:
     from skimage.io import imread
 
     if suffix not in (".tif", ".tiff"):
-        with warnings.catch_warnings(), Image.open(path) as image:
+        from cannoise_jax.recordings.pictures import any_size
+
+        with warnings.catch_warnings(), any_size(), Image.open(path) as image:
             check_claim(path, (image.height, image.width), 1)
     else:
         import tifffile

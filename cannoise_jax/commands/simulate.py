@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file, line_of
-from cannoise_jax.commands.parser import HOTTEST_C, OneLineParser, add_mechanisms_flag, place
-from cannoise_jax.recordings.recording import COLDEST_C, BadInput
+from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place
+from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, BadInput
 
 if TYPE_CHECKING:
     import jax

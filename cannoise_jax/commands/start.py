@@ -5,6 +5,7 @@ Loading a command takes some tenths of a second. Ctrl-C ends it within that time
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -22,6 +23,9 @@ def run(name: str) -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # else it is ignored, as a shell has it for what runs behind
         signal.signal(signal.SIGINT, partial(_end, name))
+    for stream in (sys.stdout, sys.stderr):  # names of files may hold bytes that no text has
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     keep_compiled()
     # The work is shared out above: threads of the library of matrices would fight with those that share it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

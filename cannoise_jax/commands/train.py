@@ -150,6 +150,8 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValue
             values = _flags(arguments, stored)
             rest = values(["bin/train", *arguments])[1:]
             config = values.config
+            if not isinstance(config, ConfigDict):
+                raise BadInput("--config: its get_config() returns no ConfigDict, see configs/default.py")
             config.to_dict()  # a file that could not be loaded says so only when it is looked at
     except flags.UnrecognizedFlagError as error:
         raise BadInput(f"unknown flag --{error.flagname}{_near_flag(error.flagname)}") from error
@@ -205,9 +207,9 @@ def _stored_config(arguments: list[str]) -> Iterator[str | None]:
         return
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
-    if not isinstance(stored, dict):
+    if not isinstance(stored, dict) or not _is_config(stored):
         raise BadInput(f"{path}: holds no config: use another --workdir")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "stored.py"
@@ -216,6 +218,13 @@ def _stored_config(arguments: list[str]) -> Iterator[str | None]:
             f"def get_config():\n    return as_config(json.loads({json.dumps(stored)!r}))\n"
         )
         yield str(file)
+
+
+def _is_config(stored: dict[str, Any]) -> bool:
+    """Whether a stored config has the parts of one, and names that a field may have."""
+    ours = default_config()
+    parts = (name for name in ours if isinstance(ours[name], ConfigDict))
+    return all(isinstance(stored.get(name), dict) for name in parts) and not any("." in k for k in stored)
 
 
 def as_config(stored: dict[str, Any]) -> ConfigDict:

@@ -19,6 +19,7 @@ import numpy as np
 from cannoise_jax.recordings import plausible
 from cannoise_jax.recordings.recording import (
     COLDEST_C,
+    HOTTEST_C,
     KINDS,
     REFERENCES,
     BadInput,
@@ -64,6 +65,8 @@ _CHUNK_BYTES = 64 << 20
 _HIGHEST = 2.0**20
 """DN, sixteen times what stored codes reach: a wrong level is a mistake that can be found, not a reason to
 refuse the frames; beyond that it is damage."""
+_BRIGHTEST = 2.0**20
+"""Of a noise-free image, in white levels: what lies beyond is damage."""
 _MOST_DB = 200.0
 """A factor of ten thousand million; cameras have some fifty decibels."""
 _log = logging.getLogger(__name__)
@@ -124,7 +127,7 @@ def make_recording(
         gain_db=optional_number(path, stated, "gain_db", least=-_MOST_DB, most=_MOST_DB),
         egain=optional_number(path, stated, "egain", least=1e-6),
         exposure_s=optional_number(path, stated, "exposure_s", least=0),
-        temperature_c=optional_number(path, stated, "temperature_c", least=COLDEST_C),
+        temperature_c=optional_number(path, stated, "temperature_c", least=COLDEST_C, most=HOTTEST_C),
         shot=optional_channels(path, stated, "shot", least=0),
         read=optional_channels(path, stated, "read"),
         code_step=code_step_of(path, stated),
@@ -255,9 +258,12 @@ def _checked_clean(path: str | Path, frames: Frames, clean: Any, scan: bool) -> 
         )
     if clean.dtype.kind not in "fiu":
         raise BadInput(f"{path}: clean is {clean.dtype}: expected float32, (DN - black) / (white - black)")
-    bad = sum(int(np.count_nonzero(~np.isfinite(part))) for part in chunks(clean)) if scan else 0
+    bad = sum(int(np.count_nonzero(~(np.abs(part) < _BRIGHTEST))) for part in chunks(clean)) if scan else 0
     if bad:
-        raise BadInput(f"{path}: clean holds {bad} NaN or infinite values: mend or leave out the reference")
+        raise BadInput(
+            f"{path}: clean holds {bad} values that are NaN, infinite or beyond {_BRIGHTEST:g} times the "
+            "white level: mend or leave out the reference"
+        )
     return clean
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import zipfile
 import zlib
@@ -19,7 +20,7 @@ MOST_PIXELS = 1 << 30
 _DENSEST = 2000
 """No compression that the formats use packs more bytes than this into one (deflate: 1032)."""
 BROKEN_ARRAYS = (
-    *(OSError, ValueError, EOFError, SyntaxError, TokenError, NotImplementedError),
+    *(OSError, ValueError, EOFError, SyntaxError, TokenError, NotImplementedError, RuntimeError),
     *(zlib.error, zipfile.BadZipFile),
 )
 """What NumPy raises over NPY and NPZ files that are damaged or no such files."""
@@ -49,6 +50,20 @@ class Opened(NamedTuple):
     frames: Frames
     known: dict[str, Any]
     about: Mapping[str, Any] = {}
+
+
+def json_of(text: str) -> Any:
+    """What a text in JSON holds. Raises ValueError, also for a name that is stated twice in one object: which
+    of both is meant nobody can tell. Raises RecursionError for what is nested too deep."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        names = [name for name, _ in pairs]
+        twice = next((name for name in names if names.count(name) > 1), None) if len(names) < 1000 else None
+        if twice is not None:
+            raise ValueError(f"{twice!r} is stated twice")
+        return dict(pairs)
+
+    return json.loads(text, object_pairs_hook=once)
 
 
 def stated(known: Mapping[str, Any]) -> dict[str, Any]:

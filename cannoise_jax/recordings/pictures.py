@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import mmap
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,17 +35,21 @@ def open_picture(path: str | Path) -> Opened:
     if Path(path).suffix.lower() != ".pgm":
         values, deep = _pillow(path, Path(path).suffix[1:].upper())
         return Opened(values[None], side_car(path), {} if deep else {"bits": 8})
-    with reading(path, "not a readable PGM file"):
-        frames, white = _pgm(path, Path(path).read_bytes())
+    with (
+        reading(path, "not a readable PGM file"),
+        open(path, "rb") as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
+        frames, white = _pgm(path, data)
     # 255 and 65535 are what the container holds, not what the sensor reaches.
     known = {} if white in (255, 65535) else {"white_level": float(white)}
     return Opened(frames, known | side_car(path), {"bits": 8} if white < 256 else {})
 
 
-def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
+def _pgm(path: str | Path, data: mmap.mmap) -> tuple[np.ndarray, int]:
     """All images of a file, netpbm's own manual: 16 bits are big-endian."""
     images, white, at = [], 0, 0
-    while at < len(data) and data[at:].strip():
+    while at < len(data) and (at == 0 or data[at : at + _BETWEEN].strip()):
         found = _HEADER.match(data, at)
         if not found:
             what = "colours (PPM)" if data[at : at + 2] in (b"P3", b"P6") else "not a readable PGM file"
@@ -70,8 +75,12 @@ def _pgm(path: str | Path, data: bytes) -> tuple[np.ndarray, int]:
     return np.stack(images), white
 
 
+_BETWEEN = 64
+"""Bytes behind an image that are looked at for another one."""
+
+
 @contextlib.contextmanager
-def _any_size() -> Iterator[None]:
+def any_size() -> Iterator[None]:
     """Without the library's own limit, which large sensors exceed: `check_claim` has ours."""
     limit = Image.MAX_IMAGE_PIXELS
     Image.MAX_IMAGE_PIXELS = None
@@ -85,7 +94,7 @@ def _pillow(path: str | Path, kind: str) -> tuple[np.ndarray, bool]:
     """The mosaic, and whether the file has more than 8 bits."""
     with (
         reading(path, f"not a readable {kind} file"),
-        _any_size(),
+        any_size(),
         Image.open(path, formats=(kind,)) as image,
     ):
         check_claim(path, (image.height, image.width), 1)

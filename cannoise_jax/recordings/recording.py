@@ -22,6 +22,8 @@ LIT = ("scene", "flat")
 REFERENCES = ("independent", "burst_mean")
 COLDEST_C = -273.15
 """Absolute zero."""
+HOTTEST_C = 1000.0
+"""What is hotter is no sensor, and none of its temperatures."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]

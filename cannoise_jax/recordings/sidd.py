@@ -172,7 +172,11 @@ def _codes(values: np.ndarray, scale: _Scale) -> np.ndarray | None:
 
 def _files(folder: Path, kind: str) -> tuple[str, ...]:
     pattern = re.compile(rf"{folder.name[:4]}_{kind}_RAW_\d+\.mat", re.IGNORECASE)
-    return tuple(str(p) for p in sorted(folder.iterdir()) if pattern.fullmatch(p.name))
+    found = [p for p in sorted(folder.iterdir()) if pattern.fullmatch(p.name)]
+    odd = next((p for p in found if not p.is_file()), None)  # whoever reads from a pipe may wait for ever
+    if odd is not None:
+        raise BadInput(f"{odd}: no plain file: replace or remove it")
+    return tuple(map(str, found))
 
 
 def _frames(noisy: tuple[str, ...], about: Any) -> tuple[LazyArray, dict[str, Any]]:

@@ -9,7 +9,6 @@ a recording of one frame.
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import struct
 from collections.abc import Iterator
@@ -22,7 +21,7 @@ import tifffile
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
-from cannoise_jax.recordings.opened import Opened, check_claim, check_pixels, whole_numbers
+from cannoise_jax.recordings.opened import Opened, check_claim, check_pixels, json_of, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.tiff_chain import check_chain
 
@@ -92,6 +91,8 @@ def open_tiff(path: str | Path) -> Opened:
     shape = (count, *size)
     read = partial(read_stack, partial(_read_page, path=str(path)), shape)
     kind = next(iter(types))
+    if not all(type(n) is int and n > 0 for n in shape):
+        raise BadInput(f"{path}: not a readable TIFF file: its sizes are no whole numbers")
     check_claim(path, shape, np.dtype(kind).itemsize)
     return _opened(path, LazyArray(read, shape, np.dtype(kind)), {})
 
@@ -114,7 +115,7 @@ def side_car(path: str | Path) -> dict[str, Any]:
     if not beside.is_file():
         return {}
     with reading(beside, "not a readable JSON file"):
-        stated = json.loads(beside.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
+        stated = json_of(beside.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
     if not isinstance(stated, dict):
         raise BadInput(f"{beside}: expected an object with the fields of a recording")
     unknown = sorted(set(stated) - set(FIELDS))

@@ -20,6 +20,7 @@ _COUNTS = (
     "data.calibration_patches", "data.cameras", "data.references", "data.validation_cameras",
     "data.calibration_scenes",
 )  # fmt: skip
+_NEEDED = ("steps", "batch_size", "patch", "reference", "seed", "data", "loss", "optimiser", "networks")
 _POSITIVE = (
     "width", "optimiser.generator_rate", "optimiser.encoder_rate", "optimiser.critic_rate", "exposure_s",
 )  # fmt: skip
@@ -40,7 +41,10 @@ _MULTIPLE, _SMALLEST, _LARGEST = 32, 16, 64
 
 
 def check_config(config: ConfigDict) -> None:
-    """Raises BadInput, one line with the field, for a value that no run could use."""
+    """Raises BadInput, one line with the field, for a value that no run could use, or that is missing."""
+    missing = next((name for name in _NEEDED if _value(config, name) is None), None)
+    if missing is not None:
+        raise BadInput(f"config.{missing}: missing: state it as configs/default.py does")
     for name in (*_COUNTS, "patch", "reference"):
         value = _value(config, name)
         if value is None or isinstance(value, tuple):  # SIDD's test scenes are names

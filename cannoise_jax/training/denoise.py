@@ -6,9 +6,6 @@ models do.
 
 from __future__ import annotations
 
-import io
-import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
@@ -19,10 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from flax.errors import FlaxError
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.networks.denoiser import DnCNN
+from cannoise_jax.recordings.described import read_described, write_described
 from cannoise_jax.recordings.opened import BROKEN_ARRAYS
 from cannoise_jax.recordings.packing import pack
 from cannoise_jax.recordings.recording import BadInput
@@ -147,17 +146,7 @@ def save_denoiser(path: Path, denoiser: Denoiser) -> None:
     """One file of plain arrays with a description in JSON, complete or not at all. Raises BadInput."""
     description = {"format": _FORMAT, "recipe": asdict(denoiser.recipe), "about": denoiser.about}
     arrays = {name: np.asarray(leaf) for name, leaf in flatten_dict(denoiser.variables, sep="/").items()}
-    content = io.BytesIO()
-    np.savez(content, description=np.array(json.dumps(description)), **arrays)  # type: ignore[arg-type]
-    partial_path = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        try:
-            partial_path.write_bytes(content.getbuffer())
-            os.replace(partial_path, path)
-        finally:
-            partial_path.unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+    write_described(path, description, arrays)
 
 
 def load_denoiser(path: Path) -> Denoiser:
@@ -165,14 +154,16 @@ def load_denoiser(path: Path) -> Denoiser:
     if not path.is_file():
         raise BadInput(f"{path}: no such file: train a denoiser first")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        description = json.loads(str(arrays.pop("description")))
+        description, arrays, sealed = read_described(path)
         if description["format"] != _FORMAT:
             raise ValueError(description["format"])
         variables = unflatten_dict({k: jnp.asarray(v) for k, v in arrays.items()}, sep="/")
-        return Denoiser(Recipe(**description["recipe"]), variables, description["about"])
-    except (*BROKEN_ARRAYS, KeyError, TypeError) as error:
+        found = Denoiser(Recipe(**description["recipe"]), variables, description["about"])
+        if not sealed:
+            image = jax.ShapeDtypeStruct((1, 8, 8, 4), jnp.float32)
+            jax.eval_shape(applied(found.recipe), found.variables, image)
+        return found
+    except (*BROKEN_ARRAYS, KeyError, TypeError, AttributeError, RecursionError, FlaxError) as error:
         raise BadInput(f"{path}: not a readable denoiser: train it again") from error
 
 

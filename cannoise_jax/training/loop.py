@@ -68,7 +68,9 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
     try:
         workdir.mkdir(parents=True, exist_ok=True)
         if path.exists():
-            stored = json.loads(path.read_text())
+            if not path.is_file():  # whoever reads from a pipe waits until somebody writes into it
+                raise BadInput(f"{path}: no plain file: use another --workdir")
+            stored = json.loads(path.read_text(encoding="utf-8"))
             if isinstance(stored, dict):  # runs of before there was a choice
                 stored.setdefault("compute", "float32")
             difference = _difference(stored, json.loads(_text(config)))
@@ -79,7 +81,9 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
                 )
         with tempfile.TemporaryFile(dir=workdir):  # permissions do not tell of all places, nor of a full disk
             pass
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, BadInput):
+            raise
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
     except OSError as error:
         raise not_written(workdir, error) from error

@@ -52,8 +52,10 @@ def compare(
     return Comparison(bank, tuple(differences(bank)))
 
 
-def percent(share: float) -> str:
-    """A share as the table prints it."""
+def percent(share: float | None) -> str:
+    """A share as the table prints it; None where it is none of a whole number."""
+    if share is None or share != share:
+        return "not measured"
     return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 

@@ -3,12 +3,13 @@ first?"""
 
 from __future__ import annotations
 
-import json
+import math
 from pathlib import Path
 from typing import Any
 
 from cannoise_jax.discovery.compare.report import value
 from cannoise_jax.discovery.compare.words import pair
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/comparison-of-reports/1"
@@ -19,12 +20,12 @@ def read_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a diagnosis, or that in a folder. Raises BadInput for what is none."""
     path = _file(path)
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = json_of(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInput(
             f"{path}: cannot be read ({error.strerror}): name a report.json or its folder"
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is no JSON file: name a report.json or its folder") from error
     if not isinstance(report, dict) or not str(report.get("schema", "")).startswith("cannoise/diagnosis/"):
         raise BadInput(f"{path}: is no report of bin/diagnose")
@@ -41,7 +42,35 @@ def read_compared(path: str | Path) -> dict[str, Any]:
     report = read_report(path)
     if report.get("remains") is None:
         raise BadInput(f"{_file(path)}: says nothing of what still differs: diagnose the recordings again")
+    if not _whole(report):
+        raise BadInput(f"{_file(path)}: is no whole report of bin/diagnose: diagnose the recordings again")
     return report
+
+
+def _whole(report: dict[str, Any]) -> bool:
+    """Whether a report holds all that is compared, as `report.json` has it."""
+    try:
+        after, inputs, remains = report["after"], report["inputs"], report["remains"]["after"]
+        interval = after["two_sample_auc_ci90"]
+        shares = [after["two_sample_auc"], *(interval or ())]
+        return (
+            isinstance(report["verdict"], str)
+            and report["verdict"].isprintable()
+            and (interval is None or len(interval) == 2)
+            and all(v is None or (_is_number(v) and 0 <= v <= 1) for v in shares)
+            and all(isinstance(i["kind"], str) and _is_number(i["frames"]) for i in inputs)
+            and all(isinstance(i["sha256"] or i["file"], str) for i in inputs)
+            and all(isinstance(d[name], str) for d in remains for name in ("what", "time", "simulator_has"))
+            and all(_is_number(d["nats"]) and d["nats"] >= 0 for d in remains)
+            and all(d[n] is None or _is_number(d[n]) for d in remains for n in ("recorded", "simulated"))
+            and all(d["unit"] is None or isinstance(d["unit"], str) for d in remains)
+        )
+    except (KeyError, TypeError, IndexError):
+        return False
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def side_by_side(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
 from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
 from cannoise_jax.physics.core.settings import IsoTable, black_levels
 from cannoise_jax.recordings.atomic import remove_leftovers
-from cannoise_jax.recordings.opened import BROKEN_ARRAYS
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS, json_of
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def read_model(
         what = "is a folder" if path.is_dir() else "is no plain file"
         raise BadInput(f"{path}: {what}: name a sensor.json")
     try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
+        document = json_of(path.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}): name a sensor.json") from error
     except UnicodeDecodeError as error:
