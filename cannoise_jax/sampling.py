@@ -143,6 +143,8 @@ def sample_noise(
         raise TypeError(f"params is a {type(params).__name__}: expected a Model, of load_model(workdir)")
     check_level(params.level, nlf is not None)
     draw = initial_noise_of(params)
+    if any(jnp.iscomplexobj(image) for image in (clean, noisy_ref)):
+        raise ValueError("clean and noisy_ref must be real")
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
     _check(clean, "clean")
     _check(noisy_ref, "noisy_ref")

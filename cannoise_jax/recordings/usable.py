@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 

@@ -110,6 +110,22 @@ def test_a_config_that_makes_no_sense_is_refused_before_the_data(field, tmp_path
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b"{}", b'{"data": []}', None])
+@pytest.mark.parametrize("flags", [[], ["--config", CI]])
+def test_a_damaged_config_in_the_workdir_is_one_line(content, flags, tmp_path, capsys):
+    path = tmp_path / "config.json"
+    if content is None:
+        os.mkfifo(path)
+    else:
+        path.write_bytes(content)
+    if content is None and not flags:
+        flags = ["--config", CI]  # without a stored config a run would start
+    assert main(["--workdir", str(tmp_path), *flags]) == 2
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1 and "workdir" in said
+    assert [p.name for p in tmp_path.iterdir()] == ["config.json"]
+
+
 def test_after_a_start_that_failed_another_config_may_follow(tmp_path, capsys):
     def start(*arguments):
         assert train.main(["--workdir", str(tmp_path), "--config", CI, *arguments]) == 2

@@ -22,6 +22,11 @@ from tests.fuzz.damage import ODD_NUMBERS, ODD_VALUES, damaged_bytes, damaged_js
 from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.wrong_calls import WRONG
 
+_OWN_SUFFIX = ("npy", "npz", "h5", "tif", "png", "pgm")
+THINGS = (
+    *("fifo", "link", "loop", "folder", "npy", "npz", "h5", "tif", "png", "fits", "pickle", "absent"),
+    *("tag", "sidd", "pgm"),
+)
 LEVELS = ("--black-level", "64", "--white-level", "1023")
 
 
@@ -36,12 +41,13 @@ class Case(NamedTuple):
 
 class Kit(NamedTuple):
     """The sound files: recordings by name, a night of FITS files, a sensor.json with maps, a model.npz, a
-    published result."""
+    denoiser, a published result."""
 
     recordings: dict[str, Path]
     night: Path
     sensor: Path
     model: Path
+    denoiser: Path
     result: Path
 
 
@@ -180,15 +186,13 @@ def broken_side_car(kit: Kit, rng: random.Random, folder: Path) -> Case:
 
 def odd_thing(kit: Kit, rng: random.Random, folder: Path) -> Case:
     """What is no file, or claims to be far larger than it is. None of it can be used."""
-    name = rng.choice(
-        ("fifo", "link", "loop", "folder", "npy", "npz", "h5", "tif", "png", "fits", "pickle", "absent")
-    )
-    suffix = {"npy": "npy", "pickle": "npy", "npz": "npz", "h5": "h5", "tif": "tif", "png": "png"}.get(
-        name, rng.choice(("h5", "npy", "fits", "tif", "dng"))
+    name = rng.choice(THINGS)
+    suffix = {"pickle": "npy", "tag": "tif"}.get(
+        name, name if name in _OWN_SUFFIX else rng.choice(("h5", "npy", "fits", "tif", "dng"))
     )
     path = folder / "in" / f"odd.{suffix}"
     side_car = path.with_suffix(".json")
-    if suffix in ("npy", "npz", "tif", "png"):
+    if suffix in ("npy", "npz", "tif", "png", "pgm"):
         side_car.write_text(json.dumps(FIELDS))
     if name == "fifo":
         os.mkfifo(path)
@@ -230,6 +234,18 @@ def odd_thing(kit: Kit, rng: random.Random, folder: Path) -> Case:
         cards = [*(f"{key:<8}= {value:>20}" for key, value in header.items()), "END"]
         path = path.with_suffix(".fits")
         path.write_bytes("".join(card.ljust(80) for card in cards).encode().ljust(2880))
+    elif name == "tag":  # a width that is text, several numbers, or none
+        kind, count, value = rng.choice(((2, 2, b"x\0\0\0"), (3, 2, b"\1\0\2\0"), (5, 1, b"\x08\0\0\0")))
+        entries = struct.pack("<HHI", 256, kind, count) + value + struct.pack("<HHII", 257, 3, 1, 4)
+        path.write_bytes(b"II*\0" + struct.pack("<IH", 8, 2) + entries + bytes(4) + bytes(64))
+    elif name == "pgm":  # gigabytes of which the disk holds none
+        with path.open("wb") as file:
+            file.truncate(3 << 29)
+    elif name == "sidd":
+        path = _put(kit, folder, "sidd")
+        victim = rng.choice(sorted(p for p in path.iterdir() if "_010" in p.name or "NOISY" in p.name))
+        victim.unlink()
+        os.mkfifo(victim)
     elif name == "pickle":
         np.save(path, np.array([{"a": 1}, None], object), allow_pickle=True)
     return _convert(f"thing {name}", path.name, "refuse")
@@ -313,6 +329,62 @@ def broken_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
     return Case("model", target, ["in/model.npz"], "refuse" if lost else "either")
 
 
+def rewritten_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """A model or a denoiser written anew, as a sound ZIP file, with something else in it."""
+    source, reader = rng.choice(((kit.model, "load_model"), (kit.denoiser, "load_denoiser")))
+    with np.load(source) as file:
+        arrays = {name: file[name] for name in file.files}
+    name = rng.choice([n for n in arrays if n != "description"])
+    value, how = arrays[name], rng.choice(("nan", "scale", "shape", "kind", "gone", "more", "text", "text"))
+    if how == "text":
+        text = str(arrays["description"])
+        arrays["description"] = np.array(damaged_json(rng, text).encode(errors="replace").decode())
+    changed: dict[str, Callable[[], Any]] = {
+        "nan": lambda: value * np.nan,
+        "scale": lambda: value * 2 + 1,
+        "shape": lambda: np.ravel(value)[:1],
+        "kind": lambda: value.astype(rng.choice((np.complex64, np.float64, np.int32, bool)))[None],
+        "more": lambda: np.concatenate([value, value]),
+    }
+    if how in changed:
+        arrays[name] = changed[how]()
+    elif how == "gone":
+        del arrays[name]
+    np.savez(folder / "in" / "m.npz", **arrays)
+    must = "either" if how == "text" else "refuse"
+    return Case("rewritten", f"read:tests.fuzz.cases.{reader}", ["in/m.npz"], must)
+
+
+def load_model(path: str) -> None:
+    from cannoise_jax.sampling import load_model
+
+    load_model(path)
+
+
+def load_denoiser(path: str) -> None:
+    from cannoise_jax.training.denoise import load_denoiser
+
+    load_denoiser(Path(path))
+
+
+_LINE = {"what": "columns", "time": "fixed", "simulator_has": "too little", "recorded": 1.0, "simulated": 0.5}
+REPORT = {
+    "schema": "cannoise/diagnosis/2",
+    "verdict": "partly explained",
+    "inputs": [{"sha256": "0" * 64, "file": "dark.h5", "kind": "dark", "frames": 4}],
+    "after": {"two_sample_auc": 0.6, "two_sample_auc_ci90": [0.55, 0.65]},
+    "remains": {"after": [{**_LINE, "unit": "DN", "nats": 12.5}]},
+}
+"""What `bin/compare` reads of a report."""
+
+
+def broken_report(kit: Kit, rng: random.Random, folder: Path) -> Case:
+    """One of two reports of a diagnosis damaged."""
+    for name, text in (("a", json.dumps(REPORT)), ("b", damaged_json(rng, json.dumps(REPORT)))):
+        (folder / "in" / f"{name}.json").write_text(text, errors="surrogatepass")
+    return Case("report", "compare", ["in/a.json", "in/b.json"])
+
+
 def broken_result(kit: Kit, rng: random.Random, folder: Path) -> Case:
     """A published result damaged."""
     text = damaged_json(rng, kit.result.read_text())
@@ -337,5 +409,5 @@ def wrong_call(kit: Kit, rng: random.Random, folder: Path) -> Case:
 MAKERS: tuple[tuple[Callable[[Kit, random.Random, Path], Case], float], ...] = (
     (broken_file, 6), (odd_attribute, 2), (odd_frames, 1), (odd_header, 1.5), (broken_side_car, 2),
     (odd_thing, 1.5), (broken_sensor, 3), (broken_model, 1), (broken_result, 1), (wrong_call, 3),
-    (odd_folder, 2), (odd_calibration, 0.3),
+    (odd_folder, 2), (odd_calibration, 0.3), (rewritten_model, 1), (broken_report, 1),
 )  # fmt: skip

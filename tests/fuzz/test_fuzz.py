@@ -25,6 +25,7 @@ from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.sampling import Camera, Setting, make_model, save_model
+from cannoise_jax.training.denoise import Denoiser, Recipe, save_denoiser
 from tests.conftest import ROOT, SIMULATION
 from tests.fuzz.cases import Case, Kit, make_case
 from tests.fuzz.samples import write_samples
@@ -85,12 +86,21 @@ def kit(tmp_path_factory) -> Kit:
     leaf = {"params": {"a": {"kernel": jnp.ones((3, 4))}}}
     cameras = {"A": Camera(jnp.ones((1, 32, 32, 4)), {"100": Setting(jnp.full(4, 1e-3), jnp.full(4, 1e-5))})}
     save_model(folder / "model.npz", make_model(generator, leaf, None, {}, cameras))
+    denoiser = Denoiser(Recipe(features=4, depth=2), {"params": {"c": {"kernel": np.ones((3, 3, 4, 4))}}}, {})
+    save_denoiser(folder / "denoiser.npz", denoiser)
     result = sorted((ROOT / "docs" / "results").glob("*.json"))[0]
     (folder / "samples").mkdir()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         samples = write_samples(folder / "samples")
-    return Kit(samples, night(folder / "night"), folder / "sensor.json", folder / "model.npz", result)
+    return Kit(
+        samples,
+        night(folder / "night"),
+        folder / "sensor.json",
+        folder / "model.npz",
+        folder / "denoiser.npz",
+        result,
+    )
 
 
 def prepared(folder: Path) -> Path:
@@ -193,6 +203,8 @@ WHAT = {
     "calibrate": "flats and darks",
     "sensor": "a camera model and its maps",
     "model": "a trained model",
+    "rewritten": "a model or a denoiser written anew",
+    "report": "a report of a diagnosis",
     "result": "a published result",
     "call": "command lines of all commands",
 }

@@ -52,7 +52,8 @@ def opened(
     tell: Callable[[str], None],
 ) -> Judged:
     """The simulator as it is judged. Raises BadInput for one that cannot be, or not be calibrated."""
-    if simulator == CALIBRATED and not any(r.count > 1 for r in capture.recordings):
+    told = any(r.count > 1 or (r.shot and r.read) for r in capture.recordings)
+    if simulator == CALIBRATED and not told:
         raise BadInput(
             f"{capture.path or capture.camera}: every recording is of one frame, and one shows no noise: "
             "record two or more of each setting, or compare with a --simulator that is calibrated"

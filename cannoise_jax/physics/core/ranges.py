@@ -178,6 +178,8 @@ def check_taken(clean: Any, settings: Settings) -> None:
     shape = np.shape(clean)
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"clean must be a mosaic [H, W], got shape {shape}")
+    if not isinstance(clean, jax.core.Tracer) and np.asarray(clean).dtype.kind == "c":
+        raise ValueError("clean holds complex values: give real ones")
     if not isinstance(clean, jax.core.Tracer) and not np.isfinite(np.asarray(clean)).all():
         raise ValueError("clean holds values that are not finite")
     if not isinstance(clean, jax.core.Tracer):
