@@ -312,10 +312,10 @@ def load_model(workdir: str | Path) -> Model:
     if not path.is_file():
         raise BadInput(f"{path}: no such file: train a model first, or name the folder of a trained one")
     try:
-        description, arrays, sealed = read_described(path)
-        _refuse_older(path, description["format"])
-        model = _model(description, arrays)
-        if not sealed:
+        found = read_described(path)
+        _refuse_older(path, found.description["format"])
+        model = _model(found.description, found.arrays)
+        if not found.sealed:
             _check_shapes(model)
         return model
     except BadInput:

@@ -154,15 +154,16 @@ def load_denoiser(path: Path) -> Denoiser:
     if not path.is_file():
         raise BadInput(f"{path}: no such file: train a denoiser first")
     try:
-        description, arrays, sealed = read_described(path)
+        found = read_described(path)
+        description = found.description
         if description["format"] != _FORMAT:
             raise ValueError(description["format"])
-        variables = unflatten_dict({k: jnp.asarray(v) for k, v in arrays.items()}, sep="/")
-        found = Denoiser(Recipe(**description["recipe"]), variables, description["about"])
-        if not sealed:
+        variables = unflatten_dict({k: jnp.asarray(v) for k, v in found.arrays.items()}, sep="/")
+        denoiser = Denoiser(Recipe(**description["recipe"]), variables, description["about"])
+        if not found.sealed:
             image = jax.ShapeDtypeStruct((1, 8, 8, 4), jnp.float32)
-            jax.eval_shape(applied(found.recipe), found.variables, image)
-        return found
+            jax.eval_shape(applied(denoiser.recipe), denoiser.variables, image)
+        return denoiser
     except (*BROKEN_ARRAYS, KeyError, TypeError, AttributeError, RecursionError, FlaxError) as error:
         raise BadInput(f"{path}: not a readable denoiser: train it again") from error
 
