@@ -9,15 +9,13 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cannoise_jax.recordings.atomic import remove_leftovers
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.atomic import file_in_place
 
 _DESCRIPTION, _SEAL = "description", "sha256"
 
@@ -36,19 +34,10 @@ def write_described(path: str | Path, description: Mapping[str, Any], arrays: Ma
     plain = {name: np.asarray(value) for name, value in arrays.items()}
     stated = dict(description)
     text = json.dumps(stated | {_SEAL: _digest(stated, plain)})
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     content = io.BytesIO()
     np.savez(content, **{_DESCRIPTION: np.array(text)}, **plain)  # type: ignore[arg-type]
-    try:
-        try:
-            partial.write_bytes(content.getbuffer())
-            os.replace(partial, path)
-            remove_leftovers(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+    with file_in_place(Path(path)) as file:
+        file.write(content.getbuffer())
 
 
 def read_described(path: Path) -> Described:

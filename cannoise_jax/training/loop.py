@@ -81,9 +81,9 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
                 )
         with tempfile.TemporaryFile(dir=workdir):  # permissions do not tell of all places, nor of a full disk
             pass
+    except BadInput:
+        raise
     except (ValueError, RecursionError) as error:
-        if isinstance(error, BadInput):
-            raise
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
     except OSError as error:
         raise not_written(workdir, error) from error
