@@ -142,6 +142,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
     import jax
 
     from cannoise_jax.discovery.diagnose import diagnose
+    from cannoise_jax.discovery.report.light import sentence_of
     from cannoise_jax.discovery.report.outcome import not_measured
     from cannoise_jax.discovery.report.save import save
 
@@ -164,6 +165,8 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         force=arguments.force,
         used=size,
     )
+    if report["shadows"]:
+        print(f"bin/diagnose: {sentence_of(report['shadows'])}", file=sys.stderr, flush=True)
     return report, capture.camera
 
 

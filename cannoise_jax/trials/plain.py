@@ -18,6 +18,7 @@ from cannoise_jax.blind.plain_names import ARGUABLE, BESIDE
 from cannoise_jax.blind.plain_unlisted import LATER, UNLISTED
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.proof.verdict import MATCH, NO_CAUSE, PARTLY
+from cannoise_jax.discovery.report.light import shadowed
 from cannoise_jax.discovery.search.fit import part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.trials.analysis import fingerprint
@@ -47,8 +48,9 @@ def plain_set(kind: str, name: str, seed: int, size: tuple[int, int] = SIZE):
 def said(
     kind: str, name: str, seed: int, size: tuple[int, int] = SIZE, compare: bool = True
 ) -> dict[str, Any]:
-    """What a diagnosis says of one set: its verdict, and every finding with whether it is confirmed. compare:
-    also what draws of the simulator say, without which no name is withdrawn."""
+    """What a diagnosis says of one set: its verdict, every finding with whether it is confirmed, and whether
+    it takes spots in the flats for light. compare: also what draws of the simulator say, without which no
+    name is withdrawn."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = diagnose(plain_set(kind, name, seed, size), key=jax.random.key(seed), compare=compare)
@@ -58,6 +60,7 @@ def said(
         "family": name,
         "seed": seed,
         "verdict": str(found.verdict),
+        "shadows": bool(shadowed(found)),
         "findings": [
             [step.named.mechanism, bool(proof.confirmed)]
             for n, (step, proof) in enumerate(zip(found.fitted.steps, found.proofs, strict=True))
@@ -95,13 +98,15 @@ def wrong(one: dict[str, Any], confirmed: bool) -> list[str]:
 
 
 def flagged(one: dict[str, Any]) -> bool:
-    """Whether a set is told from the simulator at all."""
-    return one["verdict"] != MATCH
+    """Whether a set is told from the simulator at all, or spots in its flats are told of."""
+    return one["verdict"] != MATCH or one["shadows"]
 
 
 def unknown(one: dict[str, Any]) -> bool:
-    """Whether it is said that something in a set has no name."""
-    return any(name == UNKNOWN for name, _ in one["findings"]) or one["verdict"] in (NO_CAUSE, PARTLY)
+    """Whether it is said that something in a set has no name; of spots, that they may be the light's or the
+    pixels'."""
+    unnamed = any(name == UNKNOWN for name, _ in one["findings"]) or one["verdict"] in (NO_CAUSE, PARTLY)
+    return unnamed or one["shadows"]
 
 
 def named(one: dict[str, Any]) -> bool:

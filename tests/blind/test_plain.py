@@ -54,6 +54,7 @@ def line(kind, family, *findings, verdict="explained"):
         "family": family,
         "seed": 1,
         "verdict": verdict,
+        "shadows": False,
         "findings": [list(f) for f in findings],
     }
 

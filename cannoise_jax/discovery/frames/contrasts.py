@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.frames.smooth import beyond
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.codes import code_histogram, code_lattice
 from cannoise_jax.recordings.packing import SITES
@@ -16,15 +15,10 @@ from cannoise_jax.signatures.fields import (
     channel_index,
     contrast_matrix,
     least_squares,
-    surfaces,
 )
 
 MOST_FRAMES = 16
 """Frames of one recording and split that are held at once: memory does not grow beyond."""
-
-
-_DEGREE = 4
-"""Degree of the smooth surface of a flat unless the data ask for more."""
 
 
 class Stack(NamedTuple):
@@ -203,35 +197,6 @@ def plane_blur(image: np.ndarray) -> np.ndarray:
     h, w = image.shape
     shifts = [padded[2 + dy : 2 + dy + h, 2 + dx : 2 + dx + w] for dy in (-2, 0, 2) for dx in (-2, 0, 2)]
     return np.mean(shifts, axis=0)
-
-
-def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
-    """Mean of a flat (a surface per channel, of degree 4 or as the light needs, see `smooth`) or of a dark (a
-    constant per channel), DN."""
-    mean, size = stacked.mean, stacked.mean.shape
-    mean = mean if stacked.lines is None else mean - stacked.lines
-    channel = channel_index(size)
-    out = np.zeros(size, np.float32)
-    degree = _DEGREE if stacked.recording.kind == "flat" else 0
-    for c in range(4):
-        chosen = channel == c
-        if degree == 0:
-            out[chosen] = robust_mean(mean[chosen])
-            continue
-        basis = surfaces(size, degree, c)
-        values = mean[chosen].astype(np.float64)
-        kept = np.ones(values.size, bool)
-        for _ in range(2):
-            beta = least_squares(basis[kept], values[kept])
-            rest = values - np.einsum("nk,k->n", basis, beta)
-            kept, before = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6, kept
-            if np.array_equal(kept, before):
-                break
-        fitted = np.einsum("nk,k->n", basis, beta)
-        at = SITES[c]
-        out[chosen] = fitted
-        out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
-    return out
 
 
 def affine(

@@ -22,9 +22,9 @@ from cannoise_jax.discovery.frames.contrasts import (
     noisy_reference,
     plane_blur,
     reference,
-    smooth_mean,
 )
 from cannoise_jax.discovery.frames.full import unshared
+from cannoise_jax.discovery.frames.smooth import smooth_mean
 from cannoise_jax.physics.transfer.fit import HALF_A_CODE, ChannelMaps, median_quotient, robust_mean_square
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, mosaic_map

@@ -1,4 +1,4 @@
-"""The smooth part of a flat: the light that falls on it, whatever the lens and the lamp make of it.
+"""The light of a flat: the smooth surface that lens and lamp make, and the shadows of dust in it.
 
 A surface of degree 4 follows a lamp that leans; the fall-off of a lens (cos^4) at a signal of many electrons
 leaves more than that, which would be read as sensitivities of rows, columns and pixels. So products of
@@ -16,7 +16,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage, stats
 
+from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
+from cannoise_jax.discovery.frames.shadows import shadows
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.signatures.fields import channel_index, least_squares, surfaces
 
 START, STOP = 4, 16
 """Degree of the surface that is always fitted, and the highest one that is tried."""
@@ -25,6 +29,62 @@ _CHANCE = 1e-3
 thousands of pixels matter little, so it is not small."""
 _FAR = 6.0
 """Robust standard deviations from its neighbours beyond which a pixel counts as no more than that."""
+
+
+def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean of a flat without the pattern of the sensor, its smooth surface with the shadows in it, or of a
+    dark (a constant per channel), DN."""
+    surface = smooth_surface(stacked)
+    if stacked.recording.kind != "flat":
+        return surface
+    return surface + (shaded(stacked, surface) * _light(stacked, surface)).astype(np.float32)
+
+
+def smooth_surface(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    """Mean of a flat (a surface per channel, of degree 4 or as the light needs) or of a dark (a constant per
+    channel), DN."""
+    mean, size = _without_lines(stacked), stacked.mean.shape
+    channel = channel_index(size)
+    out = np.zeros(size, np.float32)
+    degree = START if stacked.recording.kind == "flat" else 0
+    for c in range(4):
+        chosen = channel == c
+        if degree == 0:
+            out[chosen] = robust_mean(mean[chosen])
+            continue
+        basis = surfaces(size, degree, c)
+        values = mean[chosen].astype(np.float64)
+        kept = np.ones(values.size, bool)
+        for _ in range(2):
+            beta = least_squares(basis[kept], values[kept])
+            rest = values - np.einsum("nk,k->n", basis, beta)
+            kept, before = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6, kept
+            if np.array_equal(kept, before):
+                break
+        fitted = np.einsum("nk,k->n", basis, beta)
+        at = SITES[c]
+        out[chosen] = fitted
+        out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
+    return out
+
+
+def shaded(stacked: Stack, surface: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """What the shadows in a flat add to the light of its smooth `surface`, as a share of that light, see
+    `shadows`: negative where they are dark."""
+    light = _light(stacked, surface)
+    relative = (_without_lines(stacked) - surface) / light
+    weight = np.zeros(light.shape)
+    for at in SITES:
+        weight[at] = 1 / max(robust_std(relative[at], 0), 1e-9) ** 2
+    return shadows(relative, weight)
+
+
+def _light(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
+    return np.maximum(surface - stacked.recording.black_map(), 1.0).astype(np.float64)
+
+
+def _without_lines(stacked: Stack) -> Float[np.ndarray, "h w"]:
+    return stacked.mean if stacked.lines is None else stacked.mean - stacked.lines
 
 
 def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP) -> Float[np.ndarray, "h w"]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cannoise_jax.discovery.proof.prove import Proof
-from cannoise_jax.discovery.report import outcome
+from cannoise_jax.discovery.report import light, outcome
 from cannoise_jax.discovery.report.card import card
 from cannoise_jax.discovery.report.not_found import absorbed_by, detectable
 from cannoise_jax.discovery.report.wording import sentence
@@ -58,6 +58,7 @@ def document(
     verdict: see `verdict`.
     baseline: of the simulator that is handed back; not_measured: what of it was not, a line each; gate: how
       it was chosen.
+    shadows: of flats, which count as light, see `light.shadowed`.
     remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain.
     testable: ids; not_testable: mechanism and needs, what to record.
       Every id that the run may name is in exactly one of them, and every testable one in findings or
@@ -114,6 +115,7 @@ def document(
             "verdict": diagnosis.verdict,
             "baseline": outcome.baseline(diagnosis),
             "not_measured": outcome.not_measured(diagnosis),
+            "shadows": light.shadowed(diagnosis),
             "testable": [*diagnosis.testable, *also],
             "not_testable": [
                 {"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable if id not in also

@@ -15,6 +15,7 @@ from cannoise_jax.discovery.compare.words import pair
 from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
 from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
+from cannoise_jax.discovery.report.light import sentence_of
 from cannoise_jax.discovery.report.pictures import quality_pictures, where_pictures
 from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats, placed
 from cannoise_jax.discovery.result import Result
@@ -224,6 +225,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         pictures=pictures,
         measures=_MEASURES,
         number=number,
+        shadows_of=sentence_of,
         sizes=sizes,
         precise=precise,
         unit=unit,

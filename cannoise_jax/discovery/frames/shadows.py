@@ -1,0 +1,98 @@
+"""What a flat shows of dust: dark discs and rings, spread over many pixels, at a few places.
+
+They are in the light that falls on the sensor, as the fall-off of the lens is, and change when the camera is
+cleaned or the lens is. Left in the pattern they would be taken for the sensitivities of pixels.
+
+The flat divided by its smooth surface is taken apart by an isotropic wavelet transform without decimation
+(starlet: Starck and Murtagh, Astronomical Image and Data Analysis, 2006, section 2.3): B3 splines of 2, 4, 8,
+16 pixels, details that add up to the image. What pixels do each by themselves lies in the finest details,
+which are left out; a texture of the whole frame has the same scatter everywhere. Kept is what stands out:
+patches with a peak of `_PEAK` robust standard deviations of their scale and all around it beyond `_EDGE`,
+unless they reach through a good part of the frame or are as thin as a piece of a line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from cannoise_jax.physics.robust import robust_std
+
+_PEAK, _EDGE = 5.0, 3.0
+_ROUNDS = 5
+"""A deep shadow hides its own edges: what the first round leaves of it is looked at again."""
+_SPAN = 0.4
+"""Share of the frame along a side from which on a patch is no shadow of a few."""
+_THIN = 4.0
+"""Length over width from which on a patch is a piece of a line."""
+_FAR = 3.0
+"""Robust standard deviations from those around it beyond which a pixel counts as no more than that: a bright
+or dead pixel is no shadow."""
+_SCALES = 6
+_B3 = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)
+
+
+def shadows(relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """The part of a flat's `relative` residual from its smooth surface that is spread over many pixels at a
+    few places; zeros where nothing stands out. weight: inverse variance of the pixels, of any scale."""
+    fitted = np.zeros(relative.shape)
+    scales = [2**n for n in range(1, _SCALES) if 4 * 2**n < min(relative.shape) / 2]
+    around = ndimage.median_filter(relative, 5, mode="nearest")
+    spread = robust_std(relative - around, 0)
+    if spread == 0 or not scales:
+        return fitted
+    limited = around + np.clip(relative - around, -_FAR * spread, _FAR * spread)
+    total, seen = _smooth(weight, 1), {}
+    level = _smooth(weight * limited, 1) / total
+    for scale in scales:
+        seen[scale], level = level, _smooth(level, scale)
+    parts = {scale: np.zeros(relative.shape) for scale in scales}
+    for _ in range(_ROUNDS):
+        coarse = _smooth(weight * (limited - fitted), 1) / total
+        # Lines are others' to tell, and their pieces are no patches.
+        coarse -= np.median(coarse, 1, keepdims=True)
+        coarse -= np.median(coarse, 0, keepdims=True)
+        any_found = False
+        for scale in scales:
+            smoother = _smooth(coarse, scale)
+            found = _standing_out(coarse - smoother)
+            any_found |= bool(found.any())
+            parts[scale] += found
+            coarse = smoother
+        if not any_found:
+            break
+        fitted = np.zeros(relative.shape)
+        for scale in reversed(scales):
+            # Some scales without the others draw a halo: no shadow goes beyond what is seen of it.
+            sure = robust_std(seen[scale], 0)
+            low, high = np.minimum(seen[scale], 0) - sure, np.maximum(seen[scale], 0) + sure
+            fitted = np.clip(fitted + parts[scale], low, high)
+            fitted[np.abs(fitted) <= sure] = 0.0
+    return fitted
+
+
+def _smooth(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:
+    """Means by the B3 spline with its five points `apart` pixels, edges mirrored."""
+    for _ in (0, 1):
+        padded = np.pad(values, [(2 * apart, 2 * apart), (0, 0)], mode="symmetric")
+        parts = [b * padded[k * apart : k * apart + len(values)] for k, b in enumerate(_B3)]
+        values = np.sum(parts, axis=0).T
+    return values
+
+
+def _standing_out(detail: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """The patches of the details of one scale that are no chance, zeros elsewhere."""
+    away = np.abs(detail)
+    spread = robust_std(detail, 0)
+    patches, number = ndimage.label(away > _EDGE * spread)
+    if not number:
+        return np.zeros(detail.shape)
+    kept = np.zeros(number + 1, bool)
+    peaks = ndimage.maximum(away, patches, np.arange(1, number + 1))
+    for n, place in enumerate(ndimage.find_objects(patches), 1):
+        sides = [s.stop - s.start for s in place]
+        small = all(side <= _SPAN * size for side, size in zip(sides, detail.shape, strict=True))
+        # A quarter and a ring have wide bounds; a piece of a column is as thin as the spline.
+        kept[n] = peaks[n - 1] > _PEAK * spread and small and max(sides) < _THIN * min(sides)
+    return np.where(kept[patches], detail, 0.0)

@@ -1,0 +1,116 @@
+"""Dust in a flat counts as its light; what a sensor does of itself does not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.contrasts import stack
+from cannoise_jax.discovery.frames.shadows import shadows
+from cannoise_jax.discovery.frames.smooth import smooth_mean
+from cannoise_jax.discovery.report.document import document
+from cannoise_jax.discovery.report.light import sentence_of
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+SIZE = (192, 256)
+Y, X = np.indices(SIZE)
+
+
+def disc(y: float, x: float, radius: float, depth: float) -> np.ndarray:
+    return -depth * np.clip(radius + 1 - np.hypot(Y - y, X - x), 0, 2) / 2
+
+
+def donut(y: float, x: float, radius: float, depth: float) -> np.ndarray:
+    away = np.abs(np.hypot(Y - y, X - x) - radius)
+    return -depth * np.clip(1.5 - away / (0.2 * radius + 1), 0, 1)
+
+
+def dust() -> np.ndarray:
+    return (
+        disc(40, 50, 6, 0.04) + disc(150, 220, 11, 0.08) + donut(100, 130, 20, 0.06) + donut(30, 200, 9, 0.05)
+    )
+
+
+def seen(relative: np.ndarray) -> np.ndarray:
+    return shadows(relative, np.ones(SIZE))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dust_is_taken_and_the_pixels_are_left(seed):
+    white = np.random.default_rng(seed).normal(0, 0.006, SIZE)
+    found = seen(dust() + white)
+    assert np.std(dust() - found) < 0.25 * np.std(dust())
+    assert np.std(dust() + white - found) == pytest.approx(0.006, rel=0.06)
+
+
+def unit(values: np.ndarray) -> np.ndarray:
+    return values / np.std(values)
+
+
+PATTERNS = {
+    "pixels": lambda rng: rng.normal(size=SIZE),
+    "pixels of a long tail": lambda rng: unit(np.exp(rng.normal(size=SIZE))),
+    "few far pixels": lambda rng: unit((rng.random(SIZE) < 0.005) * 1.0),
+    "rows": lambda rng: rng.normal(size=(SIZE[0], 1)) * np.ones(SIZE),
+    "columns of halves": lambda rng: np.where(Y < 96, *rng.normal(size=(2, 1, SIZE[1]))),
+    "a bad column": lambda rng: unit((X == 77) * 1.0),
+    "half a bad column": lambda rng: unit(((X == 77) & (Y > 90)) * 1.0),
+    "a texture": lambda rng: unit(ndimage.gaussian_filter(rng.normal(size=SIZE), 2)),
+    "waves": lambda rng: unit(np.sin(X / 5 + Y / 11 + 1)),
+    "amplifiers": lambda rng: unit(np.where(X < 128, -1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("what", PATTERNS)
+def test_patterns_of_the_whole_sensor_are_no_dust(what):
+    rng = np.random.default_rng(5)
+    pattern = 0.006 * PATTERNS[what](rng)
+    white = rng.normal(0, 0.003, SIZE)
+    found = seen(pattern + white)
+    assert np.std(found) < 0.06 * np.std(pattern + white)
+
+
+def test_of_a_mosaic_the_colour_with_less_noise_counts_more():
+    rng = np.random.default_rng(1)
+    sigma = np.tile([[0.03, 0.005], [0.005, 0.03]], (SIZE[0] // 2, SIZE[1] // 2))
+    relative = dust() + sigma * rng.normal(size=SIZE)
+    weighed, plain = shadows(relative, sigma**-2.0), shadows(relative, np.ones(SIZE))
+    assert np.std(dust() - weighed) < 0.7 * np.std(dust() - plain)
+
+
+def recordings(transmission: np.ndarray) -> CaptureSet:
+    """A dark and two flats of a plain camera with 0.5 % PRNU behind a dusty window."""
+    rng = np.random.default_rng(3)
+    prnu = 1 + rng.normal(0, 0.005, SIZE)
+    out = []
+    for n, level in enumerate((0.0, 4000.0, 12000.0)):
+        electrons = rng.poisson(np.broadcast_to(level * transmission * prnu, (8, *SIZE)))
+        codes = np.rint(200 + 2.0 * (electrons + rng.normal(0, 3, electrons.shape)))
+        kind = "flat" if level else "dark"
+        frames = np.clip(codes, 0, 65535).astype(np.uint16)
+        out.append(
+            Recording(frames, "MONO", (200.0,) * 4, 65535.0, kind=kind, exposure_s=0.01, path=f"{n}_{kind}")
+        )
+    return CaptureSet("dusty", tuple(out))
+
+
+def test_the_mean_of_a_flat_has_the_dust_at_its_light():
+    capture = recordings(1 + dust())
+    flat = stack(capture.recordings[2], 2, list(range(8)), 1.0)
+    mean = (smooth_mean(flat) - 200) / 24000
+    assert np.std(mean - 1 - dust()) < 0.3 * np.std(dust())
+
+
+@pytest.mark.slow
+def test_a_report_says_that_there_is_dust_and_measures_the_pixels():
+    found = diagnose(recordings(1 + dust()))
+    report = document(found, key=0, version="1")
+    assert [f["file"] for f in report["shadows"]] == ["1_flat", "2_flat"]
+    words = sentence_of(report["shadows"])
+    assert words.startswith("2 of the flats hold spots or rings") and "darker" in words
+    assert [f["mechanism"] for f in report["findings"]] == ["prnu"]
+    assert report["findings"][0]["amplitude"]["value"] == pytest.approx(0.5, rel=0.1)
+    clean = dataclasses.replace(found, capture=recordings(np.ones(SIZE)))
+    assert clean.verdict
