@@ -75,9 +75,12 @@ def shadows(relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]
 def _smooth(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:
     """Means by the B3 spline with its five points `apart` pixels, edges mirrored."""
     for _ in (0, 1):
-        padded = np.pad(values, [(2 * apart, 2 * apart), (0, 0)], mode="symmetric")
-        parts = [b * padded[k * apart : k * apart + len(values)] for k, b in enumerate(_B3)]
-        values = np.sum(parts, axis=0).T
+        padded, size = np.pad(values, [(2 * apart, 2 * apart), (0, 0)], mode="symmetric"), len(values)
+        out = _B3[2] * padded[2 * apart : 2 * apart + size]
+        for k in (0, 1):  # the spline is even
+            far = (4 - k) * apart
+            out += _B3[k] * (padded[k * apart : k * apart + size] + padded[far : far + size])
+        values = out.T
     return values
 
 
@@ -86,13 +89,10 @@ def _standing_out(detail: np.ndarray) -> Float[np.ndarray, "h w"]:
     away = np.abs(detail)
     spread = robust_std(detail, 0)
     patches, number = ndimage.label(away > _EDGE * spread)
-    if not number:
-        return np.zeros(detail.shape)
-    kept = np.zeros(number + 1, bool)
-    peaks = ndimage.maximum(away, patches, np.arange(1, number + 1))
-    for n, place in enumerate(ndimage.find_objects(patches), 1):
-        sides = [s.stop - s.start for s in place]
+    places, kept = ndimage.find_objects(patches), np.zeros(number + 1, bool)
+    for n in np.unique(patches[away > _PEAK * spread]).tolist():
+        sides = [s.stop - s.start for s in places[n - 1]]
         small = all(side <= _SPAN * size for side, size in zip(sides, detail.shape, strict=True))
         # A quarter and a ring have wide bounds; a piece of a column is as thin as the spline.
-        kept[n] = peaks[n - 1] > _PEAK * spread and small and max(sides) < _THIN * min(sides)
+        kept[n] = small and max(sides) < _THIN * min(sides)
     return np.where(kept[patches], detail, 0.0)

@@ -27,6 +27,10 @@ START, STOP = 4, 16
 _CHANCE = 1e-3
 """Chance with which a step is taken where the light has no more to follow: two terms more or less of
 thousands of pixels matter little, so it is not small."""
+_AGAIN = 4
+"""How often a surface is fitted anew beside shadows."""
+_FEW = 0.002
+"""Share of the frame below which they do not bend it."""
 _FAR = 6.0
 """Robust standard deviations from its neighbours beyond which a pixel counts as no more than that."""
 
@@ -34,16 +38,35 @@ _FAR = 6.0
 def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
     """Mean of a flat without the pattern of the sensor, its smooth surface with the shadows in it, or of a
     dark (a constant per channel), DN."""
-    surface = smooth_surface(stacked)
     if stacked.recording.kind != "flat":
-        return surface
-    return surface + (shaded(stacked, surface) * _light(stacked, surface)).astype(np.float32)
+        return _surface(stacked, _without_lines(stacked))
+    surface, shadow = light_of(stacked)
+    return surface + (shadow * _above_black(stacked, surface)).astype(np.float32)
 
 
-def smooth_surface(stacked: Stack) -> Float[np.ndarray, "h w"]:
-    """Mean of a flat (a surface per channel, of degree 4 or as the light needs) or of a dark (a constant per
-    channel), DN."""
-    mean, size = _without_lines(stacked), stacked.mean.shape
+def light_of(stacked: Stack) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """The smooth surface of a flat, DN, and what shadows add to its light as a share of it, see `shadows`:
+    negative where they are dark.
+
+    A surface bends towards the shadows in it. Where there are any it is fitted again, with them filled by the
+    last one, and they are looked for again."""
+    mean = _without_lines(stacked)
+    surface = _surface(stacked, mean)
+    shadow = _shaded(stacked, mean, surface)
+    for _ in range(_AGAIN):
+        dark = shadow < 0
+        if dark.mean() < _FEW:
+            break
+        for _ in range(2):
+            surface = _surface(stacked, np.where(dark, surface, mean).astype(np.float32))
+        shadow = _shaded(stacked, mean, surface)
+    return surface, shadow
+
+
+def _surface(stacked: Stack, mean: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """The mean as a surface per channel, of degree 4 or as the light of a flat needs; of a dark as a constant
+    per channel; DN."""
+    size = mean.shape
     channel = channel_index(size)
     out = np.zeros(size, np.float32)
     degree = START if stacked.recording.kind == "flat" else 0
@@ -68,18 +91,16 @@ def smooth_surface(stacked: Stack) -> Float[np.ndarray, "h w"]:
     return out
 
 
-def shaded(stacked: Stack, surface: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """What the shadows in a flat add to the light of its smooth `surface`, as a share of that light, see
-    `shadows`: negative where they are dark."""
-    light = _light(stacked, surface)
-    relative = (_without_lines(stacked) - surface) / light
+def _shaded(stacked: Stack, mean: np.ndarray, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
+    light = _above_black(stacked, surface)
+    relative = (mean - surface) / light
     weight = np.zeros(light.shape)
     for at in SITES:
         weight[at] = 1 / max(robust_std(relative[at], 0), 1e-9) ** 2
     return shadows(relative, weight)
 
 
-def _light(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
+def _above_black(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
     return np.maximum(surface - stacked.recording.black_map(), 1.0).astype(np.float64)
 
 
@@ -96,10 +117,12 @@ def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP)
     fitted = np.zeros(rest.shape)
     if spread == 0 or stop <= start:
         return fitted
+    # What is fitted is smooth, so that the median of what it leaves is that of all less the fit.
+    around = ndimage.median_filter(rest, 5, mode="nearest")
     rows, columns = polynomials(height, stop), polynomials(width, stop)
     enough = False
     for degree in range(start, stop, 2):
-        limited = _without_points(rest, fitted, spread)
+        limited = around + np.clip(rest - around, -_FAR * spread, _FAR * spread)
         if enough or not _needed(limited, rows, columns, degree, min(degree + 2, stop)):
             if enough or degree == start:
                 break
@@ -108,14 +131,6 @@ def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP)
         fitted = _project(limited, rows, columns, -1, min(degree + 2, stop))
         spread = robust_std(rest - fitted, 0)
     return fitted
-
-
-def _without_points(rest: np.ndarray, fitted: np.ndarray, spread: float) -> Float[np.ndarray, "h w"]:
-    """The values with single ones no farther than `_FAR` from those around them. A dark corner is no outlier,
-    however far it lies from the fit."""
-    left = rest - fitted
-    around = ndimage.median_filter(left, 5, mode="nearest")
-    return fitted + around + np.clip(left - around, -_FAR * spread, _FAR * spread)
 
 
 @lru_cache(maxsize=64)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.discovery.frames.smooth import shaded, smooth_surface
+from cannoise_jax.discovery.frames.smooth import light_of
 from cannoise_jax.discovery.result import Result
 
 _LEAST = 0.002
@@ -24,7 +24,7 @@ def shadowed(diagnosis: Result) -> list[dict[str, Any]]:
     for stacked in diagnosis.first.stacks:
         if stacked.recording.kind != "flat" or stacked.recording.clean is not None:
             continue
-        found = shaded(stacked, smooth_surface(stacked))
+        found = light_of(stacked)[1]
         share = float(np.mean(found != 0))
         if share >= _LEAST:
             name = stacked.recording.path or f"recording {stacked.number}"
