@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cannoise_jax.recordings.atomic import file_in_place
+from cannoise_jax.recordings.opened import json_of
 
 _DESCRIPTION, _SEAL = "description", "sha256"
 
@@ -48,7 +49,7 @@ def read_described(path: Path) -> Described:
     """
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    description = json.loads(str(arrays.pop(_DESCRIPTION)))
+    description = json_of(str(arrays.pop(_DESCRIPTION)))
     if not isinstance(description, dict):
         raise ValueError(_DESCRIPTION)
     seal = description.pop(_SEAL, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -53,8 +54,15 @@ class Opened(NamedTuple):
 
 
 def json_of(text: str) -> Any:
-    """What a text in JSON holds. Raises ValueError, also for a name that is stated twice in one object: which
-    of both is meant nobody can tell. Raises RecursionError for what is nested too deep."""
+    """What a text in JSON holds. Raises ValueError, also for a name that is stated twice in one object, for
+    which of both is meant nobody can tell, and for whole numbers beyond any float. Raises RecursionError for
+    what is nested too deep."""
+
+    def whole(digits: str) -> int:
+        number = int(digits)
+        if abs(number) > sys.float_info.max:
+            raise ValueError(f"{digits[:8]}... is a number of {len(digits)} digits")
+        return number
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = [name for name, _ in pairs]
@@ -63,7 +71,7 @@ def json_of(text: str) -> Any:
             raise ValueError(f"{twice!r} is stated twice")
         return dict(pairs)
 
-    return json.loads(text, object_pairs_hook=once)
+    return json.loads(text, object_pairs_hook=once, parse_int=whole)
 
 
 def stated(known: Mapping[str, Any]) -> dict[str, Any]:
