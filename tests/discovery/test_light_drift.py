@@ -76,3 +76,19 @@ def test_steady_light_has_no_drift():
 def test_offsets_that_drift_in_the_dark_are_none_of_the_light():
     _, _, fitted = looked_at(lambda rng: lambda dn, signal, kind, t: dn + 1.5 * rng.standard_normal())
     assert [s.named.mechanism for s in fitted.steps] == ["offset_drift"]
+
+
+def sky(rng):
+    """Light that leans to another side in every frame."""
+    y, x = (np.linspace(-1, 1, n) for n in SIZE)
+
+    def change(dn, signal, kind, exposure):
+        down, across = 0.03 * rng.uniform(-1, 1, 2)
+        return dn + signal * (down * y[:, None] + across * x)
+
+    return change
+
+
+def test_light_that_leans_leaves_the_gain():
+    plain, leaning = (first.baselines[0].gain for _, first, _ in (looked_at(lamp(0.0, 0.0)), looked_at(sky)))
+    assert np.allclose(leaning, plain, rtol=0.03)

@@ -62,7 +62,8 @@ def test_recovers_gain_and_read_noise_of_every_channel():
 
 
 @pytest.mark.parametrize(
-    "trouble", ["lamp drift", "mains flicker", "fixed patterns", "hot pixels", "saturation"]
+    "trouble",
+    ["lamp drift", "a sky that turns", "mains flicker", "fixed patterns", "hot pixels", "saturation"],
 )
 def test_gain_is_not_biased_by(trouble):
     rng = np.random.default_rng(2)
@@ -71,6 +72,10 @@ def test_gain_is_not_biased_by(trouble):
     bias = recording(rng, 0.0, 16, exposure_s=0.01)
     if trouble == "lamp drift":
         mean *= 1 - 0.03 * np.exp(-np.arange(12))[:, None, None]
+    elif trouble == "a sky that turns":
+        lean = rng.uniform(-0.04, 0.04, (2, 12, 1, 1))
+        y, x = np.linspace(-1, 1, 96)[:, None], np.linspace(-1, 1, 128)
+        mean *= (1 + lean[0] * x + lean[1] * y) * (1 - 0.2 * x**2)
     elif trouble == "mains flicker":
         phase = rng.uniform(0, 6.28, (12, 1, 1))
         mean *= 1 + 0.15 * np.cos(np.arange(96)[None, :, None] / 9.0 + phase)

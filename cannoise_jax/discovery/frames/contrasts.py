@@ -65,7 +65,7 @@ def stack(
     mean = (total / len(chosen)).astype(np.float32)
     # The mean of all frames is independent of every contrast.
     overall = ((total + earlier) / (len(chosen) + len(before))).astype(np.float32)
-    variance = _steady_variance(contrasts, overall)
+    variance = _steady_variance(contrasts, overall, recording.kind == "flat")
     white = min(recording.white_level, 65535.0)
     usable = (high < white - 0.5) & (low > 0)
     if recording.kind in DARK and usable.mean() < 0.9:
@@ -86,23 +86,29 @@ def stack(
     )
 
 
-def _steady_variance(contrasts: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Mean square of the contrasts once what a whole frame shares is taken out."""
+def _steady_variance(contrasts: np.ndarray, mean: np.ndarray, lit: bool) -> np.ndarray:
+    """Mean square of the contrasts once what a whole frame shares is taken out; lit: of a flat."""
     total = np.zeros(mean.shape, np.float32)
     for c in range(4):
         at = SITES[c]
         for contrast in contrasts:
-            total[at] += steady(contrast[at], mean[at]) ** 2
+            total[at] += steady(contrast[at], mean[at], lit) ** 2
     return total / max(len(contrasts), 1)
 
 
-def steady(contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"]) -> Float[np.ndarray, "*at"]:
+def steady(
+    contrast: Float[np.ndarray, "*at"], mean: Float[np.ndarray, "*at"], leaning: bool = False
+) -> Float[np.ndarray, "*at"]:
     """What is left of a contrast of one channel without an offset and a factor of the whole frame: neither
-    drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6)."""
+    drift of the lamp nor of the pedestal is noise of a pixel (EMVA 1288, section 6.6). leaning: nor is light
+    that leans to another side in every frame, as the sky's does."""
     level, values = mean.ravel().astype(np.float64), contrast.ravel().astype(np.float64)
     basis = np.stack([np.ones_like(level), level - level.mean()], 1)
     if np.ptp(level) < 1e-6:
         basis = basis[:, :1]
+    if leaning:
+        places = np.meshgrid(*(np.linspace(-1, 1, n) for n in mean.shape), indexing="ij")
+        basis = np.concatenate([basis, *((p.ravel() * level)[:, None] for p in places)], 1)
     rest = values - np.einsum("nk,k->n", basis, least_squares(basis, values))
     return rest.reshape(mean.shape).astype(np.float32)
 

@@ -5,7 +5,7 @@ whole row does together is taken out first, per frame, row and colour, and kept 
 - in flats (and wherever the light dominates) by scaling every row of every frame to the same mean above
   black: lamp drift and mains flicker under a rolling shutter cancel, and shading stays out of the variance.
   The common mean is the harmonic mean over the frames, for which the shot noise of scaled rows keeps the
-  slope K exactly;
+  slope K exactly. How the light leans from side to side in a frame, as the sky does, is taken out as well;
 - otherwise by an offset: row noise and black-clamp drift cancel.
 Scenes may move, so their variance is taken from successive frames only (von Neumann's mean square successive
 difference); all others use the sample variance over frames. Memory does not grow with the number of frames.
@@ -99,7 +99,7 @@ def black_of(recording: Recording, channel: int) -> float:
 def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
     """Frames as float64 in which what rows do together is taken out, as the module's docstring says; flats
     are given above black."""
-    yield from _steady(s.recording, s.row_means, s.relative)
+    yield from _steady(s.recording, s.row_means, s.column_means, s.relative)
 
 
 def of_variance(s: FrameStatistics) -> Float[np.ndarray, "H W"]:
@@ -118,18 +118,32 @@ def _row_signal(recording: Recording, rows: Float[np.ndarray, "T H 2"]) -> Float
     return rows - np.stack([black[np.arange(rows.shape[1]) % 2, p] for p in (0, 1)], -1)
 
 
-def _steady(recording: Recording, rows: np.ndarray, relative: bool) -> Iterator[np.ndarray]:
+def leaning(recording: Recording, columns: Float[np.ndarray, "T 2 W"]) -> Float[np.ndarray, "T W"]:
+    """By what factor the light of every frame differs along the rows from the mean of all frames, apart from
+    a common one: a parabola, 1 in the middle."""
+    black = np.asarray(recording.black_level).reshape(2, 2)[:, np.arange(columns.shape[2]) % 2]
+    signal = (columns - black).mean(1)
+    shape = np.polynomial.legendre.legvander(np.linspace(-1, 1, signal.shape[1]), min(2, signal.shape[1] - 1))
+    found = np.linalg.lstsq(signal.mean(0)[:, None] * shape, signal.T, rcond=None)[0].T
+    factor = found @ shape.T / np.maximum(found[:, :1], 1e-9)
+    return np.clip(factor, 0.1, 10.0)
+
+
+def _steady(
+    recording: Recording, rows: np.ndarray, columns: np.ndarray, relative: bool
+) -> Iterator[np.ndarray]:
     parity = np.arange(recording.size[1]) % 2
     black = recording.black_map().astype(np.float64)
     signal = _row_signal(recording, rows)
     middle = rows.mean(0)
     harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if relative else None
+    lean = leaning(recording, columns) if relative else None
     at = 0
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
             values = frame.astype(np.float64)
-            if harmonic is not None:
-                yield (values - black) * (harmonic / signal[at])[:, parity]
+            if harmonic is not None and lean is not None:
+                yield (values - black) / lean[at] * (harmonic / signal[at])[:, parity]
             else:
                 yield values - (rows[at] - middle)[:, parity]
             at += 1
@@ -149,7 +163,7 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     low, high = zip(*(rails(h, max(step, 1.0), recording.white_level) for h in histograms), strict=True)
     signal = _row_signal(recording, rows)
     relative = _is_lit(recording, signal)
-    mean, variance, total, clipped = _second_pass(recording, rows, signal, relative, low, high)
+    mean, variance, total, clipped = _second_pass(recording, rows, columns, relative, low, high)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
     count = recording.count
     dof = 2 * (count - 1) ** 2 / (3 * count - 4) if recording.kind == "scene" and count > 1 else count - 1.0
@@ -202,7 +216,7 @@ def _is_lit(recording: Recording, signal: Float[np.ndarray, "T H 2"]) -> bool:
 
 
 def _second_pass(
-    recording: Recording, rows: np.ndarray, signal: np.ndarray, relative: bool, low: Any, high: Any
+    recording: Recording, rows: np.ndarray, columns: np.ndarray, relative: bool, low: Any, high: Any
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray]:
     height, width = recording.size
     black = recording.black_map().astype(np.float64)
@@ -210,6 +224,8 @@ def _second_pass(
     for channel in range(4):
         site(low_map, channel)[...] = low[channel] if np.isfinite(low[channel]) else -1.0
         site(high_map, channel)[...] = high[channel] if np.isfinite(high[channel]) else np.inf
+    signal = _row_signal(recording, rows)
+    lean = leaning(recording, columns) if relative else None
     frames_signal = np.stack([signal[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)  # [T, 4]
     middle_frame = 1 / np.mean(1 / frames_signal, axis=0) if relative else frames_signal.mean(0)
 
@@ -219,7 +235,7 @@ def _second_pass(
     plain, total, total_square, kept, kept_square, steps = (np.zeros(shape) for _ in range(6))
     clipped = np.zeros(shape, bool)
     whole_first: np.ndarray | None = None
-    steady = _steady(recording, rows, relative)
+    steady = _steady(recording, rows, columns, relative)
     at = 0
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
@@ -227,7 +243,7 @@ def _second_pass(
             clipped |= (values <= low_map) | (values >= high_map)
             plain += values
             pixel = next(steady)
-            whole = values - black if relative else values
+            whole = values if lean is None else (values - black) / lean[at]
             for c in range(4):
                 if relative:
                     site(whole, c)[...] *= middle_frame[c] / frames_signal[at, c]
