@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, variance_difference
 from cannoise_jax.physics.transfer.frames import frame_statistics, rails
-from cannoise_jax.physics.transfer.model import sensor_model
+from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
 from cannoise_jax.physics.transfer.table import format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
@@ -367,3 +368,24 @@ def test_light_that_drifts_leaves_the_gain():
     gains = [o.value for o in transfer(flat, recording(rng, 0.0)).outcomes("system gain")]
     # The harmonic mean of the light is 0.87 of the mean.
     assert np.mean(gains) == pytest.approx(GAIN, rel=0.04)
+
+
+def test_the_gain_of_a_model_that_bends_is_that_of_small_signals():
+    rng, loss = np.random.default_rng(8), 0.2
+    span = WHITE - BLACK
+
+    def bent(linear, frames, **more):
+        charge = rng.poisson(linear / GAIN, (frames, 96, 128)).astype(float)
+        charge *= 1 - loss * GAIN * charge / span
+        values = np.rint(BLACK + GAIN * (charge + rng.normal(0, READ, charge.shape)))
+        return Recording(values.astype(np.uint16), "RGGB", (BLACK,) * 4, WHITE, camera="made", **more)
+
+    exposures = (0.02, 0.1, 0.25, 0.5)
+    lit = [bent(0.9 * span * t / 0.5, 4, kind="flat", exposure_s=t) for t in exposures]
+    dark = [bent(0.0, 8, kind="dark", exposure_s=t) for t in exposures]
+    result = transfer(*dark, *lit)
+    model = sensor_model([result], find_mechanisms(result.statistics, result.baseline, ENTRIES))
+    assert [f.record.id for f in model.mechanisms] == ["nonlinearity"]
+    assert np.mean(result.baseline.gain) < 0.95 * GAIN
+    assert np.asarray(model.gain_dn_per_e) == pytest.approx(GAIN, rel=0.03)
+    assert np.asarray(model.read_noise_e) == pytest.approx(READ, rel=0.05)

@@ -48,6 +48,7 @@ class Estimator:
       another does, where they hold whatever the other laws are. placed(estimates, dark) -> its
       place, where that is not the usual one. beside(estimates, point, dark) -> whether a mechanism at that
       place makes what it sees. maps(parameters, seen) -> frozen maps of the unit that was recorded.
+    corrects(baseline, statistics, estimates) -> the baseline that a model with it has.
     """
 
     measure: Callable[..., Estimates]
@@ -66,6 +67,7 @@ class Estimator:
     placed: Callable[[Measured, FrameStatistics], Placed | None] | None = None
     beside: Callable[[Measured, Point, FrameStatistics], bool] | None = None
     maps: Callable[..., dict[str, np.ndarray]] | None = None
+    corrects: Callable[[Baseline, Statistics, Measured], Baseline] | None = None
 
     def __call__(self, statistics: Statistics, baseline: Baseline) -> Estimates:
         """The estimates of `measure`."""

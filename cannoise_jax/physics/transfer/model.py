@@ -157,6 +157,9 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
     if not measured:
         missing = next(t.baseline for t in transfers if isinstance(t.baseline, NotMeasurable))
         raise BadInput(f"{transfers[0].camera}: no baseline can be measured: {missing.record}")
+    for finding in findings:
+        if (corrects := finding.estimator.corrects) and finding.measured:
+            measured = [(t, corrects(b, t.statistics, finding.measured)) for t, b in measured]
     (first, base), isos = measured[0], [t.iso for t, _ in measured]
     numbers = iso_numbers(isos)
     model = SensorModel.poisson_gaussian(

@@ -42,7 +42,7 @@ from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
-_LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
+LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
 _FROM_RAIL = 4.0
 """Standard deviations of its noise that a pixel's mean has to lie below the code at which values pile up: of
 pixels nearer to it those that never touched it have lost the upper end of their noise. One value in thirty
@@ -192,7 +192,7 @@ def _levels(
     levels = []
     within = [
         s for s in lit
-        if s.variance is not None and s.level[c] < _LINEAR * (s.recording.white_level - black[c])
+        if s.variance is not None and s.level[c] < LINEAR * (s.recording.white_level - black[c])
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
@@ -215,7 +215,7 @@ def _below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) 
     """Pixels of a channel whose noise ends well below the code at which its values pile up."""
     usable = ~site(s.clipped, c)
     top = np.fmin(s.high[c], s.recording.white_level)
-    near = usable & (site(s.mean, c) > _LINEAR * top)
+    near = usable & (site(s.mean, c) > LINEAR * top)
     if not near.any():
         return usable
     sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))

@@ -1,0 +1,40 @@
+"""The gain of a response that bends.
+
+Photon transfer fits a straight line of variance over mean. Where the mean signal is y = x (1 - a x / S) of
+the linear signal x (DN, S from black to white, `nonlinearity`), the variance is K x (1 - 2 a x / S)^2: the
+slope of the line is smaller than K, the gain of small signals, which a camera model with that mechanism needs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimate import Estimate
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.photon_transfer import LINEAR
+
+
+def small_signal(
+    baseline: Baseline, statistics: Sequence[FrameStatistics], estimates: Mapping[str, Estimate]
+) -> Baseline:
+    """The baseline with the gain of small signals; estimates: `loss`, the share of the signal that is missing
+    at white."""
+    loss = estimates["loss"].value
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.variance is not None]
+    span = baseline.white_level - baseline.black_level
+    gain, error = baseline.gain.copy(), baseline.gain_stderr.copy()
+    for c in range(len(gain)):
+        level = np.array([s.level[c] for s in flats], np.float64)
+        level = level[level > 0]
+        level = level[level < LINEAR * span[c]] if (level < LINEAR * span[c]).any() else level
+        if not len(level):
+            continue
+        root = np.sqrt(np.maximum(1 - 4 * loss * level / span[c], 0.0))
+        # Variance over mean in units of K. Every flat tells it with the same relative error.
+        factor = 1 / float(np.mean(root**2 / ((1 + root) / 2)))
+        gain[c], error[c] = factor * gain[c], factor * error[c]
+    return dataclasses.replace(baseline, gain=gain, gain_stderr=error)
