@@ -2,7 +2,7 @@
 
 Photon transfer fits a straight line of variance over mean. Where the mean signal is y = x (1 - a x / S) of
 the linear signal x (DN, S from black to white, `nonlinearity`), the variance is K x (1 - 2 a x / S)^2: the
-slope of the line is smaller than K, the gain of small signals, which a camera model with that mechanism needs.
+slope of the line is smaller than K, the gain of small signals, which a camera model with that mechanism has.
 """
 
 from __future__ import annotations
