@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, stack
+from cannoise_jax.discovery.frames.smooth import smooth_mean
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import baseline_at, black_at, settings_of

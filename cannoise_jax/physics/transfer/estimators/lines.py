@@ -164,17 +164,20 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
         return repeated_darks(statistics)
     offsets = row_offsets(dark) if axis == 0 else column_offsets(dark)
     frames, count = offsets.shape
+    across = dark.recording.size[1 - axis]
     temporal, dof = temporal_mean_square(offsets)
-    # The pixels' own fixed pattern also leaves something in the average of a line.
-    keep = steady_pixels(dark)
-    lines = dark.mean.mean(1 - axis, keepdims=True)
-    rest = np.where(keep, dark.mean - lines, 0.0)
-    for c in range(4):
-        part = rest[SITES[c]]
-        part -= part.mean()
     pixel, _ = pooled_variance(dark)
-    frozen = max(float(np.mean(rest**2)) - pixel / frames, 0.0) / dark.recording.size[1 - axis]
-    average = offsets.mean(0)
+    # Hot pixels are no offset of their line: neither they nor their noise counts.
+    keep = steady_pixels(dark)
+    temporal = max(temporal - max(mean_variance(dark)[0] - pixel, 0.0) / across, 0.0)
+    rest = np.where(keep, dark.mean, 0.0)
+    for c in range(4):
+        part, kept = rest[SITES[c]], keep[SITES[c]]
+        part -= np.where(kept, part.sum() / max(kept.sum(), 1), 0.0)
+    average = rest.sum(1 - axis) / np.maximum(keep.sum(1 - axis), 1)
+    # The pixels' own fixed pattern also leaves something in the average of a line.
+    left = np.where(keep, rest - np.expand_dims(average, 1 - axis), 0.0)
+    frozen = max(float(np.mean(left**2)) - pixel / frames, 0.0) / across
     square = average.var(ddof=1)
     fixed_dof = max(heavy_dof(average, count - 1) / correlation_loss(average[None]), 2.0)
     return {"sigma_dn": root(variance_difference(square, fixed_dof, temporal / frames + frozen, dof))}
