@@ -24,6 +24,8 @@ COLDEST_C = -273.15
 """Absolute zero."""
 HOTTEST_C = 1000.0
 """What is hotter is no sensor, and none of its temperatures."""
+SHORTEST_S, LONGEST_S = 1e-9, 1e6
+"""Exposures beyond are in another unit, or slips; biases may state 0."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]

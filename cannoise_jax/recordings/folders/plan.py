@@ -171,8 +171,9 @@ def _notes(found: Scan) -> list[str]:
     notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
     by_doubt: dict[str, list[str]] = {}
     for shot in found.shots:
-        if shot.about.get("doubt"):
-            by_doubt.setdefault(shot.about["doubt"], []).append(shot.name)
+        for doubt in (shot.about.get("doubt", ""), *shot.about.get("named_doubts", ())):
+            by_doubt.setdefault(doubt, []).append(shot.name)
+    by_doubt.pop("", None)
     notes += [f"{listed(names)}: {doubt}" for doubt, names in by_doubt.items()]
     if found.links:
         notes.append(f"{listed(found.links)}: not read, links to folders are not followed")
