@@ -111,14 +111,15 @@ def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False
         action="append",
         default=[],
         metavar="NAME*=KIND",
-        help=f"kind of the files or folders of such names ({', '.join(KINDS)}); may be given several times",
+        help=f"in a folder, kind of the files or folders of such names ({', '.join(KINDS)}); may be given "
+        "several times",
     )
     add(
         "--leave-out",
         action="append",
         default=[],
         metavar="NAME*",
-        help="pass over the files or folders of such names; may be given several times",
+        help="in a folder, pass over the files or folders of such names; may be given several times",
     )
 
 
