@@ -26,6 +26,8 @@ HOTTEST_C = 1000.0
 """What is hotter is no sensor, and none of its temperatures."""
 SHORTEST_S, LONGEST_S = 1e-9, 1e6
 """Exposures beyond are in another unit, or slips; biases may state 0."""
+LEAST = 2.0**-126
+"""Magnitude of a number that is not 0: float32 has no less in full precision."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]
