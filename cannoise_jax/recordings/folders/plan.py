@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cannoise_jax.recordings.folders.exposures import judged_exposures
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.kinds import kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import lacks
@@ -74,6 +75,9 @@ def plan_folder(
     notes, problems = notes + more_notes, problems + more_problems
     usable, silent = _one_pattern([s for s in found.shots if s.name in kinds])
     notes += silent
+    if "exposure_s" not in overrides:
+        usable, doubtful = judged_exposures(usable, kinds)
+        notes += doubtful
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
     camera = next(iter(named)) if len(named) == 1 else folder_name(Path(folder))
     if usable and not named and "camera" not in overrides:
