@@ -212,7 +212,8 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
     def rank(mode: tuple) -> tuple:
         own = by_mode[mode]
         lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (LIT, DARK))
-        return lit and dark, lit, sum(g.frames for g in own)
+        height, width = own[0].size
+        return lit and dark, lit, sum(g.frames for g in own), height * width
 
     order = sorted(by_mode, key=rank, reverse=True)
     main = by_mode[order[0]]
@@ -224,8 +225,8 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
         out.append(("lights", scenes, reason))
     for mode in order[1:]:
         differs = [(n, a, b) for n, a, b in zip(MODE, mode, order[0], strict=True) if a != b]
-        reason = ", ".join(f"{n} is {_word(a, n)}, not {_word(b, n)}" for n, a, b in differs)
-        name = "_".join(f"{n}_{_word(a, n)}".replace(" ", "_") for n, a, _ in differs[:2])
+        reason = ", ".join(f"{n} is {word_of(a, n)}, not {word_of(b, n)}" for n, a, b in differs)
+        name = "_".join(f"{n}_{word_of(a, n)}".replace(" ", "_") for n, a, _ in differs[:2])
         out.append((name, by_mode[mode], reason))
     first = CaptureGroups("", _labelled(main), levels(main, overrides))
     rest = []
@@ -284,7 +285,8 @@ def _of_another_camera(one: CaptureGroups, main: CaptureGroups) -> list[str]:
     return [f"{names}, of {camera}: {words}; or leave out with --leave-out" for words in one.levels.missing]
 
 
-def _word(value: Any, name: str) -> str:
+def word_of(value: Any, name: str) -> str:
+    """What a mode holds under a name of `MODE`, for people."""
     if value is None:
         return {"binning": "1x1", "origin": "0x0", "bits": "16"}.get(name, "not stated")
     if isinstance(value, float):
