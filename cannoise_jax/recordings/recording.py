@@ -64,6 +64,9 @@ class Frames(Protocol):
 class Recording:
     """Frames of one camera at one setting, in capture order, with what is known about them.
 
+    Nothing is checked when one is made. `diagnose`, and every command, hold it to the rules for files and
+    raise BadInput in one line where it breaks them (see `metadata.checked`).
+
     frames: `uint16[T, H, W]`, DN as stored; an array, or a lazy view of a file (see `Frames`).
     black_level, shot, read: mosaic order, see `PerChannel`. shot and read are variance coefficients in
       normalised units, var = shot * clean + read, so the system gain is K = shot * (white - black) DN/e-.
@@ -113,7 +116,11 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class CaptureSet:
-    """The recordings of one camera: the files of one folder, sorted by name."""
+    """The recordings of one camera: the files of one folder, sorted by name.
+
+    As a `Recording`, it is checked by what takes it: an empty one, several cameras or several colour orders
+    are refused by `diagnose`.
+    """
 
     camera: str
     recordings: tuple[Recording, ...]
