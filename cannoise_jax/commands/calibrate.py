@@ -53,6 +53,7 @@ def _run(arguments: argparse.Namespace) -> int:
     beside = _beside(arguments.out)
     for path in beside.values():
         check_file(path, path.suffix, arguments.force)
+    from cannoise_jax.recordings.folders.aside import used_of
     from cannoise_jax.recordings.folders.store import capture_of
     from cannoise_jax.recordings.usable import usable
 
@@ -85,6 +86,8 @@ def _run(arguments: argparse.Namespace) -> int:
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")
     print(f"{beside['sheet']}: EMVA 1288 sheet, its numbers in {beside['data'].name}")
     print(f"{beside['csv']}, {beside['profile'].name}, {beside['darktable'].name}: noise profiles")
+    if used := used_of(plan):
+        print(used)
     return 0
 
 

@@ -47,6 +47,12 @@ def main(argv: list[str] | None = None) -> int:
             raise BadInput(f"{arguments.paths[0]}: no such file or folder")
         if arguments.dry_run or len(arguments.paths) < 2:
             parser.error("give IN... OUT.h5, or IN_FOLDER OUT_FOLDER; --dry-run prints the plan of a folder")
+        if given := [f for f in ("assign", "leave_out") if getattr(arguments, f)]:
+            flag = f"--{given[0].replace('_', '-')}"
+            raise BadInput(
+                f"{arguments.paths[0]}: {flag} sorts the files of a folder, and single files are given: "
+                "name only those that are meant, and state their kind with --kind"
+            )
         *inputs, output = arguments.paths
         recording = convert(inputs, output, overrides(arguments), arguments.force)
     except BadInput as error:

@@ -30,7 +30,7 @@ from cannoise_jax.commands.freed_memory import give_back_large
 from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.recording import LONGEST_S, SHORTEST_S, BadInput
 
 ORDER = ("gaussian", "pg", "calibrated", "discovered", "ours_on_discovered", "real_darks")
 """As the noise models are expected: each no worse than the one before."""
@@ -242,7 +242,7 @@ def _exposures(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if not values or not all(0 <= value < 1e9 for value in values):
+    if not values or not all(value == 0 or SHORTEST_S <= value <= LONGEST_S for value in values):
         raise argparse.ArgumentTypeError(f"{text!r}: give seconds, as 0.1,10,100")
     return values
 

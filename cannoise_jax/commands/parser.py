@@ -14,7 +14,15 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, HOTTEST_C, KINDS
+from cannoise_jax.recordings.recording import (
+    CFA_PATTERNS,
+    COLDEST_C,
+    HOTTEST_C,
+    KINDS,
+    LEAST,
+    LONGEST_S,
+    SHORTEST_S,
+)
 
 if TYPE_CHECKING:
     from cannoise_jax.recordings.folders.store import Options
@@ -111,14 +119,15 @@ def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False
         action="append",
         default=[],
         metavar="NAME*=KIND",
-        help=f"kind of the files or folders of such names ({', '.join(KINDS)}); may be given several times",
+        help=f"in a folder, kind of the files or folders of such names ({', '.join(KINDS)}); may be given "
+        "several times",
     )
     add(
         "--leave-out",
         action="append",
         default=[],
         metavar="NAME*",
-        help="pass over the files or folders of such names; may be given several times",
+        help="in a folder, pass over the files or folders of such names; may be given several times",
     )
 
 
@@ -142,6 +151,8 @@ def numbers(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
+    if any(0 < abs(value) < LEAST for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}: too small to be meant: give 0")
     if len(values) not in (1, 4):
         raise argparse.ArgumentTypeError(f"{text!r}: give one value, or four as a,b,c,d in mosaic order")
     return values
@@ -169,13 +180,18 @@ def whole(text: str) -> int:
     return value
 
 
-def _between(least: float, most: float, words: str, *, open_: bool = False) -> Callable[[str], float]:
+def _between(
+    least: float, most: float, words: str, *, open_: bool = False, smallest: float = LEAST
+) -> Callable[[str], float]:
+    """A number from `least` to `most`, without `least` where open, and 0 or no smaller than `smallest`."""
+
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not least <= value <= most or (open_ and value == least):
+        inside = least <= value <= most and not (open_ and value == least)
+        if not inside or 0 < abs(value) < smallest:
             raise argparse.ArgumentTypeError(f"{text!r}: {words}")
         return value
 
@@ -184,7 +200,9 @@ def _between(least: float, most: float, words: str, *, open_: bool = False) -> C
 
 level = _between(0, _HIGHEST_DN, "give a value in DN, above 0 and at most 65535", open_=True)
 celsius = _between(COLDEST_C, HOTTEST_C, "give degrees Celsius, -273.15 or more, as 20")
-seconds = _between(0, 1e9, "give a time in seconds, 0 or more")
+seconds = _between(
+    0, LONGEST_S, f"give a time in seconds, 0 or {SHORTEST_S:g} to {LONGEST_S:g}", smallest=SHORTEST_S
+)
 above_zero = _between(0, 1e9, "give a number above 0", open_=True)
 
 

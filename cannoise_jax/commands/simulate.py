@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file, line_of
 from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place
-from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, BadInput
+from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, LEAST, LONGEST_S, SHORTEST_S, BadInput
 
 if TYPE_CHECKING:
     import jax
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from cannoise_jax.recordings.recording import Recording
 
 _LARGEST = 1e30
+"""Of an ISO: products with gains and rates stay within float32."""
 _MOST_FRAMES = 10_000
-"""Of an ISO or an exposure time: products with gains and rates stay within float32."""
 
 
 @command("simulate")
@@ -98,8 +98,11 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("give --sensor and --clean, or --catalogue")
     if not 1 <= arguments.frames <= _MOST_FRAMES:
         raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
-    if not 0 <= arguments.exposure <= _LARGEST:
-        raise BadInput(f"--exposure {arguments.exposure}: a finite time in seconds, 0 or more, is needed")
+    if arguments.exposure != 0 and not SHORTEST_S <= arguments.exposure <= LONGEST_S:
+        raise BadInput(
+            f"--exposure {arguments.exposure:g}: must be a time in seconds, 0 or {SHORTEST_S:g} to "
+            f"{LONGEST_S:g}"
+        )
     if arguments.temperature is not None and not COLDEST_C <= arguments.temperature <= HOTTEST_C:
         raise BadInput(f"--temperature {arguments.temperature}: write degrees Celsius, as 20")
     if arguments.unit is not None and not 0 <= arguments.unit < 2**32:
@@ -119,7 +122,7 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
-    if not 0 < iso <= _LARGEST:
+    if not LEAST <= iso <= _LARGEST:
         raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))

@@ -24,6 +24,10 @@ COLDEST_C = -273.15
 """Absolute zero."""
 HOTTEST_C = 1000.0
 """What is hotter is no sensor, and none of its temperatures."""
+SHORTEST_S, LONGEST_S = 1e-9, 1e6
+"""Exposures beyond are in another unit, or slips; biases may state 0."""
+LEAST = 2.0**-126
+"""Magnitude of a number that is not 0: float32 has no less in full precision."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]
@@ -59,6 +63,9 @@ class Frames(Protocol):
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Frames of one camera at one setting, in capture order, with what is known about them.
+
+    Nothing is checked when one is made. `diagnose`, and every command, hold it to the rules for files and
+    raise BadInput in one line where it breaks them (see `metadata.checked`).
 
     frames: `uint16[T, H, W]`, DN as stored; an array, or a lazy view of a file (see `Frames`).
     black_level, shot, read: mosaic order, see `PerChannel`. shot and read are variance coefficients in
@@ -109,7 +116,11 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class CaptureSet:
-    """The recordings of one camera: the files of one folder, sorted by name."""
+    """The recordings of one camera: the files of one folder, sorted by name.
+
+    As a `Recording`, it is checked by what takes it: an empty one, several cameras or several colour orders
+    are refused by `diagnose`.
+    """
 
     camera: str
     recordings: tuple[Recording, ...]

@@ -9,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput, PerChannel, Recording, per_channel
+from cannoise_jax.recordings.recording import (
+    CFA_PATTERNS,
+    LEAST,
+    LONGEST_S,
+    SHORTEST_S,
+    BadInput,
+    PerChannel,
+    Recording,
+    per_channel,
+)
 
 LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
@@ -24,7 +33,9 @@ def text_of(path: str | Path, name: str, value: Any) -> str:
     if value is None:
         return ""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-    if isinstance(text, int) or (isinstance(text, float) and math.isfinite(text)):
+    if (isinstance(text, int) and not isinstance(text, bool)) or (
+        isinstance(text, float) and math.isfinite(text)
+    ):
         text = str(text)
     if not (isinstance(text, str) and text.isprintable() and len(text) <= LONGEST):
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected text of at most {LONGEST} characters")
@@ -72,6 +83,8 @@ def channels_of(path: str | Path, name: str, value: Any) -> PerChannel:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected 1 or 4 numbers in mosaic order") from error
     if not all(map(math.isfinite, values)):
         raise BadInput(f"{path}: {name} is not finite: {', '.join(f'{v:g}' for v in values)}")
+    for value in values:
+        _check_not_tiny(path, name, value)
     return values
 
 
@@ -102,14 +115,22 @@ def _no_truths(value: Any) -> np.ndarray:
 
 
 def number_of(path: str | Path, name: str, value: Any) -> float:
-    """A finite number. Raises BadInput for anything else."""
+    """A finite number. Raises BadInput for anything else; arrays of one are numbers, as HDF5 has them."""
     try:
+        if isinstance(value, (list, tuple)):
+            raise TypeError("a list, no number")
         number = float(_no_truths(value).reshape(()))
     except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: {name} {_quoted(value)}: expected one number") from error
     if not math.isfinite(number):
         raise BadInput(f"{path}: {name} is not finite: {number}")
+    _check_not_tiny(path, name, number)
     return number
+
+
+def _check_not_tiny(path: str | Path, name: str, number: float) -> None:
+    if 0 < abs(number) < LEAST:
+        raise BadInput(f"{path}: {name} is {number:g}: too small to be meant: write 0")
 
 
 def optional_number(
@@ -124,6 +145,14 @@ def optional_number(
     if number > most:
         raise BadInput(f"{path}: {name} is {number:g}: expected at most {most:g}")
     return number
+
+
+def exposure_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:
+    """Seconds, 0 (of biases) or what a camera can expose for; None where none is stated."""
+    seconds = optional_number(path, stated, "exposure_s", least=0, most=LONGEST_S)
+    if seconds is not None and 0 < seconds < SHORTEST_S:
+        raise BadInput(f"{path}: exposure_s is {seconds:g}: expected at least {SHORTEST_S:g}, or 0 of a bias")
+    return seconds
 
 
 def code_step_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:

@@ -32,9 +32,11 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
 
     Left out are frames of one value, copies of an earlier frame, and frames wholly at the white level;
     with its last frame a recording goes too. Reads every frame once. Raises BadInput for recordings that no
-    file may hold (see `metadata.checked`), for frames that are too small, and where so much is lost that no
-    two frames of one recording are left.
+    file may hold (see `metadata.checked`), for frames that are too small, for none at all, and where so much
+    is lost that no two frames of one recording are left.
     """
+    if not capture.recordings:
+        raise BadInput(f"{capture.path or capture.camera}: holds no recordings: add some")
     kept: list[Recording] = []
     lines: list[str] = []
     seen: Seen = {}

@@ -14,6 +14,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings import Recording
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
+from tests.recordings.folders.test_store import sets
 
 GAIN, READ, BLACK = 2.0, 3.0, 256.0
 
@@ -122,6 +123,14 @@ def test_darks_of_zeros_and_repeated_flats_are_left_out_with_a_line(folder, tmp_
     assert "dark_off.h5: frames 1 to 4: every pixel is 0 (" in said
     assert "flat.h5: frame 20: every pixel is 900" in said and ": copies of earlier frames (" in said
     assert (tmp_path / "more.json").read_text() == alone.read_text()
+
+
+def test_files_of_another_gain_are_said_at_the_end(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = sets(tmp_path / "in", a={"GAIN": 0, "size": (64, 96)}, b={"GAIN": 100, "size": (64, 96)})
+    assert main(["--recordings", str(folder), "--out", str(tmp_path / "sensor.json")]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("used: 4 of 8 files (gain 0); not used: 4 as gain_100/ (flat_b_1.fits")
 
 
 OWN = """

@@ -209,6 +209,15 @@ def test_files_of_another_readout_are_not_joined(tmp_path, capsys, stated, says)
     assert says in capsys.readouterr().err and not (tmp_path / "out.h5").exists()
 
 
+@pytest.mark.parametrize("flags", [("--assign", "a*=dark"), ("--leave-out", "b*")])
+def test_flags_that_sort_folders_are_refused_with_single_files(flags, tmp_path, capsys):
+    paths = [write_stack(tmp_path / f"{name}.npy", FRAMES) for name in "ab"]
+    assert run(*paths, tmp_path / "out.h5", *flags) == 2
+    said = capsys.readouterr().err
+    assert f"a.npy: {flags[0]} sorts the files of a folder" in said and said.count("\n") == 1
+    assert not (tmp_path / "out.h5").exists()
+
+
 def test_files_that_contradict_are_not_joined_and_copies_are_used_once(tmp_path, capsys):
     levels = ("--black-level", 9, "--white-level", 1023, "--cfa", "RGGB")
     cold, warm, near = (

@@ -18,7 +18,7 @@ from cannoise_jax.commands import (
     sample,
     simulate,
 )
-from cannoise_jax.commands.parser import OneLineParser, count, numbers
+from cannoise_jax.commands.parser import OneLineParser, above_zero, celsius, count, level, numbers, seconds
 from cannoise_jax.recordings.recording import BadInput
 
 
@@ -81,7 +81,11 @@ def test_a_message_of_several_lines_becomes_one(capsys):
 
 def test_values():
     assert numbers("64") == (64.0,) and numbers("1,2,3,4.5") == (1, 2, 3, 4.5) and count("3") == 3
-    for read, text in ((numbers, "1,2"), (numbers, ""), (count, "-1"), (count, "1.5")):
+    assert (seconds("0"), seconds("1e-9"), seconds("1e6"), celsius("0")) == (0, 1e-9, 1e6, 0)
+    wrong = [(numbers, "1,2"), (numbers, ""), (numbers, "1e-320"), (count, "-1"), (count, "1.5")]
+    wrong += [(seconds, text) for text in ("1e-320", "1e-12", "1e9", "-1", "nan")]
+    wrong += [(level, "1e-320"), (above_zero, "1e-320"), (celsius, "1e-320")]
+    for read, text in wrong:
         with pytest.raises(argparse.ArgumentTypeError, match=repr(text)):
             read(text)
 

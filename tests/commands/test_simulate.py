@@ -127,6 +127,8 @@ def test_several_settings_lie_side_by_side(sensor, tmp_path):
         (["--sensor", "SENSOR", "--clean", "dark", "--iso", "nan"], "--iso nan"),
         (["--sensor", "SENSOR", "--clean", "dark", "--exposure", "inf"], "--exposure inf"),
         (["--sensor", "SENSOR", "--clean", "dark", "--exposure", "-1"], "--exposure -1"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--exposure", "1e9"], "--exposure 1e+09"),
+        (["--sensor", "SENSOR", "--clean", "dark", "--exposure", "1e-320"], "--exposure"),
         (["--sensor", "SENSOR", "--clean", "dark", "--temperature", "nan"], "--temperature nan"),
         (["--sensor", "SENSOR", "--clean", "dark", "--temperature", "inf"], "--temperature inf"),
         (["--sensor", "SENSOR", "--clean", "dark", "--unit", str(10**30)], "--unit"),

@@ -164,6 +164,35 @@ def test_broken_side_cars(tmp_path):
         load_recording(path)
 
 
+@pytest.mark.parametrize(
+    "field, value, said",
+    [
+        ("camera", False, "camera False: expected text"),
+        ("camera", True, "camera True: expected text"),
+        ("egain", [[1]], r"egain \[\[1\]\]: expected one number"),
+        ("white_level", [1023], r"white_level \[1023\]: expected one number"),
+        ("exposure_s", 1e-320, "exposure_s is .*: too small to be meant"),
+        ("exposure_s", 1e-12, "exposure_s is 1e-12: expected at least 1e-09, or 0"),
+        ("exposure_s", 1e9, r"exposure_s is 1e\+09: expected at most 1e\+06"),
+        ("exposure_s", -1, "exposure_s is -1: expected at least 0"),
+        ("black_level", 1e-320, "black_level is .*: too small to be meant"),
+        ("read", [1e-5, 1e-5, 1e-5, 1e-42], "read is .*: too small to be meant"),
+    ],
+)
+def test_values_that_cannot_be_meant_are_refused(tmp_path, field, value, said):
+    path = write(tmp_path / "a.npy", side_car=SIDE_CAR | {field: value})
+    with pytest.raises(BadInput, match=f"a.npy: {said}") as caught:
+        load_recording(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_least_values_that_are_meant_are_read(tmp_path):
+    stated = {"exposure_s": 1e-9, "black_level": 0, "camera": 7}
+    recording = load_recording(write(tmp_path / "a.npy", side_car=SIDE_CAR | stated))
+    assert (recording.exposure_s, recording.black_level, recording.camera) == (1e-9, (0,) * 4, "7")
+    assert load_recording(tmp_path / "a.npy", exposure_s=0.0).exposure_s == 0
+
+
 def test_colour_images_and_mixed_pages_are_refused(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((6, 8, 3), np.uint16), photometric="rgb")
     with tifffile.TiffWriter(tmp_path / "b.tif") as file:

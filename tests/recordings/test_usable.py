@@ -37,6 +37,33 @@ def test_the_others_keep_their_order_and_their_own_reference(index):
     assert kept.recordings[0].count == 4 and len(lines) == 2
 
 
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"frames": noisy().astype(float)}, "frames are float64: expected"),
+        ({"frames": noisy().astype(np.int16)}, "frames are int16: expected"),
+        ({"frames": noisy()[0]}, "expected .frames, rows, columns."),
+        ({"kind": "Dark"}, "unknown kind 'Dark': use one of scene, flat, dark, bias"),
+        ({"cfa": "rgbg"}, "unknown CFA"),
+        ({"black_level": (64.0,) * 3}, "black_level .*expected 1 or 4 numbers"),
+        ({"clean": np.zeros((6, 14), np.float32)}, "clean has shape"),
+        ({"exposure_s": -1.0}, "exposure_s is -1: expected at least 0"),
+        ({"exposure_s": float("nan")}, "exposure_s is not finite"),
+        ({"white_level": 64.0}, "is not below white level"),
+    ],
+)
+def test_recordings_that_no_file_may_hold_are_refused_where_they_are_used(change, said):
+    made = dataclasses.replace(recording(noisy()), path="mine", **change)
+    with pytest.raises(BadInput, match=f"^mine: .*{said}") as caught:
+        usable(CaptureSet("c", (made,)))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_set_without_recordings_is_refused():
+    with pytest.raises(BadInput, match="^c: holds no recordings"):
+        usable(CaptureSet("c", ()))
+
+
 def test_a_copy_in_another_recording_is_one_too():
     frames = noisy()
     both = recording(frames, path="a.h5"), recording(frames[[3, 1]], path="b.h5")

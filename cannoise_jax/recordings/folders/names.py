@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
+from cannoise_jax.recordings.folders.numerals import Reading, exposure_in, number_beside, plain
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 
 _MOST_NAMED = 3
 _AVERAGES = ("master", "superbias", "superdark", "superflat", "stacked", "integration", "averaged")
-_SECONDS = {"us": 1e-6, "µs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0, "secs": 1.0}
-_SECONDS["min"] = 60.0
-_EXPOSURE = re.compile(
-    r"(?<![\d.])(\d+(?:\.\d+)?)[ _]?(us|µs|usec|ms|msec|secs?|s|min)(?![a-z])", re.IGNORECASE
-)
-_ISO = re.compile(r"(?<![a-z])iso[ _-]?(\d+)(?!\d)", re.IGNORECASE)
-_GAIN = re.compile(r"(?<![a-z])gain[ _-]?(\d+)(?![\d.])|(?<![a-z\d])g([1-9]\d*)(?![\da-z.])", re.IGNORECASE)
-_CELSIUS = re.compile(r"(?<![\d.])([+-]?\d+(?:\.\d+)?) ?(?:°c|degc|c)(?![a-z\d])", re.IGNORECASE)
+_SHORT_GAIN = re.compile(r"(?<![a-z\d])g([1-9]\d*)(?![\da-z.])", re.IGNORECASE)
+_ISO = 25, 5_000_000
+"""Least and highest ISO of cameras: less counts files."""
+_CELSIUS = re.compile(r"(?<![\d.,])([+-]?\d+(?:\.\d+)?) ?(?:°c|degc|c)(?![a-z\d])", re.IGNORECASE)
 _BINNING = re.compile(r"(?<![a-z])bin(?:ning)?[ _-]?(\d)(?:x(\d))?", re.IGNORECASE)
 
 
@@ -37,23 +34,40 @@ def named_average(path: PurePath) -> str | None:
     return next((word for word in _AVERAGES if re.search(rf"(?<![a-z]){word}", lower)), None)
 
 
-def named_settings(path: PurePath) -> dict[str, Any]:
-    """exposure_s, iso, temperature_c and gain (in the camera's own unit), as far as names say them."""
-    out: dict[str, Any] = {}
+class NamedSettings(NamedTuple):
+    """What names say: exposure_s, iso, temperature_c, gain_setting (in the camera's own unit), binning; and
+    what is to be said of them, by field, whether it was read or not."""
+
+    values: dict[str, Any]
+    doubts: dict[str, str]
+
+
+def named_settings(path: PurePath, counters: Collection[str] = ()) -> NamedSettings:
+    """The settings that the name says, or else the nearest folder. counters: see `numerals.counted`."""
+    values: dict[str, Any] = {}
+    doubts: dict[str, str] = {}
     for part in (path.stem, *reversed(path.parent.parts)):
-        exposure, iso, gain = _EXPOSURE.search(part), _ISO.search(part), _GAIN.search(part)
-        celsius, binning = _CELSIUS.search(part), _BINNING.search(part)
-        if exposure:
-            out.setdefault("exposure_s", float(exposure[1]) * _SECONDS[exposure[2].lower()])
-        if iso and float(iso[1]) > 0:
-            out.setdefault("iso", float(iso[1]))
-        if gain:
-            out.setdefault("gain_setting", float(gain[1] or gain[2]))
+        text = plain(part)
+        readings = {
+            "exposure_s": exposure_in(part, counters),
+            "iso": number_beside("iso", part, *_ISO),
+            "gain_setting": _gain(part),
+        }
+        for field, (value, doubt) in readings.items():
+            if field not in values and field not in doubts:
+                values |= {} if value is None else {field: value}
+                doubts |= {} if doubt is None else {field: doubt}
+        celsius, binning = _CELSIUS.search(text), _BINNING.search(text)
         if celsius and -100 <= float(celsius[1]) <= 100:
-            out.setdefault("temperature_c", float(celsius[1]))
+            values.setdefault("temperature_c", float(celsius[1]))
         if binning and (binning[1], binning[2] or binning[1]) != ("1", "1"):
-            out.setdefault("binning", (float(binning[1]), float(binning[2] or binning[1])))
-    return out
+            values.setdefault("binning", (float(binning[1]), float(binning[2] or binning[1])))
+    return NamedSettings(values, doubts)
+
+
+def _gain(part: str) -> Reading:
+    in_full, short = number_beside("gain", part), _SHORT_GAIN.search(part)
+    return in_full if in_full != Reading() or not short else Reading(float(short[1]))
 
 
 def listed(names: Sequence[str]) -> str:

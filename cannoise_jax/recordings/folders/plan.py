@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cannoise_jax.recordings.folders.exposures import judged_exposures
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.kinds import kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import lacks
@@ -74,6 +75,9 @@ def plan_folder(
     notes, problems = notes + more_notes, problems + more_problems
     usable, silent = _one_pattern([s for s in found.shots if s.name in kinds])
     notes += silent
+    if "exposure_s" not in overrides:
+        usable, doubtful = judged_exposures(usable, kinds)
+        notes += doubtful
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
     camera = next(iter(named)) if len(named) == 1 else folder_name(Path(folder))
     if usable and not named and "camera" not in overrides:
@@ -171,8 +175,9 @@ def _notes(found: Scan) -> list[str]:
     notes += [f"{name}: the same pixels as {first}: used once" for name, first in found.copies]
     by_doubt: dict[str, list[str]] = {}
     for shot in found.shots:
-        if shot.about.get("doubt"):
-            by_doubt.setdefault(shot.about["doubt"], []).append(shot.name)
+        for doubt in (shot.about.get("doubt", ""), *shot.about.get("named_doubts", ())):
+            by_doubt.setdefault(doubt, []).append(shot.name)
+    by_doubt.pop("", None)
     notes += [f"{listed(names)}: {doubt}" for doubt, names in by_doubt.items()]
     if found.links:
         notes.append(f"{listed(found.links)}: not read, links to folders are not followed")
@@ -207,7 +212,8 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
     def rank(mode: tuple) -> tuple:
         own = by_mode[mode]
         lit, dark = (any(g.kind in k and g.frames > 1 for g in own) for k in (LIT, DARK))
-        return lit and dark, lit, sum(g.frames for g in own)
+        height, width = own[0].size
+        return lit and dark, lit, sum(g.frames for g in own), height * width
 
     order = sorted(by_mode, key=rank, reverse=True)
     main = by_mode[order[0]]
@@ -219,8 +225,8 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
         out.append(("lights", scenes, reason))
     for mode in order[1:]:
         differs = [(n, a, b) for n, a, b in zip(MODE, mode, order[0], strict=True) if a != b]
-        reason = ", ".join(f"{n} is {_word(a, n)}, not {_word(b, n)}" for n, a, b in differs)
-        name = "_".join(f"{n}_{_word(a, n)}".replace(" ", "_") for n, a, _ in differs[:2])
+        reason = ", ".join(f"{n} is {word_of(a, n)}, not {word_of(b, n)}" for n, a, b in differs)
+        name = "_".join(f"{n}_{word_of(a, n)}".replace(" ", "_") for n, a, _ in differs[:2])
         out.append((name, by_mode[mode], reason))
     first = CaptureGroups("", _labelled(main), levels(main, overrides))
     rest = []
@@ -279,7 +285,8 @@ def _of_another_camera(one: CaptureGroups, main: CaptureGroups) -> list[str]:
     return [f"{names}, of {camera}: {words}; or leave out with --leave-out" for words in one.levels.missing]
 
 
-def _word(value: Any, name: str) -> str:
+def word_of(value: Any, name: str) -> str:
+    """What a mode holds under a name of `MODE`, for people."""
     if value is None:
         return {"binning": "1x1", "origin": "0x0", "bits": "16"}.get(name, "not stated")
     if isinstance(value, float):

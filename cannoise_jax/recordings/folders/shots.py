@@ -14,6 +14,7 @@ import numpy as np
 
 from cannoise_jax.recordings import sidd
 from cannoise_jax.recordings.folders.names import named_average, named_kind, named_settings
+from cannoise_jax.recordings.folders.numerals import counted
 from cannoise_jax.recordings.load import instead_of, is_supported, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.metadata import make_recording
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
@@ -33,8 +34,9 @@ class Shot(NamedTuple):
     name: below the folder. whole: a recording that is complete by itself (native or SIDD) and joins no other.
     said: the kind as the header has it, named: as names have it. medians: of the first frame, mosaic order.
     top: highest value. step: common spacing of the first frame's values (1: none). print: of all pixels.
-    levels: median of every frame, DN; None: it holds no noise. pages: the frames that are meant, from 0;
-    None: all of them.
+    levels: median of every frame, DN; None: it holds no noise. about: see `Opened`, and of names
+    named_exposure_s, and named_doubts, what is to be said of what they say. pages: the frames that are
+    meant, from 0; None: all of them.
     """
 
     path: Path
@@ -112,11 +114,12 @@ def scan(
         remedy = "; ".join(map(str, remedies)) or "see bin/convert --help for the formats"
         raise BadInput(f"{folder}: holds no recordings{kinds}: {remedy}")
     seen: dict[tuple, str] = {}
+    counters = counted(str(path.relative_to(folder)) for path in found)
     for number, path in enumerate(found):
         name = str(path.relative_to(folder))
         tell(number, len(found))
         try:
-            shot = _shot(path, name, frozenset(given))
+            shot = _shot(path, name, frozenset(given), counters)
         except _Dud as error:
             duds.append((name, str(error)))
             continue
@@ -180,7 +183,7 @@ def _closed(folder: Path, leave_out: tuple[str, ...], error: OSError) -> None:
         raise BadInput(f"{error.filename}: cannot be read ({error.strerror}): {remedy}") from error
 
 
-def _shot(path: Path, name: str, given: frozenset[str]) -> Shot:
+def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]) -> Shot:
     whole = path.is_dir() or suffix_of(path) in NATIVE
     if whole:
         recording = load_recording(path)
@@ -197,7 +200,10 @@ def _shot(path: Path, name: str, given: frozenset[str]) -> Shot:
     if len(shape) != 3 or 0 in shape:
         raise BadInput(f"{path}: has shape {shape}: expected one mosaic or a stack of them")
     known = _sound(path, opened, {n: v for n, v in known.items() if n not in given})
-    for field, value in named_settings(Path(name)).items():
+    named = named_settings(Path(name), counters)
+    doubts = [words for field, words in named.doubts.items() if field not in known and field not in about]
+    about |= {"named_exposure_s": named.values.get("exposure_s"), "named_doubts": doubts}
+    for field, value in named.values.items():
         if field == "gain_setting" and ("iso" in known or "gain_setting" in about):
             continue
         (about if field in ("gain_setting", "binning") else known).setdefault(field, value)

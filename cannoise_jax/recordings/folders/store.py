@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cannoise_jax.recordings.atomic import is_running, one_work
+from cannoise_jax.recordings.folders.aside import used_line
 from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder, text
 from cannoise_jax.recordings.folders.shots import Tell
@@ -44,7 +45,7 @@ _KEPT = 6
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
-_LAYOUT = "4"
+_LAYOUT = "5"
 """Of what is cached, and of how folders are sorted: entries of another layout are not used."""
 
 
@@ -68,7 +69,8 @@ def capture_of(
     """The capture set of any folder, and how it was made up (empty where its files are recordings already).
 
     A folder whose own files are all in the native format, scene folders of SIDD, or stacks with side-cars is
-    taken as it is. Every other one is planned, and its main set converted into `cache`, unless it is there.
+    taken as it is. Every other one is planned, and its main set converted into `cache`, unless it is there;
+    where there are others, the last line says what is used (see `aside`).
     Raises BadInput.
     """
     if not folder.is_dir():
@@ -230,7 +232,8 @@ def _into_cache(plan: Plan, entry: Path) -> None:
             pass
         sources = {f"{g.label}.h5": [s.name for s in g.shots] for one in main.sets for g in one.groups}
         (temporary / _SOURCES).write_text(json.dumps(sources), encoding="utf-8")
-        (temporary / "plan.txt").write_text(text(plan) + "\n", encoding="utf-8", errors="replace")
+        said = "".join(f"{part}\n" for part in (text(plan), " ".join(used_line(plan).splitlines())) if part)
+        (temporary / "plan.txt").write_text(said, encoding="utf-8", errors="replace")
         try:
             os.replace(temporary, entry)
         except OSError:  # another process was faster

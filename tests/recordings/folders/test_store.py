@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from cannoise_jax.recordings.folders import store
+from cannoise_jax.recordings.folders.aside import used_of
 from cannoise_jax.recordings.folders.plan import plan_folder
 from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.native import read_recording, write_recording
@@ -51,6 +52,45 @@ def test_a_conversion_that_fails_takes_away_what_it_made_and_no_more(tmp_path, m
         with pytest.raises(BadInput, match="No space left"):
             list(write_plan(plan, folder))
     assert [p.name for p in out.rglob("*")] == ["mine", "empty"] and not (tmp_path / "new").exists()
+
+
+def sets(folder, **modes):
+    """Two darks and two flats for each name, with keywords of their own."""
+    for name, more in modes.items():
+        for n in (1, 2):
+            about = {"INSTRUME": "Acme 100", "EXPTIME": 2.0, "seed": 9 * sum(map(ord, name)) + n} | more
+            shot(folder / f"dark_{name}_{n}.fits", "dark", IMAGETYP="Dark", **about)
+            shot(folder / f"flat_{name}_{n}.fits", "flat", IMAGETYP="Flat", **about)
+    return folder
+
+
+def test_what_of_several_sets_is_used_and_what_not_is_said(tmp_path):
+    folder, cache = sets(tmp_path / "in", a={"GAIN": 0}, b={"GAIN": 100}, c={"GAIN": 200}), tmp_path / "cache"
+    for _ in range(2):  # converted, and from the cache
+        capture, said = capture_of(folder, Options({}), cache)
+        last = said.splitlines()[-1]
+        assert last == used_of(said) and said.endswith("itself\n")
+        assert last.startswith("used: 4 of 12 files (gain 0); not used: 4 as gain_100/ (flat_b_1")
+        assert "4 as gain_200/ (flat_c_1.fits" in last and f"bin/convert {folder} OUT" in last
+        assert sum(r.count for r in capture.recordings) == 4
+    written = {path.parent.name for path, _ in write_plan(plan_folder(folder), tmp_path / "out")}
+    assert written == {"out", "gain_100", "gain_200"}
+    one, said = capture_of(folder, Options({}, leave_out=("*_b_*", "*_c_*")), cache)
+    assert used_of(said) == "" and len(one.recordings) == 2
+
+
+@pytest.mark.parametrize(
+    "modes, size",
+    [
+        ({"a": {"size": (12, 16)}, "b": {}}, (24, 32)),
+        ({"a": {"size": (12, 16), "XBINNING": 2, "YBINNING": 2}, "b": {}}, (24, 32)),
+        ({"a": {"size": (12, 16)}, "b": {}, "a2": {"size": (12, 16)}}, (12, 16)),
+    ],
+)
+def test_the_set_of_most_frames_is_used_and_of_as_many_the_largest(modes, size, tmp_path):
+    capture, said = capture_of(sets(tmp_path / "in", **modes), Options({}), tmp_path / "cache")
+    assert {r.size for r in capture.recordings} == {size}
+    assert f"size {size[0]}x{size[1]}" in used_of(said)
 
 
 def test_a_folder_is_converted_once(tmp_path):

@@ -1,0 +1,42 @@
+"""What a command that takes one set of a folder uses of it, what it does not use, and how to get at that."""
+
+from __future__ import annotations
+
+from cannoise_jax.recordings.folders.groups import MODE
+from cannoise_jax.recordings.folders.names import listed
+from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, word_of
+
+_USED = "used: "
+
+
+def used_line(plan: Plan) -> str:
+    """A line that names the set that is used and the files that are not; empty where all are."""
+    main, *others = plan.sets
+    if not others:
+        return ""
+    first = main.groups[0].mode
+    differ = [
+        f"{name.replace('_', ' ')} {word_of(value, name)}"
+        for n, (name, value) in enumerate(zip(MODE, first, strict=True))
+        if any(one.groups[0].mode[n] != value for one in others)
+    ]
+    files, rest = _files(main), [(one.folder, _files(one)) for one in others]
+    lost = {name for _, names in rest for name in names} - set(files)
+    if not lost:
+        return ""
+    parts = ", ".join(f"{len(names)} as {folder}/ ({listed(names)})" for folder, names in rest)
+    which = f" ({', '.join(differ)})" if differ else ""
+    return (
+        f"{_USED}{len(files)} of {len(files) + len(lost)} files{which}; not used: {parts}: bin/convert "
+        f"{plan.folder} OUT writes every set, these into OUT/{others[0].folder} and so on, each to be used "
+        "by itself"
+    )
+
+
+def used_of(said: str) -> str:
+    """The line of `used_line` in what was said of a folder; empty where there is none."""
+    return next((line for line in said.splitlines() if line.startswith(_USED)), "")
+
+
+def _files(one: CaptureGroups) -> list[str]:
+    return list(dict.fromkeys(s.name for g in one.groups for s in g.shots))
