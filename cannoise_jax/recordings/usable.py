@@ -12,6 +12,7 @@ import numpy as np
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
 from cannoise_jax.recordings.one_noise import apart, numbered, words
+from cannoise_jax.recordings.plausible import check_kinds
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 LEAST_SIDE = 8
@@ -33,8 +34,8 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, and the
     few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
     recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
-    frames that are too small, for a recording of frames of several noises none of which is the rule, and
-    where so much is lost that no two frames of one recording are left.
+    frames that are too small, for a recording of frames of several noises none of which is the rule, for
+    flats all darker than all darks, and where so much is lost that no two frames of one recording are left.
     """
     kept: list[Recording] = []
     lines: list[str] = []
@@ -53,6 +54,7 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
         raise BadInput(f"{lines[0]}{more}; too few frames are left")
+    check_kinds(kept)
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(f"{line}: left out" for line in lines)
 
 
