@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
-from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line, median_quotient
+from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
 from cannoise_jax.physics.transfer.frames import (
     FrameStatistics,
     frame_statistics,
@@ -38,15 +37,11 @@ from cannoise_jax.physics.transfer.quantities import (
     pattern_quantities,
     saturation_quantities,
 )
+from cannoise_jax.physics.transfer.rails import LINEAR, below_rail, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
-_LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
-_FROM_RAIL = 4.0
-"""Standard deviations of its noise that a pixel's mean has to lie below the code at which values pile up: of
-pixels nearer to it those that never touched it have lost the upper end of their noise. One value in thirty
-thousand is beyond."""
 _ENOUGH = 0.05
 """Share of the pixels of a channel that have to be left of a recording."""
 
@@ -94,8 +89,9 @@ def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
 
 def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
-    first = statistics[0].recording
     _check_alike([s.recording for s in statistics])
+    statistics = with_measured_black(statistics)
+    first = statistics[0].recording
     step = _code_step(statistics)
     dark = reference_dark(statistics)
     black = black_level(statistics)
@@ -192,11 +188,11 @@ def _levels(
     levels = []
     within = [
         s for s in lit
-        if s.variance is not None and s.level[c] < _LINEAR * (s.recording.white_level - black[c])
+        if s.variance is not None and s.level[c] < LINEAR * (s.recording.white_level - black[c])
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
-        usable = _below_rail(s, variance, c)
+        usable = below_rail(s, variance, c)
         if usable.mean() > _ENOUGH:
             levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
@@ -209,17 +205,6 @@ def _levels(
             variance = variance + (quiet.read.value**2 + step**2 / 12 - quiet.square)
         levels.append(ChannelMaps(zero, variance, usable, dark.recording.count, dark.dof, True))
     return levels
-
-
-def _below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels of a channel whose noise ends well below the code at which its values pile up."""
-    usable = ~site(s.clipped, c)
-    top = np.fmin(s.high[c], s.recording.white_level)
-    near = usable & (site(s.mean, c) > _LINEAR * top)
-    if not near.any():
-        return usable
-    sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))
-    return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
 
 
 def _line(

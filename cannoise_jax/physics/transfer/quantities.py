@@ -26,6 +26,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
+from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail
 from cannoise_jax.physics.transfer.spatial import (
     Split,
     TemporalParts,
@@ -207,14 +208,16 @@ def pattern_quantities(
         if part == "total":
             out.append(Quantity(title, "e-", name, _in_electrons(sigma, line)))
     repeated = [s for s in flats if s.relative and s.variance is not None]
+    within = [s for s in repeated if is_below_rail(s, c)]
+    lacking = NotMeasurable(DIMMER if repeated else RECORD_FLATS)
     # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
     flat = min(
-        repeated, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
+        within, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
     )
     for part in parts:
         title = titles[part].format("PRNU")
         if flat is None:
-            out.append(Quantity(title, "%", name, NotMeasurable(RECORD_FLATS)))
+            out.append(Quantity(title, "%", name, lacking))
         else:
             outcome, note = _prnu(flat, split, c, part, black)
             out.append(Quantity(title, "%", name, outcome, note if part == "total" else ""))
@@ -238,7 +241,7 @@ def _prnu(
     _, keep = robust_mean_square(
         pixel_variance(flat, c) / np.maximum(site(flat.mean, c) - black[c], 1), flat.dof
     )
-    split = spatial_split(gains, keep & ~site(flat.clipped, c), parts)
+    split = spatial_split(gains, keep & below_rail(flat, pixel_variance(flat, c), c), parts)
     found: Estimate = getattr(split, part)
     if unsteady and part == "total":
         found = total_of(split.column, split.pixel)
