@@ -72,12 +72,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture, own)
+    model = sensor_model(transfers, findings)
     shown = tuple(map(of_all_pixels, transfers))
     for transfer in shown:
         print(format_transfer(transfer), end="\n\n")
     if findings:
         print(format_findings(findings), end="\n\n")
-    model = sensor_model(transfers, findings)
     texts = _texts(beside, model.camera, shown, capture)
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)

@@ -13,12 +13,15 @@ from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
 from cannoise_jax.recordings.one_noise import apart, numbered, words
 from cannoise_jax.recordings.plausible import check_kinds
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
 _FULL = tuple((2**bits - 1) << shift for bits in (8, 10, 12, 14, 16) for shift in (0, 16 - bits))
 """Highest codes, also where they are shifted to 16 bits."""
+_FEWEST, _OVERFULL = 3, 0.05
+"""Frames from which one can be told to be odd; share of the pixels of a dark that neither hits nor hot pixels
+reach, and that neither are in one frame alone."""
 
 Seen = dict[tuple, tuple[object, int]]
 """Where the pixels of a frame were met first: recording and number, by size and checksum."""
@@ -97,6 +100,7 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
     faults: dict[str, list[int]] = {}
     copied: dict[object, list[tuple[int, int]]] = {}
     number = 0
+    full: dict[int, float] = {}
     for part in chunks(recording.frames, 1 << 20):
         for frame in part:
             number += 1
@@ -108,8 +112,13 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
             first, at = seen.setdefault(key, (path, number))
             if (first, at) == (path, number):
                 good.append(number - 1)
+                full[number] = float(np.mean(frame >= recording.white_level))
             else:
                 copied.setdefault(first, []).append((number, at))
+    if overfull := _overfull(recording, full):
+        most = 100 * max(full[n] for n in overfull)
+        faults[f"{most:.0f} % of its pixels are at the white level, those of the others are not"] = overfull
+        good = [n for n in good if n + 1 not in overfull]
     for first, pairs in copied.items():
         of = "" if first == path else f" of {first}"
         which, sources = zip(*pairs, strict=True)
@@ -118,6 +127,15 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
         faults[f"{what} (noise shows between exposures of their own)"] = list(which)
     in_order = sorted(faults.items(), key=lambda item: item[1][0])
     return good, [f"{path}: {numbered(which)}: {fault}" for fault, which in in_order]
+
+
+def _overfull(recording: Recording, full: dict[int, float]) -> list[int]:
+    """The few dark frames of which far more is at the white level than of the others."""
+    if recording.kind not in DARK or len(full) < _FEWEST:
+        return []
+    usual = float(np.median(list(full.values())))
+    odd = [n for n, share in full.items() if share > usual + _OVERFULL]
+    return odd if len(odd) <= len(full) / 4 else []
 
 
 def of_several_noises(recording: Recording) -> str:

@@ -70,6 +70,44 @@ def test_darks_cut_off_at_zero_are_refused_and_dead_columns_are_not():
     assert cut_off([frame_statistics(whole)]) == ""
 
 
+def test_scenes_that_move_tell_no_gain_and_those_that_stand_still_do():
+    rng = np.random.default_rng(3)
+    scene = 800 + 1500 * np.kron(rng.random((6, 8)), np.ones((16, 16)))
+    moved = np.stack([np.roll(scene, 5 * k, (0, 1)) for k in range(4)])
+    for light, moves in ((moved, True), (np.stack([scene] * 4), False)):
+        frames = np.rint(200 + GAIN * (rng.poisson(light) + 4 * rng.standard_normal(light.shape)))
+        own = Recording(frames.astype(np.uint16), "MONO", (200.0,) * 4, WHITE, kind="scene", path="s.h5")
+        (transfer,) = photon_transfer(CaptureSet("c", (own, recording("dark"))))
+        (gain,) = of_all_pixels(transfer).outcomes("system gain")
+        if moves:
+            assert isinstance(gain, NotMeasurable) and "the scene or its light moves" in gain.record
+        else:
+            assert isinstance(gain, Estimate) and gain.value == pytest.approx(GAIN, rel=0.05)
+
+
+def test_noise_below_a_code_and_flats_of_no_sure_slope_are_named_as_what_they_are():
+    rng = np.random.default_rng(4)
+    quiet, flat = recording("dark"), recording("flat", 2000.0)
+    quiet.frames[...] = np.rint(200.37 + 0.1 * rng.standard_normal(quiet.frames.shape))
+    (transfer,) = photon_transfer(CaptureSet("c", (flat, quiet)))
+    (gain,) = of_all_pixels(transfer).outcomes("system gain")
+    assert isinstance(gain, Estimate) or "below a code" in gain.record
+    loud = recording("dark")
+    loud.frames[...] = np.clip(np.rint(200 + 40 * rng.standard_normal(loud.frames.shape)), 0, None)
+    (transfer,) = photon_transfer(CaptureSet("c", (recording("flat", 100.0), loud)))
+    (gain,) = of_all_pixels(transfer).outcomes("system gain")
+    assert isinstance(gain, NotMeasurable) and "does not surely grow" in gain.record
+
+
+def test_a_dark_with_a_saturated_part_is_left_out():
+    dark = recording("dark")
+    dark.frames[4, :, 70:] = int(WHITE)
+    dark.frames[:, 5, 5:9] = int(WHITE)  # hot pixels
+    kept, lines = usable(CaptureSet("c", (dark,)))
+    assert kept.recordings[0].count == 5
+    assert lines[0].startswith("dark.h5: frame 5: 45 % of its pixels are at the white level")
+
+
 def test_flats_darker_than_the_darks_are_refused():
     swapped = CaptureSet("c", (recording("flat"), recording("dark", 2000.0)))
     with pytest.raises(BadInput, match=r"flat.h5: the brightest flat, 200 DN.*wrong way round"):

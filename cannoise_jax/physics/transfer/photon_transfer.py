@@ -26,18 +26,23 @@ from cannoise_jax.physics.transfer.frames import (
     with_all_sites,
 )
 from cannoise_jax.physics.transfer.quantities import (
+    BELOW_A_CODE,
     DIMMER,
     RECORD_DARKS,
     RECORD_FLATS,
+    SET_ASIDE,
+    STILL,
+    UNSURE,
     Quantity,
     dark_current_quantities,
+    hidden_in_a_code,
     line_noise_quantity,
     noise_below_a_code,
     noise_quantities,
     pattern_quantities,
     saturation_quantities,
 )
-from cannoise_jax.physics.transfer.rails import LINEAR, below_rail, with_measured_black
+from cannoise_jax.physics.transfer.rails import LINEAR, MOVES, below_rail, moving, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
@@ -212,13 +217,20 @@ def _line(
 ) -> Line | NotMeasurable:
     if not any(s.variance is not None for s in lit):
         return NotMeasurable(RECORD_FLATS)
+    scenes = [s for s in lit if s.recording.kind == "scene" and s.variance is not None]
+    most = max((moving(s, c) for s in scenes), default=0.0)
+    if most > MOVES:
+        return NotMeasurable(f"{100 * most:.0f} % of what changes between frames is no noise: {STILL}")
     levels = _levels(lit, dark, black, step, c)
     if all(level.known_signal for level in levels):
         return NotMeasurable(DIMMER)
     line = fit_line(levels, step**2 / 12)
     if line is None or not line.sure:
-        reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}, or flats of several levels"
-        return NotMeasurable(reason)
+        if dark is None:
+            return NotMeasurable(f"{RECORD_DARKS}, or flats of several levels")
+        return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, step, c) else UNSURE)
+    if line.dropped > SET_ASIDE and scenes:
+        return NotMeasurable(f"{100 * line.dropped:.0f} % of pixels change by more than noise: {STILL}")
     return line
 
 

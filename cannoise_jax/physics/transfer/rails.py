@@ -9,11 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
 from cannoise_jax.recordings.metadata import chunks
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
 LINEAR = 0.7
@@ -27,6 +28,11 @@ _ALMOST_ALL = 0.99
 _CUT = 0.01
 """Share of the values of a dark at code 0 beyond which it is cut off: a normal law cut at 2.3 standard
 deviations keeps 98.5 % of its width, one cut further in loses more than an interval of 90 % holds."""
+MOVES = 0.1
+"""Share of the change between frames of a scene that is none of noise beyond which it tells no gain: that is
+off by as much, several times what an interval of 90 % holds."""
+_APART = 4
+"""Pixels of the mosaic: crosstalk and smoothing reach less far."""
 _LOOKED_AT = 1 << 26
 """Bytes of a dark that are counted."""
 _OUTSIDE = 3.0
@@ -45,6 +51,26 @@ def below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) -
         return usable
     sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))
     return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
+
+
+def moving(s: FrameStatistics, c: int) -> float:
+    """Share of the change between two frames of a scene that pixels some apart in rows and in columns have in
+    common: of noise next to none, of a scene or light that moves most."""
+    if s.recording.count < 2:
+        return 0.0
+    frames = np.asarray(s.recording.frames[:2], np.float64)
+    change = frames[1] - frames[0]
+    change, far = (change, _APART) if c == ALL else (site(change, c), _APART // 2)
+    change = change - change.mean(1, keepdims=True)
+    change = change - change.mean(0, keepdims=True)
+    most = 8 * robust_std(change, 0.0)  # hits and noisy pixels
+    change = np.clip(change, -most, most)
+    power = float(np.mean(change**2))
+    if power <= 0 or min(change.shape) <= 2 * far:
+        return 0.0
+    along, across = change[:, far:] * change[:, :-far], change[far:] * change[:-far]
+    # Noise along rows, or along columns, is alike in that direction alone.
+    return min(float(along.mean()), float(across.mean())) / power
 
 
 def is_below_rail(s: FrameStatistics, c: int) -> bool:
