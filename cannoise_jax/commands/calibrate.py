@@ -73,12 +73,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture, own)
+    model = sensor_model(transfers, findings)
     shown = tuple(map(of_all_pixels, transfers))
     for transfer in shown:
         print(format_transfer(transfer), end="\n\n")
     if findings:
         print(format_findings(findings), end="\n\n")
-    model = sensor_model(transfers, findings)
     texts = _texts(beside, model.camera, shown, capture)
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
@@ -173,12 +173,18 @@ def calibrate(
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
+    from cannoise_jax.physics.transfer.rails import contradicted_black, cut_off
 
     # As `photon_transfer`, which does not say how far it is.
     every: dict[float | None, list[FrameStatistics]] = {}
     for recording in counted(capture.recordings, "photon transfer: recordings"):
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
+    for iso in order:
+        if wrong := cut_off(every[iso]):
+            raise BadInput(wrong)
+        if note := contradicted_black(every[iso]):
+            logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
     transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):

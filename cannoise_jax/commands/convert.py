@@ -70,7 +70,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     from cannoise_jax.recordings.join import join_recordings
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
-    from cannoise_jax.recordings.usable import copies, without_noise
+    from cannoise_jax.recordings.usable import copies, of_several_noises, without_noise
 
     missing = next((path for path in inputs if not path.exists() and not path.is_symlink()), None)
     if missing is not None:
@@ -96,6 +96,8 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     if silent := without_noise(kept):
         more = f"; and {len(silent) - 1} more such" if len(silent) > 1 else ""
         print(f"bin/convert: {silent[0]}{more}: no noise in them, written as they are", file=sys.stderr)
+    elif line := of_several_noises(recording):
+        print(f"bin/convert: {line}: written as they are", file=sys.stderr)
     write_recording(output, recording)
     return recording
 
@@ -125,6 +127,7 @@ def _is_folder(arguments: argparse.Namespace) -> bool:
 def _convert_folder(arguments: argparse.Namespace) -> int:
     from cannoise_jax.recordings.folders.plan import plan_folder, text
     from cannoise_jax.recordings.folders.store import write_plan
+    from cannoise_jax.recordings.usable import of_several_noises
 
     source, *rest = arguments.paths
     chosen = options(arguments)
@@ -153,6 +156,8 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
     total = sum(len(one.groups) for one in plan.sets)
     for number, (path, recording) in enumerate(write_plan(plan, rest[0], force=arguments.force), start=1):
         print(line_of(path, recording), flush=True)
+        if line := of_several_noises(recording):
+            print(f"note: {line}: written as they are", flush=True)
         tell(number, total)
     return 0
 

@@ -84,8 +84,9 @@ def warn_of_lights(recording: Recording) -> None:
         )  # fmt: skip
 
 
-def warn_of_kinds(recordings: Sequence[Recording]) -> None:
-    """Logs one warning for every gain setting whose flats are all darker than all of its darks."""
+def check_kinds(recordings: Sequence[Recording]) -> None:
+    """Raises BadInput where at one gain setting all flats are darker than all darks: no black level is above
+    the light, so that kinds are mistaken, or the darks too long or lit for these flats."""
     levels: dict[tuple, dict[bool, list[tuple[float, str]]]] = {}
     for r in recordings:
         if r.kind == "flat" or r.kind in DARK:
@@ -96,7 +97,8 @@ def warn_of_kinds(recordings: Sequence[Recording]) -> None:
             continue
         (bright, flat), (dim, dark) = max(own[False]), min(own[True])
         if bright < dim - _DARKER_DN:
-            _log.warning(
-                "%s: the brightest flat, %g DN, is darker than %s, %g DN: are the kinds the wrong way round?",
-                flat, bright, dark, dim,
-            )  # fmt: skip
+            raise BadInput(
+                f"{flat}: the brightest flat, {bright:g} DN, is darker than {dark}, {dim:g} DN: where the "
+                "kinds are the wrong way round rename them, or state --assign 'NAME*=KIND'; else record "
+                "darks no longer than the flats"
+            )

@@ -11,13 +11,17 @@ import numpy as np
 
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.one_noise import apart, numbered, words
+from cannoise_jax.recordings.plausible import check_kinds
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
-_MOST_NUMBERS = 4
 _FULL = tuple((2**bits - 1) << shift for bits in (8, 10, 12, 14, 16) for shift in (0, 16 - bits))
 """Highest codes, also where they are shifted to 16 bits."""
+_FEWEST, _OVERFULL = 3, 0.05
+"""Frames from which one can be told to be odd; share of the pixels of a dark that neither hits nor hot pixels
+reach, and that neither are in one frame alone."""
 
 Seen = dict[tuple, tuple[object, int]]
 """Where the pixels of a frame were met first: recording and number, by size and checksum."""
@@ -30,10 +34,11 @@ class LeftOutWarning(UserWarning):
 def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     """The capture set without frames that show no noise, and a line for each reason to leave some out.
 
-    Left out are frames of one value, copies of an earlier frame, and frames wholly at the white level;
-    with its last frame a recording goes too. Reads every frame once. Raises BadInput for recordings that no
-    file may hold (see `metadata.checked`), for frames that are too small, for none at all, and where so much
-    is lost that no two frames of one recording are left.
+    Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, and the
+    few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
+    recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
+    none at all, for frames that are too small, for a recording of frames of several noises none of which is the rule, for
+    flats all darker than all darks, and where so much is lost that no two frames of one recording are left.
     """
     if not capture.recordings:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings: add some")
@@ -44,6 +49,8 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
         _check_size(recording)
         good, why = _judged(recording, seen)
         lines += why
+        good, why = _of_one_noise(recording, good)
+        lines += why
         if len(good) == recording.count:
             kept.append(recording)
         elif good:
@@ -52,6 +59,7 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
         raise BadInput(f"{lines[0]}{more}; too few frames are left")
+    check_kinds(kept)
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(f"{line}: left out" for line in lines)
 
 
@@ -94,6 +102,7 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
     faults: dict[str, list[int]] = {}
     copied: dict[object, list[tuple[int, int]]] = {}
     number = 0
+    full: dict[int, float] = {}
     for part in chunks(recording.frames, 1 << 20):
         for frame in part:
             number += 1
@@ -105,8 +114,13 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
             first, at = seen.setdefault(key, (path, number))
             if (first, at) == (path, number):
                 good.append(number - 1)
+                full[number] = float(np.mean(frame >= recording.white_level))
             else:
                 copied.setdefault(first, []).append((number, at))
+    if overfull := _overfull(recording, full):
+        most = 100 * max(full[n] for n in overfull)
+        faults[f"{most:.0f} % of its pixels are at the white level, those of the others are not"] = overfull
+        good = [n for n in good if n + 1 not in overfull]
     for first, pairs in copied.items():
         of = "" if first == path else f" of {first}"
         which, sources = zip(*pairs, strict=True)
@@ -114,16 +128,35 @@ def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:
         what = f"a copy of frame {sources[0]}{of}" if one else f"copies of earlier frames{of}"
         faults[f"{what} (noise shows between exposures of their own)"] = list(which)
     in_order = sorted(faults.items(), key=lambda item: item[1][0])
-    return good, [f"{path}: {_numbered(which)}: {fault}" for fault, which in in_order]
+    return good, [f"{path}: {numbered(which)}: {fault}" for fault, which in in_order]
 
 
-def _numbered(which: list[int]) -> str:
-    if len(which) == 1:
-        return f"frame {which[0]}"
-    if which == list(range(which[0], which[-1] + 1)):
-        return f"frames {which[0]} to {which[-1]}"
-    more = f" and {len(which) - _MOST_NUMBERS} more" if len(which) > _MOST_NUMBERS else ""
-    return f"frames {', '.join(map(str, which[:_MOST_NUMBERS]))}{more}"
+def _overfull(recording: Recording, full: dict[int, float]) -> list[int]:
+    """The few dark frames of which far more is at the white level than of the others."""
+    if recording.kind not in DARK or len(full) < _FEWEST:
+        return []
+    usual = float(np.median(list(full.values())))
+    odd = [n for n, share in full.items() if share > usual + _OVERFULL]
+    return odd if len(odd) <= len(full) / 4 else []
+
+
+def of_several_noises(recording: Recording) -> str:
+    """A line where the frames are not of one temporal noise, empty where they are."""
+    found = apart(recording)
+    return words(recording, found, range(recording.count)) if found else ""
+
+
+def _of_one_noise(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
+    """The frames of one temporal noise among the good ones, and why others are not. Raises BadInput where
+    none is the rule."""
+    left = recording if len(good) == recording.count else _only(recording, good)
+    found = apart(left) if good else None
+    if found is None:
+        return good, []
+    line = words(left, found, good)
+    if not found.few:
+        raise BadInput(f"{line}: leave them out (--leave-out), or put them in a folder of their own")
+    return [good[k] for k in found.others], [line]
 
 
 def _check_size(recording: Recording) -> None:
@@ -138,4 +171,8 @@ def _only(recording: Recording, numbers: list[int]) -> Recording:
     clean: Any = recording.clean
     if clean is not None and clean.ndim == 3:
         clean = chosen(clean, tuple(numbers))
-    return dataclasses.replace(recording, frames=chosen(recording.frames, tuple(numbers)), clean=clean)
+    sources = recording.sources
+    if len(sources) == recording.count:
+        sources = tuple(sources[k] for k in numbers)
+    frames = chosen(recording.frames, tuple(numbers))
+    return dataclasses.replace(recording, frames=frames, clean=clean, sources=sources)

@@ -15,7 +15,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.photon_transfer import LINEAR
+from cannoise_jax.physics.transfer.rails import LINEAR
 
 
 def small_signal(

@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
-from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line, median_quotient
+from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
 from cannoise_jax.physics.transfer.frames import (
     FrameStatistics,
     frame_statistics,
@@ -27,26 +26,27 @@ from cannoise_jax.physics.transfer.frames import (
     with_all_sites,
 )
 from cannoise_jax.physics.transfer.quantities import (
+    BELOW_A_CODE,
     DIMMER,
     RECORD_DARKS,
     RECORD_FLATS,
+    SET_ASIDE,
+    STILL,
+    UNSURE,
     Quantity,
     dark_current_quantities,
+    hidden_in_a_code,
     line_noise_quantity,
     noise_below_a_code,
     noise_quantities,
     pattern_quantities,
     saturation_quantities,
 )
+from cannoise_jax.physics.transfer.rails import LINEAR, MOVES, below_rail, moving, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
-LINEAR = 0.7  # share of the white level up to which flats enter the line (EMVA 1288, section 6)
-_FROM_RAIL = 4.0
-"""Standard deviations of its noise that a pixel's mean has to lie below the code at which values pile up: of
-pixels nearer to it those that never touched it have lost the upper end of their noise. One value in thirty
-thousand is beyond."""
 _ENOUGH = 0.05
 """Share of the pixels of a channel that have to be left of a recording."""
 
@@ -94,8 +94,9 @@ def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
 
 def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
-    first = statistics[0].recording
     _check_alike([s.recording for s in statistics])
+    statistics = with_measured_black(statistics)
+    first = statistics[0].recording
     step = _code_step(statistics)
     dark = reference_dark(statistics)
     black = black_level(statistics)
@@ -196,7 +197,7 @@ def _levels(
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
-        usable = _below_rail(s, variance, c)
+        usable = below_rail(s, variance, c)
         if usable.mean() > _ENOUGH:
             levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
@@ -211,29 +212,25 @@ def _levels(
     return levels
 
 
-def _below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels of a channel whose noise ends well below the code at which its values pile up."""
-    usable = ~site(s.clipped, c)
-    top = np.fmin(s.high[c], s.recording.white_level)
-    near = usable & (site(s.mean, c) > LINEAR * top)
-    if not near.any():
-        return usable
-    sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))
-    return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
-
-
 def _line(
     lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, step: float, c: int
 ) -> Line | NotMeasurable:
     if not any(s.variance is not None for s in lit):
         return NotMeasurable(RECORD_FLATS)
+    scenes = [s for s in lit if s.recording.kind == "scene" and s.variance is not None]
+    most = max((moving(s, c) for s in scenes), default=0.0)
+    if most > MOVES:
+        return NotMeasurable(f"{100 * most:.0f} % of what changes between frames is no noise: {STILL}")
     levels = _levels(lit, dark, black, step, c)
     if all(level.known_signal for level in levels):
         return NotMeasurable(DIMMER)
     line = fit_line(levels, step**2 / 12)
     if line is None or not line.sure:
-        reason = RECORD_FLATS if dark is not None else f"{RECORD_DARKS}, or flats of several levels"
-        return NotMeasurable(reason)
+        if dark is None:
+            return NotMeasurable(f"{RECORD_DARKS}, or flats of several levels")
+        return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, step, c) else UNSURE)
+    if line.dropped > SET_ASIDE and scenes:
+        return NotMeasurable(f"{100 * line.dropped:.0f} % of pixels change by more than noise: {STILL}")
     return line
 
 

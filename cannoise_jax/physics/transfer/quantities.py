@@ -26,6 +26,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
+from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail
 from cannoise_jax.physics.transfer.spatial import (
     Split,
     TemporalParts,
@@ -40,6 +41,18 @@ from cannoise_jax.recordings.recording import DARK, PerChannel
 _UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden
 
 RECORD_FLATS = "record at least 2 frames of an even, steady light, best at several levels up to saturation"
+UNSURE = (
+    "the noise of the flats does not surely grow with their light (too dim, or darks and flats of other "
+    "settings): record brighter flats, 2 frames or more, best at several levels"
+)
+STILL = "the scene or its light moves: record flats, or scenes that stand still"
+BELOW_A_CODE = (
+    "the noise of the darks is so far below a code that most of their pixels never change: record darks and "
+    "flats at a higher gain, or flats of several levels"
+)
+SET_ASIDE = 0.1
+"""Share of pixels beyond which those set aside are no few outliers, and the others no sound majority: of the
+noisiest camera tried it is a fortieth."""
 DIMMER = "values of all flats pile up at the highest code: record dimmer flats, 2 frames or more"
 RECORD_DARKS = (
     "record at least 2 frames of one exposure with the cap on (one alone shows no noise), best that of flats"
@@ -76,6 +89,8 @@ def noise_quantities(
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
         dropped = f"{100 * line.dropped:.2f} % of pixels set aside"
+        if line.dropped > SET_ASIDE:
+            dropped += ": so many are no outliers: the light moves, or the gain is not to be trusted"
         out.append(Quantity("system gain", "DN/e-", name, line.slope, dropped))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     sigma = _read_noise(line, dark, step, c)
@@ -111,6 +126,8 @@ def _read_noise(
         return root(line.offset)
     if dark is None or dark.variance is None:
         return NotMeasurable(RECORD_DARKS)
+    if hidden_in_a_code(dark, step, c):
+        return NotMeasurable(BELOW_A_CODE)
     if _cut_off(dark, c):
         return NotMeasurable("darks are cut off at black: raise the camera's offset and record darks again")
     square, stderr = _mean_square(dark, c)
@@ -150,6 +167,14 @@ def _mean_square(dark: FrameStatistics, c: int) -> tuple[float, float]:
 def _cut_off(dark: FrameStatistics, c: int) -> bool:
     """Whether values pile up at the lower end."""
     return bool(np.isfinite(dark.low[c])) and float(np.mean(site(dark.clipped, c))) > 0.01
+
+
+def hidden_in_a_code(dark: FrameStatistics, step: float, c: int) -> bool:
+    """Whether most values are at one code, above 0, and the others at most at the next: noise of less than a
+    code, which looks like values that pile up there."""
+    if dark.variance is None or not _cut_off(dark, c) or dark.low[c] <= 0:
+        return False
+    return bool(np.quantile(pixel_variance(dark, c), 0.99) < step**2)
 
 
 def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
@@ -207,14 +232,16 @@ def pattern_quantities(
         if part == "total":
             out.append(Quantity(title, "e-", name, _in_electrons(sigma, line)))
     repeated = [s for s in flats if s.relative and s.variance is not None]
+    within = [s for s in repeated if is_below_rail(s, c)]
+    lacking = NotMeasurable(DIMMER if repeated else RECORD_FLATS)
     # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
     flat = min(
-        repeated, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
+        within, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
     )
     for part in parts:
         title = titles[part].format("PRNU")
         if flat is None:
-            out.append(Quantity(title, "%", name, NotMeasurable(RECORD_FLATS)))
+            out.append(Quantity(title, "%", name, lacking))
         else:
             outcome, note = _prnu(flat, split, c, part, black)
             out.append(Quantity(title, "%", name, outcome, note if part == "total" else ""))
@@ -238,7 +265,7 @@ def _prnu(
     _, keep = robust_mean_square(
         pixel_variance(flat, c) / np.maximum(site(flat.mean, c) - black[c], 1), flat.dof
     )
-    split = spatial_split(gains, keep & ~site(flat.clipped, c), parts)
+    split = spatial_split(gains, keep & below_rail(flat, pixel_variance(flat, c), c), parts)
     found: Estimate = getattr(split, part)
     if unsteady and part == "total":
         found = total_of(split.column, split.pixel)

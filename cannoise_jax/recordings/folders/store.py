@@ -35,7 +35,6 @@ from cannoise_jax.recordings.metadata import count_above, make_recording, warn_s
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.native import open_native, write_recording
 from cannoise_jax.recordings.opened import stated
-from cannoise_jax.recordings.plausible import warn_of_kinds
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.sidd import is_instance
 from cannoise_jax.recordings.unfinished import is_finished
@@ -80,7 +79,6 @@ def capture_of(
             capture = load_capture_set(folder, **options.overrides)
         except SeveralCameras as several:
             raise SeveralCameras(folder, several.cameras, _ONE_CAMERA) from several
-        warn_of_kinds(capture.recordings)
         return capture, ""
     entry = cache / _key(folder, options)
     if (entry / "plan.txt").is_file():

@@ -10,6 +10,7 @@ from cannoise_jax.recordings.folders.plan import plan_folder
 from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.usable import usable
 from tests.recordings.folders.night import night, shot
 
 
@@ -152,18 +153,18 @@ def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_pa
     assert len(list(cache.iterdir())) == 1
 
 
-def test_flats_below_the_darks_are_said(tmp_path, caplog):
+def test_flats_below_the_darks_are_refused(tmp_path):
     for _ in write_plan(plan_folder(night(tmp_path / "in")), tmp_path / "out"):
         pass
     flat, dark = (tmp_path / "out" / name for name in ("flat_2s.h5", "dark_60s.h5"))
-    capture_of(tmp_path / "out", Options({}), tmp_path / "unused")
-    assert not caplog.records
+    usable(capture_of(tmp_path / "out", Options({}), tmp_path / "unused")[0])
     for path, kind in ((flat, "dark"), (dark, "flat")):
         write_recording(path, dataclasses.replace(read_recording(path), kind=kind))
     (tmp_path / "out" / "bias.h5").unlink()
-    capture_of(tmp_path / "out", Options({}), tmp_path / "unused")
-    (line,) = (record.getMessage() for record in caplog.records)
-    assert line.startswith(f"{dark}: the brightest flat") and "wrong way round?" in line
+    swapped, _ = capture_of(tmp_path / "out", Options({}), tmp_path / "unused")
+    with pytest.raises(BadInput, match="wrong way round") as refused:
+        usable(swapped)
+    assert str(refused.value).startswith(f"{dark}: the brightest flat")
 
 
 @pytest.mark.parametrize("native", [False, True])

@@ -136,8 +136,10 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         for c in range(4) if s.recording.kind == "flat" and s.variance is not None else ():
             signal = s.frame_means[:, c].mean() - baseline.black_level[c]
             noise = float(pixel_variance(s, c).mean()) - baseline.read_noise[c] ** 2
-            if noise < 0.25 * baseline.gain[c] * signal and np.isnan(s.high[c]):
-                pixels = site(s.mean, c).size * s.recording.count
+            pixels = site(s.mean, c).size * s.recording.count
+            # Of a flat that is hardly above black nothing is full, and its shot noise is not seen.
+            lit = signal > max(10 * mean_error(s, c), 4 * baseline.read_noise[c] ** 2 / baseline.gain[c])
+            if lit and noise < 0.25 * baseline.gain[c] * signal and np.isnan(s.high[c]):
                 error = np.sqrt(float(pixel_variance(s, c).mean()) / pixels + s.code_step**2 / 12 / pixels)
                 found.append((signal / baseline.gain[c], error / baseline.gain[c]))
     if not found:

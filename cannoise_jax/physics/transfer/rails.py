@@ -1,0 +1,140 @@
+"""What recordings can and cannot be measured on: values near the ends of the codes, darks cut off at zero,
+and a stated black level that the darks contradict."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.black import black_level, reference_dark
+from cannoise_jax.physics.transfer.fit import median_quotient
+from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
+from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.packing import ALL, site
+from cannoise_jax.recordings.recording import DARK
+
+LINEAR = 0.7
+"""Share of the white level up to which flats enter the line (EMVA 1288, section 6)."""
+_FROM_RAIL = 4.0
+"""Standard deviations of its noise that a pixel's mean has to lie below the code at which values pile up: of
+pixels nearer to it those that never touched it have lost the upper end of their noise. One value in thirty
+thousand is beyond."""
+_ALMOST_ALL = 0.99
+"""Share of the pixels of a flat that have to lie below the rail for a map of them: hot pixels do not."""
+_CUT = 0.01
+"""Share of the values of a dark at code 0 beyond which it is cut off: a normal law cut at 2.3 standard
+deviations keeps 98.5 % of its width, one cut further in loses more than an interval of 90 % holds."""
+MOVES = 0.1
+"""Share of the change between frames of a scene that is none of noise beyond which it tells no gain: that is
+off by as much, several times what an interval of 90 % holds."""
+_APART = 4
+"""Pixels of the mosaic: crosstalk and smoothing reach less far."""
+_LOOKED_AT = 1 << 26
+"""Bytes of a dark that are counted."""
+_OUTSIDE = 3.0
+"""Standard deviations of the noise of a dark by which a black level has to lie outside the levels of all
+darks to be none of theirs: medians of a frame, rounded to codes, lie nearer."""
+_MATTERS = 1e-3
+"""Of the level of a flat: an error of the black level up to which PRNU and gain are off by as little."""
+
+
+def below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels of a channel whose noise ends well below the code at which its values pile up."""
+    usable = ~site(s.clipped, c)
+    top = np.fmin(s.high[c], s.recording.white_level)
+    near = usable & (site(s.mean, c) > LINEAR * top)
+    if not near.any():
+        return usable
+    sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))
+    return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
+
+
+def moving(s: FrameStatistics, c: int) -> float:
+    """Share of the change between two frames of a scene that pixels some apart in rows and in columns have in
+    common: of noise next to none, of a scene or light that moves most."""
+    if s.recording.count < 2:
+        return 0.0
+    frames = np.asarray(s.recording.frames[:2], np.float64)
+    change = frames[1] - frames[0]
+    change, far = (change, _APART) if c == ALL else (site(change, c), _APART // 2)
+    change = change - change.mean(1, keepdims=True)
+    change = change - change.mean(0, keepdims=True)
+    most = 8 * robust_std(change, 0.0)  # hits and noisy pixels
+    change = np.clip(change, -most, most)
+    power = float(np.mean(change**2))
+    if power <= 0 or min(change.shape) <= 2 * far:
+        return 0.0
+    along, across = change[:, far:] * change[:, :-far], change[far:] * change[:-far]
+    # Noise along rows, or along columns, is alike in that direction alone.
+    return min(float(along.mean()), float(across.mean())) / power
+
+
+def is_below_rail(s: FrameStatistics, c: int) -> bool:
+    """Whether so few pixels of a repeated flat are near the code at which values pile up that its map of
+    sensitivities is that of the sensor."""
+    return bool(below_rail(s, pixel_variance(s, c), c).mean() >= _ALMOST_ALL)
+
+
+def cut_off(statistics: Sequence[FrameStatistics]) -> str:
+    """What is wrong with the darks that the read noise is taken from, where a good share of their values is
+    cut off at code 0; empty where none is."""
+    dark = reference_dark(statistics)
+    if dark is None:
+        return ""
+    alive = dark.mean > 0  # masked columns and dead pixels are no noise that is cut
+    zero, count = 0, 0
+    for part in chunks(dark.recording.frames):
+        zero, count = zero + int(np.count_nonzero(part[:, alive] == 0)), count + len(part) * int(alive.sum())
+        if part.itemsize * count > _LOOKED_AT:
+            break
+    if zero <= _CUT * count:
+        return ""
+    share, name = 100 * zero / count, dark.recording.path or dark.recording.camera
+    return (
+        f"{name}: darks are cut off at 0 ({share:.0f} % of their values), so that neither read noise nor "
+        "black level shows: raise the camera's offset and record again"
+    )
+
+
+def contradicted_black(statistics: Sequence[FrameStatistics]) -> str:
+    """A line where the black level that is stated is that of no dark; empty where it agrees, or no dark
+    tells."""
+    dark = reference_dark(statistics)
+    if dark is None or dark.variance is None:
+        return ""
+    levels = [float(s.frame_means.mean()) for s in statistics if s.recording.kind in DARK]
+    stated = float(np.mean(dark.recording.black_level))
+    away = max(min(levels) - stated, stated - max(levels))
+    noise = np.sqrt(float(np.median(dark.variance)) / median_quotient(dark.dof))
+    if away <= max(_OUTSIDE * noise, 2 * max(dark.code_step, 1.0)):
+        return ""
+    low, high = (f"{v:.0f}" for v in (min(levels), max(levels)))
+    found = low if low == high else f"{low} to {high}"
+    return f"darks are at {found} DN, {stated:g} is stated as black level: that of the darks is used"
+
+
+def with_measured_black(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
+    """The statistics with the black level that the darks show in place of the stated one, where the
+    difference matters for a flat and darks tell it from dark charge."""
+    black = black_level(statistics)
+    off = np.asarray(statistics[0].recording.black_level) - np.asarray(black.level)
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    slack = 4 * np.asarray(black.error)
+    matters = any(
+        (np.abs(off) > np.maximum(slack, _MATTERS * (np.asarray(s.level) + off))).any() for s in flats
+    )
+    if not (matters and black.certain):
+        return list(statistics)
+    return [_above(s, black.level) if s.recording.kind != "scene" else s for s in statistics]
+
+
+def _above(s: FrameStatistics, black: tuple[float, float, float, float]) -> FrameStatistics:
+    recording = dataclasses.replace(s.recording, black_level=black)
+    if s.recording.kind == "flat":  # whose rows are scaled above black
+        return frame_statistics(recording)
+    a, b, c, d = (float(v) for v in s.frame_means.mean(0) - np.asarray(black))
+    return dataclasses.replace(s, recording=recording, level=(a, b, c, d))

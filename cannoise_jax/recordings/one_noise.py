@@ -1,0 +1,175 @@
+"""Whether the frames of one recording have one temporal noise: averages and other gain settings have not.
+
+The noise of every frame is taken from its differences to the next two, D_ij = v_i + v_j, so that fixed
+patterns cancel: v_1 = (D_12 + D_13 - D_23) / 2. What rows do together, smooth light and its drift cancel
+between the neighbours of one colour in a row.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from cannoise_jax.recordings.recording import DARK, Recording
+
+_RATIO = 1.35**2
+"""Of the variances of two frames: beyond it they are of another noise. An average of two frames has half the
+variance, repeats of one setting differ by a few per cent."""
+_SIGMAS = 4.5
+"""Errors of a variance by which it has to lie beyond that too: of a hundred honest recordings of a thousand
+frames one holds such a frame by chance."""
+_ERROR = 2.2
+"""Relative error of a mean square of differences of neighbours, times the root of their number."""
+_BULK = 0.9
+"""Share of the differences that counts, the smallest: hits and noisy pixels stay out."""
+_SIDE = 512
+"""Rows and columns that are looked at, about the middle."""
+_CODES = 0.5
+"""Of the square of a code: the variance of a difference that rounding may bring or take where noise is less
+than a code, and the level of a frame moves by part of one."""
+_FEWEST = 3
+_MOST_APART = 0.25
+"""Share of the frames up to which those of another noise are left out and the others surely the rule."""
+_MOST_NUMBERS = 4
+
+
+def numbered(which: Sequence[int]) -> str:
+    """Frames in a message, by number."""
+    if len(which) == 1:
+        return f"frame {which[0]}"
+    if list(which) == list(range(which[0], which[-1] + 1)):
+        return f"frames {which[0]} to {which[-1]}"
+    more = f" and {len(which) - _MOST_NUMBERS} more" if len(which) > _MOST_NUMBERS else ""
+    return f"frames {', '.join(map(str, which[:_MOST_NUMBERS]))}{more}"
+
+
+class Apart(NamedTuple):
+    """Frames of another temporal noise than most of their recording.
+
+    numbers: which, from 0. others: those of one noise. ratio: their noise over that of the others (standard
+    deviations), the furthest from one. few: whether the others are surely the rule.
+    """
+
+    numbers: tuple[int, ...]
+    others: tuple[int, ...]
+    ratio: float
+    few: bool
+
+
+def apart(recording: Recording) -> Apart | None:
+    """The frames of another temporal noise than the rest; None where all are alike, for scenes, which may
+    move, and for fewer than three frames, of which none can be told to be the odd one."""
+    if recording.count < _FEWEST or recording.kind == "scene" or min(recording.size) < 8:
+        return None
+    variances, errors, signal = _noise(recording)
+    centre = float(np.median(variances))
+    if centre <= 0:
+        return None
+    coarse = _CODES * _step(recording) ** 2
+    alike = np.stack([_alike(variances, errors, signal, coarse, at) for at in range(len(variances))])
+    # The rule is the noise that most frames share; of equal numbers that of the frame in the middle.
+    order = np.lexsort((np.abs(variances - centre), -alike.sum(1)))
+    rule = int(order[0])
+    odd = np.flatnonzero(~alike[rule])
+    if not len(odd):
+        return None
+    others = np.flatnonzero(alike[rule])
+    ratios = np.sqrt(np.maximum(variances[odd], 0.0) / np.median(variances[others]))
+    furthest = int(np.argmax(np.abs(np.log(np.maximum(ratios, 1e-3)))))
+    few = len(odd) <= _MOST_APART * len(variances)
+    return Apart(tuple(odd.tolist()), tuple(others.tolist()), float(ratios[furthest]), few)
+
+
+def words(recording: Recording, found: Apart, number: Sequence[int]) -> str:
+    """Which frames are of another noise than which others, and what they may be; number: of every frame as
+    the file counts them, from 0."""
+    odd, others = found.numbers, found.others
+    names = _short(recording.sources) if len(recording.sources) == recording.count else ()
+    is_average = " an average, or" if found.ratio < 1 else ""
+    which = numbered([number[k] + 1 for k in odd])
+    which += f" ({names[odd[0]]}{f' and {len(odd) - 1} more' if len(odd) > 1 else ''})" if names else ""
+    beside = f" ({names[others[0]]} ...)" if names else ""
+    has = "has" if len(odd) == 1 else "have"
+    return (
+        f"{recording.path or recording.camera}: {which} {has} {found.ratio:.2g} times the temporal noise "
+        f"of the other {len(others)}{beside}:{is_average} another gain setting"
+    )
+
+
+def _short(files: Sequence[str]) -> list[str]:
+    """The files below the folder that holds them all."""
+    parents = [Path(file).parent for file in files]
+    shared = os.path.commonpath(parents) if len(set(parents)) > 1 else parents[0]
+    return [str(Path(file).relative_to(shared)) for file in files]
+
+
+def _step(recording: Recording) -> float:
+    """Spacing of the codes of the first frame, DN."""
+    codes = np.unique(np.asarray(recording.frames[:1]))
+    return float(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 1.0
+
+
+def _alike(
+    variances: Float[np.ndarray, "t"],
+    errors: Float[np.ndarray, "t"],
+    signal: Float[np.ndarray, "t"],
+    coarse: float,
+    at: int,
+) -> np.ndarray:
+    """Which frames may have the noise of frame `at`.
+
+    Where the light, or dark charge, differs shot noise does too, by the ratio of the signals at most.
+    """
+    floor = 3 * np.sqrt(max(variances[at], 0.0))  # below it the signal has no shot noise to speak of
+    light = (signal + floor) / (signal[at] + floor) if floor > 0 else np.ones_like(signal)
+    low, high = (variances[at] * pick(light, 1.0) for pick in (np.minimum, np.maximum))
+    room = _SIGMAS * np.hypot(errors, errors[at]) + coarse
+    return (variances >= low / _RATIO - room) & (variances <= high * _RATIO + room)
+
+
+def _noise(
+    recording: Recording,
+) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t"], Float[np.ndarray, "t"]]:
+    """Temporal variance of every frame in units of its own, DN^2 up to one common factor, the error of that,
+    and the mean signal above black, DN; of the middle of the frames."""
+    count, (height, width) = recording.count, recording.size
+    top, left = (max((n - _SIDE) // 2, 0) // 2 * 2 for n in (height, width))
+    black = float(np.mean(recording.black_level))
+
+    def middle(number: int) -> np.ndarray:
+        frame = np.asarray(recording.frames[number : number + 1])[0]
+        return frame[top : top + _SIDE, left : left + _SIDE].astype(np.float64) - black
+
+    signal = np.empty(count)
+    steps: list[tuple[float, float]] = []
+    kept = [middle(number) for number in (0, 1)]
+    held = [*kept]
+    for number in range(count):
+        signal[number] = held[0].mean()
+        after = (number + 2) % count
+        held.append(kept[after] if after < 2 else middle(after))
+        first, *later = held
+        steps.append((_square(first, later[0], recording), _square(first, later[1], recording)))
+        held.pop(0)
+    near, far = np.array(steps).T  # D of (t, t+1) and of (t, t+2)
+    values = (near + far - np.roll(near, -1)) / 2
+    size = max(kept[0].size, 1)
+    errors = _ERROR / 2 * np.sqrt((near**2 + far**2 + np.roll(near, -1) ** 2) / size)
+    return values, errors, np.maximum(signal, 0.0)
+
+
+def _square(first: np.ndarray, second: np.ndarray, recording: Recording) -> float:
+    """Mean square of the bulk of the differences between two frames, of neighbours of one colour."""
+    a, b = first.mean(), second.mean()
+    lit = recording.kind not in DARK and min(a, b) > 0
+    # Each frame scaled by half of what tells the lights apart, so that the pattern of pixels cancels.
+    scale = np.sqrt(b / a) if lit else 1.0
+    change = first * scale - second / scale
+    change = np.abs(change[:, 2:] - change[:, :-2]).ravel()
+    bulk = np.partition(change, int(_BULK * (change.size - 1)))[: int(_BULK * (change.size - 1)) + 1]
+    return float(np.mean(bulk**2))

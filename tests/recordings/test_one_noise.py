@@ -1,0 +1,71 @@
+"""Frames of another temporal noise than the rest are told, and honest recordings are left alone."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.recordings.one_noise import apart
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.usable import of_several_noises, usable
+
+SIZE = (128, 160)
+
+
+def frames(seed, count, gain=0.8, electrons=0.0, read_e=4.0, pattern=None, light=None):
+    """DN of a camera with black 200: shot and read noise, a pattern of gains, a light for every frame."""
+    rng = np.random.default_rng(seed)
+    mean = electrons * (np.ones(SIZE) if pattern is None else pattern)
+    light = np.ones(count) if light is None else np.asarray(light)
+    e = rng.poisson(mean * light[:, None, None]) + read_e * rng.standard_normal((count, *SIZE))
+    return np.rint(200 + gain * e)
+
+
+def recording(frames_, kind="dark", **more):
+    return Recording(frames_.astype(np.uint16), "MONO", (200,) * 4, 4095.0, kind=kind, path="x.h5", **more)
+
+
+@pytest.mark.parametrize(("kind", "electrons"), [("dark", 0.0), ("flat", 2000.0)])
+@pytest.mark.parametrize("averaged", [4, 20])
+def test_an_average_among_single_frames_is_left_out(kind, electrons, averaged):
+    own = frames(0, 6, electrons=electrons)
+    own[3] = np.rint(frames(1, averaged, electrons=electrons).mean(0))
+    kept, lines = usable(CaptureSet("c", (recording(own, kind),)))
+    assert kept.recordings[0].count == 5
+    assert lines[0].startswith("x.h5: frame 4 has 0.") and "an average, or another gain setting" in lines[0]
+
+
+def test_a_file_is_named_where_every_frame_has_one():
+    own = frames(0, 6)
+    own[0], own[1] = 300, frames(1, 1, gain=3.0)[0]
+    given = recording(own, sources=tuple(f"/data/d/{k}.fits" for k in range(6)))
+    kept, lines = usable(CaptureSet("c", (given,)))
+    assert kept.recordings[0].sources == given.sources[2:]
+    assert "frame 2 (1.fits) has 3." in lines[1] and "of the other 4 (2.fits ...)" in lines[1]
+
+
+@pytest.mark.parametrize(("low", "high"), [(4, 4), (2, 4), (1, 2)])
+def test_two_gain_settings_of_which_none_is_the_rule_are_refused(low, high):
+    both = np.concatenate([frames(0, low, gain=0.4), frames(1, high, gain=1.6)])
+    with pytest.raises(BadInput, match=r"temporal noise.*another gain setting.*--leave-out") as refused:
+        usable(CaptureSet("c", (recording(both),)))
+    assert "\n" not in str(refused.value)
+    assert "temporal noise" in of_several_noises(recording(both))
+
+
+def test_lamps_rows_hits_hot_pixels_and_noise_below_a_code_are_no_other_noise():
+    rng = np.random.default_rng(3)
+    pattern = 1 + 0.03 * rng.standard_normal(SIZE)
+    drift = frames(4, 6, electrons=2000.0, pattern=pattern, light=[0.5, 0.6, 0.7, 0.9, 1.0, 1.2])
+    rows = frames(5, 6) + np.rint(20 * rng.standard_normal((6, SIZE[0], 1)))
+    hit = frames(6, 6)
+    hit[2][rng.random(SIZE) < 0.02] += 900
+    warm = frames(7, 6, electrons=900.0, light=[0.4, 0.6, 0.8, 1.0, 1.3, 1.6])
+    level = np.array([0.0, 0.1, 0.3, 0.5, 0.2, 0.4])[:, None, None]
+    quiet = np.rint(200 + level + 0.15 * rng.standard_normal((6, *SIZE)))
+    for own, kind in ((drift, "flat"), (rows, "dark"), (hit, "dark"), (warm, "dark"), (quiet, "dark")):
+        assert apart(recording(own, kind)) is None
+
+
+def test_scenes_and_pairs_are_not_judged():
+    both = np.concatenate([frames(0, 3, gain=0.4), frames(1, 3, gain=1.6)])
+    assert apart(recording(both, "scene")) is None
+    assert apart(recording(both[[0, 3]])) is None
