@@ -37,8 +37,9 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, and the
     few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
     recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
-    none at all, for frames that are too small, for a recording of frames of several noises none of which is the rule, for
-    flats all darker than all darks, and where so much is lost that no two frames of one recording are left.
+    none at all, for frames that are too small, for a recording of frames of several noises none of which is
+    the rule, for flats all darker than all darks, and where so much is lost that no two frames of one
+    recording are left.
     """
     if not capture.recordings:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings: add some")
