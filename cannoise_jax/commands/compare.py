@@ -102,7 +102,7 @@ def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tup
     )
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
-    capture, left_out = usable(capture)
+    capture, left_out = usable(capture, unsteady=True)
     for line in left_out:
         print(f"bin/compare: {line}", file=sys.stderr, flush=True)
 

@@ -81,7 +81,7 @@ def diagnose(
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)
 
-    capture, left_out = usable(capture)
+    capture, left_out = usable(capture, unsteady=True)
     for line in left_out:
         warnings.warn(line, LeftOutWarning, stacklevel=2)
     capture = read_once(capture)

@@ -23,6 +23,10 @@ _FEWEST, _OVERFULL = 3, 0.05
 """Frames from which one can be told to be odd; share of the pixels of a dark that neither hits nor hot pixels
 reach, and that neither are in one frame alone."""
 
+_OTHER_GAIN = 3.0
+"""Times the noise of other frames that a frame may have by interference. Gain settings that are thrown
+together lie further apart, as a rule."""
+
 Seen = dict[tuple, tuple[object, int]]
 """Where the pixels of a frame were met first: recording and number, by size and checksum."""
 
@@ -31,8 +35,10 @@ class LeftOutWarning(UserWarning):
     """Frames that show no noise take no part."""
 
 
-def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
+def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tuple[str, ...]]:
     """The capture set without frames that show no noise, and a line for each reason to leave some out.
+    unsteady: frames that are noisier than others stay, as long as no gain setting is that far from the next:
+    they are what is looked for.
 
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, and the
     few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
@@ -50,7 +56,7 @@ def usable(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
         _check_size(recording)
         good, why = _judged(recording, seen)
         lines += why
-        good, why = _of_one_noise(recording, good)
+        good, why = _of_one_noise(recording, good, unsteady)
         lines += why
         if len(good) == recording.count:
             kept.append(recording)
@@ -147,12 +153,15 @@ def of_several_noises(recording: Recording) -> str:
     return words(recording, found, range(recording.count)) if found else ""
 
 
-def _of_one_noise(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
+def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tuple[list[int], list[str]]:
     """The frames of one temporal noise among the good ones, and why others are not. Raises BadInput where
     none is the rule."""
     left = recording if len(good) == recording.count else _only(recording, good)
     found = apart(left) if good else None
     if found is None:
+        return good, []
+    average = found.few and found.ratio < 1
+    if unsteady and not average and 1 / _OTHER_GAIN < found.ratio < _OTHER_GAIN:
         return good, []
     line = words(left, found, good)
     if not found.few:

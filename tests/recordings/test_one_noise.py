@@ -69,3 +69,17 @@ def test_scenes_and_pairs_are_not_judged():
     both = np.concatenate([frames(0, 3, gain=0.4), frames(1, 3, gain=1.6)])
     assert apart(recording(both, "scene")) is None
     assert apart(recording(both[[0, 3]])) is None
+
+
+def test_frames_noisier_by_interference_stay_where_that_is_looked_for():
+    disturbed = frames(0, 8)
+    disturbed[[1, 4, 6]] = np.rint(200 + 2 * (frames(1, 3) - 200))
+    capture = CaptureSet("c", (recording(disturbed),))
+    kept, lines = usable(capture, unsteady=True)
+    assert kept.recordings[0].count == 8 and not lines
+    with pytest.raises(BadInput, match="temporal noise"):
+        usable(capture)
+    averaged = frames(3, 8)
+    averaged[3] = np.rint(frames(2, 20).mean(0))
+    kept, lines = usable(CaptureSet("c", (recording(averaged),)), unsteady=True)
+    assert kept.recordings[0].count == 7 and "frame 4" in lines[0]
