@@ -315,7 +315,7 @@ def _run(
     first = is_first()
     check()
     print(f"{workdir}: reading the data", flush=True)
-    data = load_data(config, workdir)
+    data = load_data(config, workdir, progress_of("drawing patches of cameras"))
     check()
     named = ", ".join(data.cameras)
     trained = (

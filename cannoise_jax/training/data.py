@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,10 +108,12 @@ class TrainingData:
         return np.concatenate([camera.reference for camera in self.examples.values()])
 
 
-def load_data(config: ConfigDict, workdir: Path) -> TrainingData:
-    """The data that `config.data` names. Raises BadInput."""
+def load_data(
+    config: ConfigDict, workdir: Path, tell: Callable[[int, int], None] = lambda done, total: None
+) -> TrainingData:
+    """The data that `config.data` names. tell: how far the drawing of cameras is. Raises BadInput."""
     loaders: dict[str, Callable[[ConfigDict, Path], TrainingData]] = {
-        "drawn": _drawn,
+        "drawn": partial(_drawn, tell=tell),
         "virtual": _virtual,
         "recordings": _recordings,
         "sidd": _sidd,
@@ -120,11 +123,11 @@ def load_data(config: ConfigDict, workdir: Path) -> TrainingData:
     return loaders[config.data.source](config, workdir)
 
 
-def _drawn(config: ConfigDict, workdir: Path) -> TrainingData:
+def _drawn(config: ConfigDict, workdir: Path, tell: Callable[[int, int], None]) -> TrainingData:
     """Training and validation on drawn cameras; the virtual cameras are the test."""
     data, cameras = config.data, virtual_cameras()
     key = jax.random.key(data.seed)
-    train = drawn_cameras(key, "train", data.cameras, data.references, data.scenes)
+    train = drawn_cameras(key, "train", data.cameras, data.references, data.scenes, tell)
     held = drawn_cameras(
         jax.random.fold_in(key, 1), "validation", data.validation_cameras, config.references,
         data.validation_scenes,

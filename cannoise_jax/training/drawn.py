@@ -7,6 +7,7 @@ comes with them, so that what is read off its pixels can be judged.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,10 +66,15 @@ class DrawnCameras:
 
 
 def drawn_cameras(
-    key: Key[Array, ""], split: Split, cameras: int, references: int, scenes: int
+    key: Key[Array, ""],
+    split: Split,
+    cameras: int,
+    references: int,
+    scenes: int,
+    tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> DrawnCameras:
     """Recordings of `cameras` cameras, on patches of `scenes` scenes of a split. The same key gives the same
-    bits."""
+    bits. tell: how far it is, patches done and in all."""
     scene_key, camera_key, place_key, record_key = jax.random.split(key, 4)
     pool = _scene_patches(scene_key, split, scenes)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(place_key)).tolist())
@@ -88,6 +94,8 @@ def drawn_cameras(
         clean = pool[places[here]] * shown[here][:, None, None, None]
         made, line = _record(record_key, here, [values[here] for values in flat], clean)
         noise[here], lines[here] = np.asarray(made), np.asarray(line)
+        if start:  # the first holds the compilation
+            tell(min(start + _CHUNK, len(noise)), len(noise))
     level = lines.reshape(cameras, references + 2, 2)[:, 0]
     # Shares of the read variance as it is recorded, rounding and all.
     share = np.asarray(first.read) / np.maximum(level[:, 1], 1e-12)
