@@ -140,7 +140,7 @@ def test_after_a_start_that_failed_another_config_may_follow(tmp_path, capsys):
 def test_a_run_that_took_no_step_leaves_nothing_for_another_config_to_stumble_over(
     more, tmp_path, monkeypatch
 ):
-    def interrupted(config, workdir):
+    def interrupted(config, workdir, tell):
         (workdir / "checkpoints").mkdir()
         (workdir / "config.json").write_text("{}")
         raise KeyboardInterrupt
@@ -153,7 +153,7 @@ def test_a_run_that_took_no_step_leaves_nothing_for_another_config_to_stumble_ov
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_outside_training_is_one_line(number, tmp_path, capsys, monkeypatch):
-    def interrupted(config, workdir):
+    def interrupted(config, workdir, tell):
         os.kill(os.getpid(), number)
         time.sleep(10)
 
@@ -175,7 +175,7 @@ def test_an_interruption_that_python_drops_is_not_lost(tmp_path, capsys, monkeyp
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(10)
 
-    def interrupted(config, workdir):
+    def interrupted(config, workdir, tell):
         Dropped()  # an exception in a destructor goes nowhere
 
     monkeypatch.setattr(data, "load_data", interrupted)
