@@ -87,6 +87,15 @@ def if_exposures_differ(*signatures: Signature) -> Callable[[Recorded], tuple[Si
     return lambda recorded: signatures if recorded.several_exposures else fixed
 
 
+def wherever(
+    before: Signature, of_codes: Signature, *growing: Signature
+) -> Callable[[Recorded], tuple[Signature, ...]]:
+    """The signatures of what comes before the gain, of the same behind it where several gains were recorded,
+    and of what grows with the exposure where recordings tell it."""
+    beside, grows = either_side(before, of_codes), if_exposures_differ(*growing)
+    return lambda recorded: (*beside(recorded), *grows(recorded))
+
+
 def either_side(
     signature: Signature, of_codes: Signature | None = None
 ) -> Callable[[Recorded], tuple[Signature, ...]]:

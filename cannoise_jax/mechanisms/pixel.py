@@ -250,8 +250,10 @@ ENTRIES: tuple[Entry, ...] = (
              20, "sensor", "DN", RMS, listed=3),
         DSNU,
         needs="darks of two frames or more",
-        signatures=looks.if_exposures_differ(
+        signatures=looks.wherever(
             looks.patterns.pixel("additive", name="pixel_additive_static", parameter="sigma_dn",
+                covers=looks.DARK_LEVELS),
+            looks.patterns.pixel("codes", name="pixel_additive_static_behind_gain", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS),
             looks.patterns.pixel("exposure", name="pixel_thermal_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS, charge_of=("dark_current", "compensated_dark_current")),

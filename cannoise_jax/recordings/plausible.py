@@ -91,7 +91,7 @@ def check_kinds(recordings: Sequence[Recording]) -> None:
     for r in recordings:
         if r.kind == "flat" or r.kind in DARK:
             own = levels.setdefault((r.size, r.iso, r.gain_db), {True: [], False: []})
-            own[r.kind in DARK].append((float(np.median(np.asarray(r.frames[0]))), str(r.path)))
+            own[r.kind in DARK].append((float(np.median(np.asarray(r.frames[:1]))), str(r.path)))
     for own in levels.values():
         if not (own[True] and own[False]):
             continue

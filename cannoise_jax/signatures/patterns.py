@@ -14,6 +14,7 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays, told
+from cannoise_jax.signatures.behind_gain import behind_gain
 from cannoise_jax.signatures.charge_noise import steadied
 from cannoise_jax.signatures.fields import Fields, channel_index, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
@@ -324,9 +325,9 @@ def pixel(
     covers: tuple[str, ...],
     charge_of: tuple[str, ...] = (),
 ) -> Signature:
-    """A frozen offset (or gain, or dark current) of every pixel. charge_of: mechanisms of charge that grows
-    with the exposure alike in all pixels, of which it is the part of each."""
-    growing, light = scaling == "exposure", scaling == "signal"
+    """A frozen offset (or gain, or dark current, or offset that no gain changes) of every pixel. charge_of:
+    mechanisms of charge that grows with the exposure alike in all pixels, of which it is the part of each."""
+    growing, light, of_codes = scaling == "exposure", scaling == "signal", scaling == "codes"
     point = Point("photons", "mean", "pixel", "frozen", "multiply") if light else OFFSETS
 
     def predict(fields: Many, score: Score) -> Predicted | None:
@@ -354,6 +355,8 @@ def pixel(
 
         return added
 
+    simulate = as_charge(strength(parameter, by_exposure=growing))
+    place = as_charge(placed(point, by_exposure=growing))
     return Signature(
         name=name,
         kin="pixel",
@@ -364,10 +367,10 @@ def pixel(
         covers=covers,
         predict=predict,
         pattern=pattern,
-        simulate=as_charge(strength(parameter, by_exposure=growing)),
-        place=as_charge(placed(point, by_exposure=growing)),
+        simulate=behind_gain(simulate) if of_codes else simulate,
+        place=behind_gain(place) if of_codes else place,
         detectable=BY_SHIFT,
-        least=NO_CLOSED_FORM if growing else random_offsets("pixel", scaling, frozen=True),
+        least=NO_CLOSED_FORM if growing or of_codes else random_offsets("pixel", scaling, frozen=True),
         drawn_once=True,
         map_of=("pixel", scaling),
     )

@@ -27,13 +27,14 @@ BEHIND = 1.6
 """Row noise and offsets of columns that are added behind the gain, DN."""
 
 
-def camera(seed=0, before=1.0, behind=0.0):
+def camera(seed=0, before=1.0, behind=0.0, pixels=0.0):
     """Biases, darks and flats at three gain settings in plain NumPy, with so much of what is added before the
-    gain, and behind it."""
+    gain, and behind it; pixels: offsets of theirs behind it, DN."""
     rng = np.random.default_rng(seed)
     offsets = before * PIXELS * rng.standard_normal(SIZE)
     uneven = CURRENT * rng.gamma(4.0, 0.25, SIZE)
     columns = behind * BEHIND * rng.standard_normal((1, SIZE[1]))
+    columns = columns + pixels * rng.standard_normal(SIZE) if pixels else columns
     out = []
     for iso, gain in GAINS.items():
         shots = (("bias", 1e-3, 0.0), ("dark", 20.0, 0.0), ("flat", 0.01, 400.0), ("flat", 0.01, 1200.0))
@@ -41,7 +42,7 @@ def camera(seed=0, before=1.0, behind=0.0):
             charge = rng.poisson(light + before * uneven * seconds, (8, *SIZE)) + offsets
             charge = charge + READ * rng.standard_normal(charge.shape)
             charge = charge + before * ROWS * rng.standard_normal((8, SIZE[0], 1))
-            added = columns + behind * BEHIND * rng.standard_normal((8, SIZE[0], 1)) if behind else 0.0
+            added = columns + behind * BEHIND * rng.standard_normal((8, SIZE[0], 1)) if behind else columns
             codes = np.clip(np.round(BLACK + gain * charge + added), 0, 16383).astype(np.uint16)
             out.append(
                 Recording(codes, "RGGB", (BLACK,) * 4, 16383.0, kind=kind, exposure_s=seconds, iso=iso)
@@ -158,3 +159,16 @@ def test_frames_held_back_at_one_gain_alone_are_looked_at():
     } == {100.0}
     result = diagnose(mixed, compare=False)
     assert result.fitted.steps and len(result.proofs) == len(result.fitted.steps)
+
+
+def test_offsets_of_pixels_behind_the_gain_are_the_same_number_of_codes():
+    """As a map before the gain they would be too weak at one gain and too strong at another."""
+    result = diagnose(camera(5, before=0.0, pixels=1.2), compare=False)
+    (step,) = (s for s in result.fitted.steps if s.named.mechanism == "dsnu")
+    assert step.named.signature.axes.scales == "codes"
+    assert step.named.score.amplitude == pytest.approx(1.2, rel=0.05)
+    for iso, gain in GAINS.items():
+        frames = result.model.sample(jax.random.key(1), jnp.zeros(SIZE), Settings(iso, 1e-3, frames=16))
+        noise = np.hypot(gain * READ, 0.3)
+        spread = np.sqrt(np.var(np.mean(np.asarray(frames, float), 0)) - noise**2 / 16)
+        assert spread == pytest.approx(1.2, rel=0.1 if gain < 8 else 0.4)

@@ -142,13 +142,20 @@ def row_noise(stacked: Stack) -> Float[np.ndarray, "4"]:
 def row_variance(
     contrasts: Float[np.ndarray, "n h w"], light: Float[np.ndarray, "h w"]
 ) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Mean square of the contrasts of one channel once an offset and a factor of the light of every row are
-    taken out, and the variance of the row means beyond what that explains, drift of whole frames left out."""
+    """Mean square of the contrasts of one channel once an offset, a factor of the light of every row and how
+    it leans along the row are taken out, and the variance of the row means beyond what that explains, drift
+    of whole frames left out."""
     columns, means = light.shape[1], contrasts.mean(2)
     slope = light - light.mean(1, keepdims=True)
     power = np.maximum(np.sum(slope**2, 1), 1e-9)
     lean = np.einsum("nij,ij->ni", contrasts, slope) / power
-    rest = np.mean((contrasts - means[:, :, None] - lean[:, :, None] * slope) ** 2, 0) / (1 - 2 / columns)
+    left = contrasts - means[:, :, None] - lean[:, :, None] * slope
+    # Light that leans along the rows, to another side in every frame.
+    along = light * np.linspace(-1, 1, columns)
+    along = along - along.mean(1, keepdims=True)
+    along = along - np.sum(along * slope, 1, keepdims=True) / power[:, None] * slope
+    bend = np.einsum("nij,ij->ni", left, along) / np.maximum(np.sum(along**2, 1), 1e-9)
+    rest = np.mean((left - bend[:, :, None] * along) ** 2, 0) / (1 - 3 / columns)
     drift = np.stack([steady(m, light.mean(1)) for m in means])
     return rest.astype(np.float32), float(np.mean(drift**2) - np.mean(rest) / columns)
 
