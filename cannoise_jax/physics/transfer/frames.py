@@ -99,7 +99,8 @@ def black_of(recording: Recording, channel: int) -> float:
 def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
     """Frames as float64 in which what rows do together is taken out, as the module's docstring says; flats
     are given above black."""
-    yield from _steady(s.recording, s.row_means, s.column_means, s.relative)
+    lean = leaning(s.recording, s.column_means) if s.relative else None
+    yield from _steady(s.recording, s.row_means, lean)
 
 
 def of_variance(s: FrameStatistics) -> Float[np.ndarray, "H W"]:
@@ -129,15 +130,14 @@ def leaning(recording: Recording, columns: Float[np.ndarray, "T 2 W"]) -> Float[
     return np.clip(factor, 0.1, 10.0)
 
 
-def _steady(
-    recording: Recording, rows: np.ndarray, columns: np.ndarray, relative: bool
-) -> Iterator[np.ndarray]:
+def _steady(recording: Recording, rows: np.ndarray, lean: np.ndarray | None) -> Iterator[np.ndarray]:
+    """Frames without what rows do together; lean: of the light of a flat, whose rows are scaled; None: they
+    are shifted."""
     parity = np.arange(recording.size[1]) % 2
     black = recording.black_map().astype(np.float64)
     signal = _row_signal(recording, rows)
     middle = rows.mean(0)
-    harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if relative else None
-    lean = leaning(recording, columns) if relative else None
+    harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if lean is not None else None
     at = 0
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
@@ -235,7 +235,7 @@ def _second_pass(
     plain, total, total_square, kept, kept_square, steps = (np.zeros(shape) for _ in range(6))
     clipped = np.zeros(shape, bool)
     whole_first: np.ndarray | None = None
-    steady = _steady(recording, rows, columns, relative)
+    steady = _steady(recording, rows, lean)
     at = 0
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:

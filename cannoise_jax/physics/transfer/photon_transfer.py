@@ -197,7 +197,7 @@ def _levels(
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
-        usable = below_rail(s, variance, c)
+        usable = below_rail(s, c)
         if usable.mean() > _ENOUGH:
             levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:

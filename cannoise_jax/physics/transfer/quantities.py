@@ -265,7 +265,7 @@ def _prnu(
     _, keep = robust_mean_square(
         pixel_variance(flat, c) / np.maximum(site(flat.mean, c) - black[c], 1), flat.dof
     )
-    split = spatial_split(gains, keep & below_rail(flat, pixel_variance(flat, c), c), parts)
+    split = spatial_split(gains, keep & below_rail(flat, c), parts)
     found: Estimate = getattr(split, part)
     if unsteady and part == "total":
         found = total_of(split.column, split.pixel)

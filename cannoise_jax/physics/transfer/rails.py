@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
@@ -42,14 +42,14 @@ _MATTERS = 1e-3
 """Of the level of a flat: an error of the black level up to which PRNU and gain are off by as little."""
 
 
-def below_rail(s: FrameStatistics, variance: Float[np.ndarray, "h w"], c: int) -> Bool[np.ndarray, "h w"]:
+def below_rail(s: FrameStatistics, c: int) -> Bool[np.ndarray, "h w"]:
     """Pixels of a channel whose noise ends well below the code at which its values pile up."""
     usable = ~site(s.clipped, c)
     top = np.fmin(s.high[c], s.recording.white_level)
     near = usable & (site(s.mean, c) > LINEAR * top)
     if not near.any():
         return usable
-    sigma = np.sqrt(np.median(variance[near]) / median_quotient(s.dof))
+    sigma = np.sqrt(np.median(pixel_variance(s, c)[near]) / median_quotient(s.dof))
     return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
 
 
@@ -76,7 +76,7 @@ def moving(s: FrameStatistics, c: int) -> float:
 def is_below_rail(s: FrameStatistics, c: int) -> bool:
     """Whether so few pixels of a repeated flat are near the code at which values pile up that its map of
     sensitivities is that of the sensor."""
-    return bool(below_rail(s, pixel_variance(s, c), c).mean() >= _ALMOST_ALL)
+    return bool(below_rail(s, c).mean() >= _ALMOST_ALL)
 
 
 def cut_off(statistics: Sequence[FrameStatistics]) -> str:
