@@ -7,9 +7,10 @@ import pytest
 from scipy import ndimage
 
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.contrasts import stack
-from cannoise_jax.discovery.frames.shadows import shadows
-from cannoise_jax.discovery.frames.smooth import smooth_mean
+from cannoise_jax.discovery.frames.contrasts import Stack, stack
+from cannoise_jax.discovery.frames.dust import beside_dust
+from cannoise_jax.discovery.frames.shadows import light_at, places, shadows
+from cannoise_jax.discovery.frames.smooth import light_of, smooth_mean
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.light import sentence_of
 from cannoise_jax.recordings.recording import CaptureSet, Recording
@@ -34,7 +35,7 @@ def dust() -> np.ndarray:
 
 
 def seen(relative: np.ndarray) -> np.ndarray:
-    return shadows(relative, np.ones(SIZE))
+    return light_at(relative, places(shadows(relative, np.ones(SIZE))))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -80,12 +81,21 @@ def test_of_a_mosaic_the_colour_with_less_noise_counts_more():
     assert np.std(dust() - weighed) < 0.7 * np.std(dust() - plain)
 
 
-def recordings(transmission: np.ndarray) -> CaptureSet:
-    """A dark and two flats of a plain camera with 0.5 % PRNU behind a dusty window."""
+@pytest.mark.parametrize("seed", range(2))
+def test_what_is_left_at_a_shadow_is_of_both_signs(seed):
+    white = np.random.default_rng(seed).normal(0, 0.006, SIZE)
+    left = dust() + white - seen(dust() + white)
+    for size in (4, 8, 16):
+        blocks = left.reshape(SIZE[0] // size, size, SIZE[1] // size, size).mean((1, 3))
+        assert np.std(blocks) < 1.25 * 0.006 / size
+
+
+def recordings(transmission: np.ndarray, levels: tuple[float, ...] = (0.0, 4000.0, 12000.0)) -> CaptureSet:
+    """A dark and flats of a plain camera with 0.5 % PRNU behind a dusty window."""
     rng = np.random.default_rng(3)
     prnu = 1 + rng.normal(0, 0.005, SIZE)
     out = []
-    for n, level in enumerate((0.0, 4000.0, 12000.0)):
+    for n, level in enumerate(levels):
         electrons = rng.poisson(np.broadcast_to(level * transmission * prnu, (8, *SIZE)))
         codes = np.rint(200 + 2.0 * (electrons + rng.normal(0, 3, electrons.shape)))
         kind = "flat" if level else "dark"
@@ -96,11 +106,33 @@ def recordings(transmission: np.ndarray) -> CaptureSet:
     return CaptureSet("dusty", tuple(out))
 
 
+def stacks(capture: CaptureSet) -> tuple[Stack, ...]:
+    return beside_dust([stack(r, n, list(range(8)), 1.0) for n, r in enumerate(capture.recordings)])
+
+
 def test_the_mean_of_a_flat_has_the_dust_at_its_light():
-    capture = recordings(1 + dust())
-    flat = stack(capture.recordings[2], 2, list(range(8)), 1.0)
+    flat = stacks(recordings(1 + dust()))[2]
     mean = (smooth_mean(flat) - 200) / 24000
     assert np.std(mean - 1 - dust()) < 0.3 * np.std(dust())
+
+
+def test_dust_that_a_bright_flat_shows_is_in_the_light_of_a_dim_one():
+    weak = 1 + 0.1 * dust()
+    dark, dim, _ = stacks(recordings(weak, (0.0, 200.0, 12000.0)))
+    assert dark.dust is None and dim.dust is not None
+    assert beside_dust([dim._replace(dust=None, light=None)])[0].dust is None
+    surface, shadow = light_of(dim)
+    assert np.mean(surface[dim.dust]) == pytest.approx(600, rel=0.01)
+    # Of 200 electrons in 8 frames the smoothed light has a scatter that of the shadows is a part.
+    assert np.sum(shadow * (weak - 1)) / np.sum((weak - 1) ** 2) == pytest.approx(1, abs=0.25)
+
+
+def test_a_wide_deep_shadow_does_not_bend_the_surface_beside_it():
+    deep = 1 + disc(90, 130, 28, 0.15) + disc(60, 60, 14, 0.1)
+    flat = stacks(recordings(deep))[2]
+    surface, _ = light_of(flat)
+    assert np.std((surface - 200) / 24000 - 1) < 0.002
+    assert np.mean(flat.dust) < 2 * np.mean(deep < 0.99)
 
 
 @pytest.mark.slow

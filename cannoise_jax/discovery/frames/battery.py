@@ -15,6 +15,7 @@ from cannoise_jax.discovery.frames.contrasts import (
     stack,
 )
 from cannoise_jax.discovery.frames.dark_lines import beside_darks
+from cannoise_jax.discovery.frames.dust import beside_dust
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
@@ -81,13 +82,12 @@ def prepare(
             )
     step = code_step(capture)
     known = before or [[] for _ in chosen]
-    stacks = beside_darks(
-        [
-            stack(r, n, c, step, b)
-            for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
-            if c
-        ]
-    )
+    read = [
+        stack(r, n, c, step, b)
+        for n, (r, c, b) in enumerate(zip(capture.recordings, chosen, known, strict=True))
+        if c
+    ]
+    stacks = beside_dust(beside_darks(read))
     _check_noise(stacks)
     isos = gain_groups(capture)
     groups = [[s for s in stacks if s.recording.iso == iso] for iso in isos]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.codes import code_histogram, code_lattice
@@ -24,7 +24,8 @@ MOST_FRAMES = 16
 class Stack(NamedTuple):
     """Frames of one split of a recording: mean, temporal variance, contrasts (DN) and the rails. earlier:
     mean of the `before` frames of the other split, against which the last contrast is taken; None: none.
-    lines: offsets of rows and columns that darks show, DN; None: none."""
+    lines: offsets of rows and columns that darks show, DN; None: none. dust: where shadows lie in the light
+    of flats, see `dust`; None: nowhere. light: `smooth_mean`, where it is worked out."""
 
     recording: Recording
     number: int
@@ -39,6 +40,8 @@ class Stack(NamedTuple):
     before: int = 0
     earlier: Float[np.ndarray, "h w"] | None = None
     lines: Float[np.ndarray, "h w"] | None = None
+    dust: Bool[np.ndarray, "h w"] | None = None
+    light: Float[np.ndarray, "h w"] | None = None
 
 
 def stack(

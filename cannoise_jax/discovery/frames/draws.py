@@ -82,7 +82,7 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
         own = dataclasses.replace(r, frames=frames)
         taken = stack(own, field.number, all_frames[a:], prepared.step, all_frames[:a])
         lines = None if field.lit else lines_of(taken)
-        taken = taken._replace(lines=lines_for(r, darks))
+        taken = taken._replace(lines=lines_for(r, darks), dust=stacked.dust)
         weight = (field.usable / field.sigma).astype(np.float32)
         static, mean = None, field.mean
         if field.static is not None:

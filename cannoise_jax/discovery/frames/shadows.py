@@ -8,13 +8,14 @@ The flat divided by its smooth surface is taken apart by an isotropic wavelet tr
 16 pixels, details that add up to the image. What pixels do each by themselves lies in the finest details,
 which are left out; a texture of the whole frame has the same scatter everywhere. Kept is what stands out:
 patches with a peak of `_PEAK` robust standard deviations of their scale and all around it beyond `_EDGE`,
-unless they reach through a good part of the frame or are as thin as a piece of a line.
+unless they reach through a good part of the frame or are as thin as a piece of a line. At those places all
+that is coarse counts as light.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from cannoise_jax.physics.robust import robust_std
@@ -30,6 +31,8 @@ _FAR = 3.0
 """Robust standard deviations from those around it beyond which a pixel counts as no more than that: a bright
 or dead pixel is no shadow."""
 _SCALES = 6
+_AROUND = 3
+"""Pixels by which a shadow goes on beyond where it stands out."""
 _B3 = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)
 
 
@@ -38,11 +41,9 @@ def shadows(relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]
     few places; zeros where nothing stands out. weight: inverse variance of the pixels, of any scale."""
     fitted = np.zeros(relative.shape)
     scales = [2**n for n in range(1, _SCALES) if 4 * 2**n < min(relative.shape) / 2]
-    around = ndimage.median_filter(relative, 5, mode="nearest")
-    spread = robust_std(relative - around, 0)
-    if spread == 0 or not scales:
+    if not np.ptp(relative) or not scales:
         return fitted
-    limited = around + np.clip(relative - around, -_FAR * spread, _FAR * spread)
+    limited = _limited(relative)
     total, seen = _smooth(weight, 1), {}
     level = _smooth(weight * limited, 1) / total
     for scale in scales:
@@ -70,6 +71,29 @@ def shadows(relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]
             fitted = np.clip(fitted + parts[scale], low, high)
             fitted[np.abs(fitted) <= sure] = 0.0
     return fitted
+
+
+def places(found: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Where the light is that of shadows that were `found`, with the little that goes on around them."""
+    return ndimage.binary_dilation(found != 0, iterations=_AROUND)
+
+
+def light_at(relative: Float[np.ndarray, "h w"], where: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """What of a flat's `relative` residual is light at the places of shadows, zeros elsewhere: all that is
+    coarser than 4 pixels, and of finer details those that stand out from the frame's. Thresholds alone would
+    leave a part of each shadow that is everywhere of one sign."""
+    fine = _smooth(_limited(relative), 1)
+    coarse = _smooth(fine, 2)
+    detail = fine - coarse
+    standing_out = np.abs(detail) > _EDGE * robust_std(detail[~where], 0)
+    return np.where(where, coarse + np.where(standing_out, detail, 0.0), 0.0)
+
+
+def _limited(relative: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """With pixels that are far from those around them brought near."""
+    around = ndimage.median_filter(relative, 5, mode="nearest")
+    spread = robust_std(relative - around, 0)
+    return around + np.clip(relative - around, -_FAR * spread, _FAR * spread)
 
 
 def _smooth(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:

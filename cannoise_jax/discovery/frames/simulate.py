@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, stack
+from cannoise_jax.discovery.frames.dust import beside_dust
 from cannoise_jax.discovery.frames.smooth import smooth_mean
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
@@ -243,5 +244,5 @@ def expected_signal(recording: Recording, number: int, step: float, look: list[i
     if recording.kind != "flat":
         return None
     black = recording.black_map()
-    mean = smooth_mean(stack(recording, number, look or [0], step))
+    mean = smooth_mean(beside_dust([stack(recording, number, look or [0], step)])[0])
     return np.maximum((mean - black) / (recording.white_level - black), 0).astype(np.float32)

@@ -13,11 +13,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
-from cannoise_jax.discovery.frames.shadows import shadows
+from cannoise_jax.discovery.frames.shadows import light_at
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import channel_index, least_squares, surfaces
@@ -27,45 +27,41 @@ START, STOP = 4, 16
 _CHANCE = 1e-3
 """Chance with which a step is taken where the light has no more to follow: two terms more or less of
 thousands of pixels matter little, so it is not small."""
-_AGAIN = 4
-"""How often a surface is fitted anew beside shadows."""
-_FEW = 0.002
-"""Share of the frame below which they do not bend it."""
 _FAR = 6.0
 """Robust standard deviations from its neighbours beyond which a pixel counts as no more than that."""
+_STEPS, _SMALL = 30, 1e-3
+"""Of a fit beside dust: the most steps, and the share of what is left at first at which they end."""
 
 
 def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
     """Mean of a flat without the pattern of the sensor, its smooth surface with the shadows in it, or of a
     dark (a constant per channel), DN."""
+    if stacked.light is not None:
+        return stacked.light
     if stacked.recording.kind != "flat":
-        return _surface(stacked, _without_lines(stacked))
+        return surface_of(stacked)
     surface, shadow = light_of(stacked)
     return surface + (shadow * _above_black(stacked, surface)).astype(np.float32)
 
 
 def light_of(stacked: Stack) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """The smooth surface of a flat, DN, and what shadows add to its light as a share of it, see `shadows`:
-    negative where they are dark.
-
-    A surface bends towards the shadows in it. Where there are any it is fitted again, with them filled by the
-    last one, and they are looked for again."""
-    mean = _without_lines(stacked)
-    surface = _surface(stacked, mean)
-    shadow = _shaded(stacked, mean, surface)
-    for _ in range(_AGAIN):
-        dark = shadow < 0
-        if dark.mean() < _FEW:
-            break
-        for _ in range(2):
-            surface = _surface(stacked, np.where(dark, surface, mean).astype(np.float32))
-        shadow = _shaded(stacked, mean, surface)
-    return surface, shadow
+    """The smooth surface of a flat, DN, and what the shadows at `Stack.dust` add to its light as a share of
+    it: negative where they are dark."""
+    surface = surface_of(stacked, stacked.dust)
+    if stacked.dust is None:
+        return surface, np.zeros(surface.shape)
+    return surface, light_at(relative(stacked, surface), stacked.dust)
 
 
-def _surface(stacked: Stack, mean: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+def relative(stacked: Stack, surface: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """What of a flat is not its smooth surface, DN, as a share of its light."""
+    return (without_lines(stacked) - surface) / _above_black(stacked, surface)
+
+
+def surface_of(stacked: Stack, dust: Bool[np.ndarray, "h w"] | None = None) -> Float[np.ndarray, "h w"]:
     """The mean as a surface per channel, of degree 4 or as the light of a flat needs; of a dark as a constant
-    per channel; DN."""
+    per channel; DN. dust: places that are left out, None: none."""
+    mean = without_lines(stacked)
     size = mean.shape
     channel = channel_index(size)
     out = np.zeros(size, np.float32)
@@ -77,43 +73,42 @@ def _surface(stacked: Stack, mean: Float[np.ndarray, "h w"]) -> Float[np.ndarray
             continue
         basis = surfaces(size, degree, c)
         values = mean[chosen].astype(np.float64)
-        kept = np.ones(values.size, bool)
+        clear = np.ones(values.size, bool) if dust is None else ~dust[chosen]
+        kept = clear
         for _ in range(2):
             beta = least_squares(basis[kept], values[kept])
             rest = values - np.einsum("nk,k->n", basis, beta)
-            kept, before = np.abs(rest) < 6 * robust_std(rest, 0) + 1e-6, kept
+            kept, before = clear & (np.abs(rest) < 6 * robust_std(rest[clear], 0) + 1e-6), kept
             if np.array_equal(kept, before):
                 break
         fitted = np.einsum("nk,k->n", basis, beta)
         at = SITES[c]
         out[chosen] = fitted
-        out[at] += beyond(mean[at] - out[at].astype(np.float64)).astype(np.float32)
+        clear_there = None if dust is None else ~dust[at]
+        out[at] += beyond(mean[at] - out[at].astype(np.float64), clear=clear_there).astype(np.float32)
     return out
-
-
-def _shaded(stacked: Stack, mean: np.ndarray, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
-    light = _above_black(stacked, surface)
-    relative = (mean - surface) / light
-    weight = np.zeros(light.shape)
-    for at in SITES:
-        weight[at] = 1 / max(robust_std(relative[at], 0), 1e-9) ** 2
-    return shadows(relative, weight)
 
 
 def _above_black(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
     return np.maximum(surface - stacked.recording.black_map(), 1.0).astype(np.float64)
 
 
-def _without_lines(stacked: Stack) -> Float[np.ndarray, "h w"]:
+def without_lines(stacked: Stack) -> Float[np.ndarray, "h w"]:
     return stacked.mean if stacked.lines is None else stacked.mean - stacked.lines
 
 
-def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP) -> Float[np.ndarray, "h w"]:
+def beyond(
+    rest: Float[np.ndarray, "h w"],
+    start: int = START,
+    stop: int = STOP,
+    clear: Bool[np.ndarray, "h w"] | None = None,
+) -> Float[np.ndarray, "h w"]:
     """What polynomials of a higher degree than `start` add to a fit of degree `start` that leaves `rest` of a
-    site of the mosaic; zeros where they hold no more than chance. Units of `rest`."""
+    site of the mosaic; zeros where they hold no more than chance. Units of `rest`. clear: pixels that are
+    looked at, None: all."""
     height, width = rest.shape
     stop = min(stop, height // 4, width // 4)
-    spread = robust_std(rest, 0)
+    spread = robust_std(rest if clear is None else rest[clear], 0)
     fitted = np.zeros(rest.shape)
     if spread == 0 or stop <= start:
         return fitted
@@ -123,13 +118,14 @@ def beyond(rest: Float[np.ndarray, "h w"], start: int = START, stop: int = STOP)
     enough = False
     for degree in range(start, stop, 2):
         limited = around + np.clip(rest - around, -_FAR * spread, _FAR * spread)
-        if enough or not _needed(limited, rows, columns, degree, min(degree + 2, stop)):
+        filled = limited if clear is None else np.where(clear, limited, fitted)
+        if enough or not _needed(filled, rows, columns, degree, min(degree + 2, stop)):
             if enough or degree == start:
                 break
             enough = True  # one step more: what one flat lets pass shows in several together
         # All degrees anew: the fit that left `rest` set aside what it could not follow.
-        fitted = _project(limited, rows, columns, -1, min(degree + 2, stop))
-        spread = robust_std(rest - fitted, 0)
+        fitted = _fit(filled, rows, columns, min(degree + 2, stop), clear)
+        spread = robust_std(rest - fitted if clear is None else (rest - fitted)[clear], 0)
     return fitted
 
 
@@ -138,6 +134,27 @@ def polynomials(count: int, degree: int) -> Float[np.ndarray, "n k"]:
     """Orthonormal polynomials of degree 0 to `degree` at `count` even places."""
     at = np.linspace(-1, 1, count)
     return np.linalg.qr(np.polynomial.legendre.legvander(at, degree))[0]
+
+
+def _fit(values, rows, columns, upto: int, clear: np.ndarray | None) -> Float[np.ndarray, "h w"]:
+    """Least squares by products of a total degree up to `upto`, of the `clear` pixels alone (None: all)."""
+    if clear is None:
+        return _project(values, rows, columns, -1, upto)
+    # What the fit leaves of the clear pixels is brought down by conjugate gradients (Hestenes and Stiefel,
+    # 1952), from what the values already hold elsewhere: a few steps leave alone what only those places hold.
+    fitted = _project(values, rows, columns, -1, upto)
+    left = _project(np.where(clear, values - fitted, 0.0), rows, columns, -1, upto)
+    direction, power = left, float(np.sum(left**2))
+    least = _SMALL**2 * max(power, 1e-300)
+    for _ in range(_STEPS):
+        if power <= least:
+            break
+        seen = _project(np.where(clear, direction, 0.0), rows, columns, -1, upto)
+        step = power / float(np.sum(direction * seen))
+        fitted, left = fitted + step * direction, left - step * seen
+        power, before = float(np.sum(left**2)), power
+        direction = left + power / before * direction
+    return fitted
 
 
 def _project(values, rows, columns, above: int, upto: int) -> Float[np.ndarray, "h w"]:

@@ -22,11 +22,9 @@ def shadowed(diagnosis: Result) -> list[dict[str, Any]]:
     share of the light the darkest (below zero) and the brightest place differs."""
     out = []
     for stacked in diagnosis.first.stacks:
-        if stacked.recording.kind != "flat" or stacked.recording.clean is not None:
-            continue
-        found = light_of(stacked)[1]
-        share = float(np.mean(found != 0))
+        share = 0.0 if stacked.dust is None else float(np.mean(stacked.dust))
         if share >= _LEAST:
+            found = light_of(stacked)[1]
             name = stacked.recording.path or f"recording {stacked.number}"
             extremes = {"darkest": min(found.min(), 0.0), "brightest": max(found.max(), 0.0)}
             out.append({"file": name, "share": share, **extremes})
