@@ -16,6 +16,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
+from cannoise_jax.discovery.frames.faults import faults_of
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
@@ -85,6 +86,7 @@ def diagnose(
     for line in left_out:
         warnings.warn(line, LeftOutWarning, stacklevel=2)
     capture = read_once(capture)
+    faults = faults_of(capture)
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
@@ -148,6 +150,7 @@ def diagnose(
         gated,
         remains,
         model is not sides.model,
+        faults,
     )
 
 
