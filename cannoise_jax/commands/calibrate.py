@@ -181,7 +181,7 @@ def calibrate(
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
-        wrong = faults(every[iso])  # scenes that move have no gain in the table, which says why
+        wrong = faults(every[iso])  # of the gain the table says it
         if wrong.cut_off:
             raise BadInput(wrong.cut_off)
         if wrong.black:

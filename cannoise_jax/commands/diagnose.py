@@ -143,7 +143,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
 
     from cannoise_jax.discovery.diagnose import diagnose
     from cannoise_jax.discovery.report.light import sentence_of
-    from cannoise_jax.discovery.report.outcome import faults, not_measured
+    from cannoise_jax.discovery.report.outcome import not_measured
     from cannoise_jax.discovery.report.save import save
 
     found = diagnose(
@@ -155,7 +155,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         mechanisms=mechanisms,
         tell=tell,
     )
-    for words in (*faults(found), *not_measured(found), *_stated_gains(found)):
+    for words in (*not_measured(found), *_stated_gains(found)):
         print(f"bin/diagnose: {words}", file=sys.stderr, flush=True)
     report = save(
         found,

@@ -7,7 +7,7 @@ import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.faults import faults_of
+from cannoise_jax.discovery.frames.faults import FaultWarning, faults_of
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -27,8 +27,11 @@ def recording(kind, light=None, black=200.0, stated=200.0, count=4):
 
 
 def report_of(capture):
-    found = diagnose(capture, compare=False)
-    return document(found, key=0, version=""), found
+    with pytest.warns(FaultWarning) as said:
+        found = diagnose(capture, compare=False)
+    report = document(found, key=0, version="")
+    assert [str(w.message) for w in said if w.category is FaultWarning] == report["faults"]
+    return report, found
 
 
 def test_darks_cut_off_at_zero_are_said_as_calibrating_refuses_them():
@@ -61,23 +64,31 @@ def moving(count=4):
     return np.stack([200 + 1500.0 * ((x + 3 * k) // 10 % 2) + 800.0 * (y // 12 % 2) for k in range(count)])
 
 
-def test_scenes_that_move_tell_no_gain():
-    scene, dark = recording("scene", moving()), recording("dark")
-    transfers, _ = calibrate(CaptureSet("c", (scene, dark)))
+def test_scenes_that_move_are_refused_as_they_tell_calibrating_no_gain():
+    capture = CaptureSet("c", (recording("scene", moving()), recording("dark")))
+    transfers, _ = calibrate(capture)
     refused = {o.record for o in transfers[0].outcomes("system gain", "DN/e-")}
-    report, _ = report_of(CaptureSet("c", (scene, dark)))
-    (line,) = report["faults"]
-    assert line.removeprefix("the gain was not measured: ") in refused
-    (base,) = report["baseline"]
-    assert not base["gain_measured"] and base["read_noise_measured"]
+    with pytest.raises(BadInput, match="scene.h5: .*the scene or its light moves: record flats") as error:
+        diagnose(capture, compare=False)
+    assert str(error.value).removeprefix("scene.h5: ") in refused
 
 
-def test_scenes_whose_references_follow_them_may_move():
+def test_scenes_with_references_that_move_are_said_and_may_move_with_them():
     light = moving()
     scene = recording("scene", light)
-    known = dataclasses.replace(scene, clean=(GAIN * light / 3895).astype(np.float32))
-    assert faults_of(CaptureSet("c", (scene,)))[None].moves
-    assert not faults_of(CaptureSet("c", (known,)))
+    known, followed = (
+        dataclasses.replace(scene, clean=(GAIN * at / 3895).astype(np.float32)) for at in (light[0], light)
+    )
+    (wrong,) = faults_of(CaptureSet("c", (known,))).values()
+    assert wrong.moves
+    assert not faults_of(CaptureSet("c", (followed,)))
+
+
+def test_flats_that_move_are_said_as_the_table_of_calibrating_does():
+    capture = CaptureSet("c", (recording("flat", moving()), recording("dark")))
+    transfers, _ = calibrate(capture)
+    notes = {q.note for q in transfers[0].quantities if q.name == "system gain"}
+    assert faults_of(capture)[None].doubted in notes
 
 
 def test_sound_recordings_have_no_faults():

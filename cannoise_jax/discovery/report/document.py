@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery.frames.faults import fault_lines
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import light, outcome
 from cannoise_jax.discovery.report.card import card
@@ -113,7 +114,7 @@ def document(
             "camera": diagnosis.capture.camera,
             "simulator": diagnosis.simulator,
             "inputs": inputs,
-            "faults": outcome.faults(diagnosis),
+            "faults": fault_lines(diagnosis.faults),
             "verdict": diagnosis.verdict,
             "baseline": outcome.baseline(diagnosis),
             "not_measured": outcome.not_measured(diagnosis),

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.compare.report import difference_document
+from cannoise_jax.discovery.frames.faults import at_iso
 from cannoise_jax.discovery.proof.gate import Gated, Tried
 from cannoise_jax.discovery.proof.judged import CALIBRATED
 from cannoise_jax.discovery.result import Result
@@ -85,35 +86,21 @@ def measured(diagnosis: Result) -> dict[float | None, Measured]:
     return out
 
 
-def faults(diagnosis: Result) -> list[str]:
-    """A line for each reason why recordings bear no measurement, or contradict what is stated of them."""
-    out = []
-    for iso, wrong in diagnosis.faults.items():
-        moves = f"the gain{_at(iso)} was not measured: {wrong.moves}" if wrong.moves else ""
-        out += [line for line in (wrong.cut_off, moves, wrong.black) if line]
-    return out
-
-
-def _at(iso: float | None) -> str:
-    return "" if iso is None else f" at ISO {iso:g}"
-
-
 def not_measured(diagnosis: Result) -> list[str]:
     """A line for every ISO of which the baseline was not measured: what, and what to record, unless a fault
     of the recordings says it."""
     out = []
     for iso, (gain, read, _) in measured(diagnosis).items():
-        wrong = diagnosis.faults.get(iso, Faults())
+        wrong, at = diagnosis.faults.get(iso, Faults()), at_iso(iso)
         if not gain and not wrong.moves:
             stated = any(r.shot for r in diagnosis.capture.recordings if r.iso == iso)
             what = "that of the files stands" if stated else "1 DN/e- stands"
             out.append(
-                f"the gain{_at(iso)} was not measured, {what} in its place: record two or more flats of an "
-                "even light, dimmer than the white level"
+                f"the gain{at} was not measured, {what} in its place: record two or more flats of an even "
+                "light, dimmer than the white level"
             )
         if not read and not wrong.cut_off:
-            line = f"the read noise{_at(iso)} was not measured: record two or more darks of a short exposure"
-            out.append(line)
+            out.append(f"the read noise{at} was not measured: record two or more darks of a short exposure")
     return out
 
 

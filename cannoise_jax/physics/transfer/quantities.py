@@ -87,10 +87,7 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        dropped = f"{100 * line.dropped:.2f} % of pixels set aside"
-        if line.dropped > SET_ASIDE:
-            dropped += ": so many are no outliers: the light moves, or the gain is not to be trusted"
-        out.append(Quantity("system gain", "DN/e-", name, line.slope, dropped))
+        out.append(Quantity("system gain", "DN/e-", name, line.slope, set_aside(line)))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     sigma = _read_noise(line, dark, step, c)
     out.append(Quantity("temporal dark noise", "DN", name, sigma, "pixels; row noise taken out"))
@@ -111,6 +108,14 @@ def noise_quantities(
         out.append(Quantity("temporal dark noise, rows included", "DN", name, with_rows))
         out.append(Quantity("temporal dark noise, rows included", "e-", name, _in_electrons(with_rows, line)))
     return out
+
+
+def set_aside(line: Line) -> str:
+    """How many pixels the line was drawn without, and what so many mean."""
+    said = f"{100 * line.dropped:.2f} % of pixels set aside"
+    if line.dropped > SET_ASIDE:
+        said += ": so many are no outliers: the light moves, or the gain is not to be trusted"
+    return said
 
 
 def _read_noise(
