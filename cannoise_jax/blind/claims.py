@@ -14,6 +14,7 @@ from typing import Any
 
 from cannoise_jax.blind.seal import SCHEMA, set_hash, write_atomically
 from cannoise_jax.recordings.load import load_capture_set
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 Analyse = Callable[[CaptureSet, tuple[str, ...], bool], dict[str, Any]]
@@ -24,13 +25,13 @@ def read_manifest(sets: Path) -> dict[str, Any]:
     """The public description of sealed sets. Raises BadInput when `sets` holds none."""
     path = sets / "manifest.json"
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json_of(path.read_text())
         if manifest["schema"] != SCHEMA:
             raise BadInput(f"{path}: schema {manifest['schema']!r}, this version reads {SCHEMA!r}")
         return {**manifest, "sets": dict(manifest["sets"]), "truth_sha256": manifest["truth_sha256"]}
     except BadInput:
         raise
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise BadInput(
             f"{path}: no manifest of sealed sets ({error}): make them with bin/blind seal"
         ) from error
@@ -82,9 +83,9 @@ def check_set(sets: Path, name: str, manifest: dict[str, Any]) -> None:
 def _read_claim(path: Path, sealed: dict[str, Any]) -> dict[str, Any]:
     """One report. Raises BadInput for one about another set than the one that was sealed."""
     try:
-        report = json.loads(path.read_text())
+        report = json_of(path.read_text())
         about = report.get("set_sha256")
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:
         raise BadInput(f"{path}: not a report ({error}): remove it, and run bin/blind run again") from error
     if about != sealed.get("sha256"):
         raise BadInput(f"{path}: a claim about another set of this name: run bin/blind run into a new folder")

@@ -4,7 +4,6 @@ report.json, or a table) as a published result."""
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import subprocess
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 from cannoise_jax.commands.denoise_sources import said_of
 from cannoise_jax.commands.published import Result, here, source_sha256
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
 
 _PACKAGE = "cannoise_jax/"
@@ -35,7 +35,7 @@ def take(root: Path, file: Path, name: str, title: str | None, command: list[str
     notes. Raises BadInput.
     """
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = json_of(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise BadInput(f"{file}: not readable as JSON ({error}): name what a command wrote") from error
     if not name.isidentifier() or name != name.lower():

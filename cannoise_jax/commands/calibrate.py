@@ -170,10 +170,10 @@ def calibrate(
     """
     from cannoise_jax.mechanisms import LISTED
     from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.faults import faults
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
-    from cannoise_jax.physics.transfer.rails import contradicted_black, cut_off
 
     # As `photon_transfer`, which does not say how far it is.
     every: dict[float | None, list[FrameStatistics]] = {}
@@ -181,10 +181,11 @@ def calibrate(
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
-        if wrong := cut_off(every[iso]):
-            raise BadInput(wrong)
-        if note := contradicted_black(every[iso]):
-            logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
+        wrong = faults(every[iso])  # of the gain the table says it
+        if wrong.cut_off:
+            raise BadInput(wrong.cut_off)
+        if wrong.black:
+            logging.getLogger(__name__).warning("%s: %s", capture.camera, wrong.black)
     transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):

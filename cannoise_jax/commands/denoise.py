@@ -28,9 +28,9 @@ from cannoise_jax.commands.denoise_sources import (
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.freed_memory import give_back_large
 from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
-from cannoise_jax.commands.parser import OneLineParser, count, folder, place
+from cannoise_jax.commands.parser import OneLineParser, count, folder, place, seconds
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
-from cannoise_jax.recordings.recording import LONGEST_S, SHORTEST_S, BadInput
+from cannoise_jax.recordings.recording import BadInput
 
 ORDER = ("gaussian", "pg", "calibrated", "discovered", "ours_on_discovered", "real_darks")
 """As the noise models are expected: each no worse than the one before."""
@@ -238,13 +238,7 @@ def _apply(arguments, argv) -> None:
 
 
 def _exposures(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if not values or not all(value == 0 or SHORTEST_S <= value <= LONGEST_S for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r}: give seconds, as 0.1,10,100")
-    return values
+    return tuple(map(seconds, text.split(",")))
 
 
 def _positive(text: str) -> float:

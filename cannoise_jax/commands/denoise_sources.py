@@ -11,6 +11,7 @@ from typing import Any
 
 from cannoise_jax.commands.outputs import make_folder
 from cannoise_jax.recordings.atomic import texts_in_place
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
 
 _VERDICT = "gain.json"
@@ -123,10 +124,10 @@ def _judged(data, folder: Path, plain, recipe, arguments) -> dict[str, Any]:
 def verdict_of(path: Path) -> dict[str, Any]:
     """What `gain.json` says. Raises BadInput for a file that cannot be read."""
     try:
-        found = json.loads(path.read_text())
+        found = json_of(path.read_text())
         if isinstance(found, dict) and isinstance(found.get("adopted"), bool):
             return found
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         pass
     raise BadInput(f"{path}: not readable: remove it and run again")
 

@@ -19,6 +19,7 @@ from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, whole
 from cannoise_jax.recordings.atomic import new_folder, one_work, texts_in_place
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -99,10 +100,21 @@ def _run(arguments, argv: list[str]) -> None:
             for note in record["notes"]:
                 print(f"not run: {note}")
         stored = {n: out / f"{n}.json" for n in SUITES}
-        found = {n: json.loads(path.read_text()) for n, path in stored.items() if path.is_file()}
+        found = {n: _stored(path) for n, path in stored.items() if path.is_file()}
         with texts_in_place({out / "results.html": results_page(found)}):
             pass
     print(out / "results.html")
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    """A suite as it was stored. Raises BadInput for a file that holds none."""
+    try:
+        found = json_of(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise BadInput(f"{path}: not valid JSON ({error}): remove it, or run its suite again") from error
+    if not isinstance(found, dict):
+        raise BadInput(f"{path}: holds no suite: remove it, or run its suite again")
+    return found
 
 
 def _record(name: str, request: Request, models: list[Path], argv: list[str]) -> dict[str, Any]:

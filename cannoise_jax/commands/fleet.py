@@ -4,7 +4,6 @@ simulator lacks."""
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import os
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from cannoise_jax.commands import diagnose
 from cannoise_jax.commands.entry import command, duration
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
 
 _SHOWN = 20
@@ -167,8 +167,8 @@ def _check_table(path: Path, flags: list[str], force: bool) -> None:
     if force or not path.exists():
         return
     try:
-        before = json.loads(path.read_text(encoding="utf-8"))["flags"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        before = json_of(path.read_text(encoding="utf-8"))["flags"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(
             f"{path}: is no table of a fleet: name another folder, or replace it with --force"
         ) from error

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file, line_of
-from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place
-from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, LEAST, LONGEST_S, SHORTEST_S, BadInput
+from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place, seconds
+from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, LEAST, BadInput
 
 if TYPE_CHECKING:
     import jax
@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--frames", type=int, default=1, help="frames per recording (default 1)")
     add("--force", action="store_true", help="replace recordings that exist")
     add("--iso", type=float, help="default: the first calibrated ISO")
-    add("--exposure", type=float, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
+    add("--exposure", type=seconds, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
     add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
     add(
         "--size",
@@ -98,11 +98,6 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("give --sensor and --clean, or --catalogue")
     if not 1 <= arguments.frames <= _MOST_FRAMES:
         raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
-    if arguments.exposure != 0 and not SHORTEST_S <= arguments.exposure <= LONGEST_S:
-        raise BadInput(
-            f"--exposure {arguments.exposure:g}: must be a time in seconds, 0 or {SHORTEST_S:g} to "
-            f"{LONGEST_S:g}"
-        )
     if arguments.temperature is not None and not COLDEST_C <= arguments.temperature <= HOTTEST_C:
         raise BadInput(f"--temperature {arguments.temperature}: write degrees Celsius, as 20")
     if arguments.unit is not None and not 0 <= arguments.unit < 2**32:

@@ -27,6 +27,7 @@ from ml_collections import ConfigDict, config_flags
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.entry import progress as progress_of
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
 
@@ -206,7 +207,7 @@ def _stored_config(arguments: list[str]) -> Iterator[str | None]:
         yield None
         return
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = json_of(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not valid JSON: use another --workdir") from error
     if not isinstance(stored, dict) or not _is_config(stored):

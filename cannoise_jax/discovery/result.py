@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.vocabulary import Term
@@ -29,7 +31,8 @@ class Result:
 
     entries: mechanisms that may be named. splits: frames of every recording that looked for effects, and that
     proved them. steps of `fitted` and `proofs` go together; proven: also the likelihood of the frames held
-    back; quality: draws of the simulator before and after against those, None where not measured."""
+    back; quality: draws of the simulator before and after against those, None where not measured. faults: of
+    the recordings, by ISO."""
 
     capture: CaptureSet
     simulator: str
@@ -47,6 +50,7 @@ class Result:
     gated: Gated | None = None
     remains: Checked | None = None
     entered: bool = True
+    faults: Mapping[float | None, Faults] = field(default_factory=dict)
 
     @property
     def verdict(self) -> Verdict:

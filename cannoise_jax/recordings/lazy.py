@@ -56,7 +56,11 @@ def chosen(array: Any, numbers: tuple[int, ...]) -> LazyArray:
 
 
 def _read_chosen(array: Any, numbers: tuple[int, ...], shape: tuple[int, ...], index: Any) -> np.ndarray:
-    return read_stack(lambda at: np.asarray(array[numbers[at]]), shape, index)
+    def image(at: int) -> np.ndarray:
+        # As a slice of one, which is what `kept` arrays keep.
+        return np.asarray(array[numbers[at] : numbers[at] + 1])[0]
+
+    return read_stack(image, shape, index)
 
 
 def kept(array: LazyArray, most: int) -> LazyArray:

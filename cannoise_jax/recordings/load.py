@@ -8,7 +8,7 @@ from typing import Any
 
 from cannoise_jax.recordings import camera_raw, fits, native, pictures, sidd, stacks
 from cannoise_jax.recordings.metadata import check_overrides
-from cannoise_jax.recordings.opened import HEADERLESS, Opened
+from cannoise_jax.recordings.opened import HEADERLESS, Opened, check_plain
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 _FORMATS: tuple[tuple[tuple[str, ...], Callable[..., Recording], Callable[..., Opened]], ...] = (
@@ -93,8 +93,8 @@ def _check_file(path: Path) -> None:
     if not path.exists():
         broken = path.is_symlink()
         raise BadInput(f"{path}: {'a link to nothing' if broken else 'no such file'}")
-    if not path.is_file() and not path.is_dir():
-        raise BadInput(f"{path}: no plain file (a pipe or device): give a file")
+    if not path.is_dir():
+        check_plain(path, "give a file")
 
 
 def _known_suffix(path: Path) -> str:

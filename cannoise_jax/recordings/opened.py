@@ -53,6 +53,15 @@ class Opened(NamedTuple):
     about: Mapping[str, Any] = {}
 
 
+def check_plain(path: str | Path, instead: str) -> None:
+    """Raises BadInput for what is no plain file, with what to do instead: whoever reads from a pipe waits
+    until somebody writes into it, perhaps for ever."""
+    path = Path(path)
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "is no plain file (a pipe or device)"
+        raise BadInput(f"{path}: {what}: {instead}")
+
+
 def json_of(text: str) -> Any:
     """What a text in JSON holds. Raises ValueError, also for a name that is stated twice in one object, for
     which of both is meant nobody can tell, and for whole numbers beyond any float. Raises RecursionError for

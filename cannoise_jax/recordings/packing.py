@@ -43,14 +43,10 @@ def pack(mosaic: Shaped[Any, "... H W"], cfa: str) -> Shaped[Any, "... h w 4"]:
     """Mosaic `[..., H, W]` to packed `[..., H/2, W/2, 4]`, channels R, Gr, Gb, B (MONO: the four positions).
 
     Keeps the values, dtype and kind of array (numpy or JAX).
-    Raises ValueError for an unknown CFA or odd sizes.
+    Raises ValueError for an unknown CFA or odd sizes, TypeError for what is no array.
     """
     rows, columns = _cell_steps(cfa)
-    if len(mosaic.shape) < 2:
-        raise ValueError(
-            f"cannot pack an array of shape {tuple(mosaic.shape)}: expected a mosaic [..., H, W]"
-        )
-    *lead, height, width = mosaic.shape
+    *lead, height, width = _shape(mosaic, "pack", 2, "a mosaic [..., H, W]")
     if height % 2 or width % 2:
         raise ValueError(
             f"cannot pack {height} x {width} pixels: both sizes must be even; crop one row or column"
@@ -60,13 +56,23 @@ def pack(mosaic: Shaped[Any, "... H W"], cfa: str) -> Shaped[Any, "... h w 4"]:
 
 
 def unpack(packed: Shaped[Any, "... h w 4"], cfa: str) -> Shaped[Any, "... H W"]:
-    """The exact inverse of `pack`. Raises ValueError for an unknown CFA or a last axis that is not 4."""
+    """The exact inverse of `pack`. Raises ValueError for an unknown CFA, fewer than three axes or a last one
+    that is not 4, TypeError for what is no array."""
     rows, columns = _cell_steps(cfa)
-    *lead, height, width, channels = packed.shape
+    *lead, height, width, channels = _shape(packed, "unpack", 3, "packed pixels [..., H/2, W/2, 4]")
     if channels != 4:
         raise ValueError(f"packed images end in 4 channels, got {channels}")
     cells = packed.reshape(*lead, height, width, 2, 2).swapaxes(-3, -2)[..., ::rows, :, ::columns]
     return cells.reshape(*lead, 2 * height, 2 * width)
+
+
+def _shape(array: Any, verb: str, least: int, expected: str) -> tuple[int, ...]:
+    """The shape of an array of at least so many axes."""
+    if not hasattr(array, "shape"):
+        raise TypeError(f"cannot {verb} a {type(array).__name__}: expected {expected} as an array")
+    if len(array.shape) < least:
+        raise ValueError(f"cannot {verb} an array of shape {tuple(array.shape)}: expected {expected}")
+    return tuple(array.shape)
 
 
 def to_packed_order(values: PerChannel | Shaped[Any, "... 4"], cfa: str) -> Shaped[Any, "... 4"]:

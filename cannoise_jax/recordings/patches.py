@@ -23,6 +23,7 @@ from array_record.python.array_record_module import ArrayRecordWriter
 from jaxtyping import Float, Int
 
 from cannoise_jax.recordings.atomic import remove_leftovers
+from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.packing import pack, to_packed_order
 from cannoise_jax.recordings.pipeline import Subset
 from cannoise_jax.recordings.recording import BadInput, Recording
@@ -143,7 +144,7 @@ def open_patches(folder: str | Path) -> PatchStore:
     """Opens a patch store. Raises BadInput when it is missing, of another kind or cut short."""
     folder = Path(folder)
     try:
-        index = json.loads((folder / _INDEX).read_text())
+        index = json_of((folder / _INDEX).read_text())
         entries = index["recordings"]
         counts = [entry["patches"] for entry in entries]
         store = PatchStore(
@@ -158,7 +159,7 @@ def open_patches(folder: str | Path) -> PatchStore:
         )
     except FileNotFoundError as error:
         raise BadInput(f"{folder}: holds no patch store (no {_INDEX})") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(f"{folder / _INDEX}: not a readable index: {' '.join(str(error).split())}") from error
     if index.get("schema") != SCHEMA:
         raise BadInput(f"{folder / _INDEX}: schema {index.get('schema')!r}: expected {SCHEMA!r}")

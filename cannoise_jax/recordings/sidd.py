@@ -23,6 +23,7 @@ import scipy.io
 from cannoise_jax.recordings.hdf5 import check_matlab, check_returns
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
+from cannoise_jax.recordings.opened import check_plain
 from cannoise_jax.recordings.recording import (
     BadInput,
     CaptureSet,
@@ -173,9 +174,8 @@ def _codes(values: np.ndarray, scale: _Scale) -> np.ndarray | None:
 def _files(folder: Path, kind: str) -> tuple[str, ...]:
     pattern = re.compile(rf"{folder.name[:4]}_{kind}_RAW_\d+\.mat", re.IGNORECASE)
     found = [p for p in sorted(folder.iterdir()) if pattern.fullmatch(p.name)]
-    odd = next((p for p in found if not p.is_file()), None)  # whoever reads from a pipe may wait for ever
-    if odd is not None:
-        raise BadInput(f"{odd}: no plain file: replace or remove it")
+    for path in found:
+        check_plain(path, "replace or remove it")
     return tuple(map(str, found))
 
 

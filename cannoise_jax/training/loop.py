@@ -26,7 +26,7 @@ from cannoise_jax.networks.branches import NoiseLevel
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.physics.initial_noise import initial_noise_by_camera
 from cannoise_jax.physics.single_image import estimate_nlf
-from cannoise_jax.recordings.opened import json_of
+from cannoise_jax.recordings.opened import check_plain, json_of
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.check import check_config, check_sensors
 from cannoise_jax.training.checkpoint import Checkpoints
@@ -69,8 +69,7 @@ def check_workdir(config: ConfigDict, workdir: Path) -> None:
     try:
         workdir.mkdir(parents=True, exist_ok=True)
         if path.exists():
-            if not path.is_file():  # whoever reads from a pipe waits until somebody writes into it
-                raise BadInput(f"{path}: no plain file: use another --workdir")
+            check_plain(path, "use another --workdir")
             stored = json_of(path.read_text(encoding="utf-8"))
             if isinstance(stored, dict):  # runs of before there was a choice
                 stored.setdefault("compute", "float32")

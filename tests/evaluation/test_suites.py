@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from cannoise_jax.commands.evaluate import _plain, main
+from cannoise_jax.commands.evaluate import _plain, _stored, main
 from cannoise_jax.discovery.proof.patch_area import two_sample_area
 from cannoise_jax.evaluation.evaluators import Samples
 from cannoise_jax.evaluation.model_suites import iso_suite
@@ -27,6 +27,7 @@ from cannoise_jax.evaluation.noise_models import (
 from cannoise_jax.evaluation.results_page import number, results_page
 from cannoise_jax.evaluation.suites import Request, kl_by_unit, pooled_kl
 from cannoise_jax.evaluation.texture import lags, spectra
+from cannoise_jax.recordings.recording import BadInput
 
 
 @pytest.fixture(scope="module")
@@ -199,3 +200,12 @@ def test_numbers_and_what_json_cannot_hold():
     }  # fmt: skip
     page = results_page({"noise": record})
     assert "&lt;b&gt;" in page and "a&amp;b" in page
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "[" * 100_000, '{"a": 1, "a": 2}', '{"a": 1' + "0" * 400 + "}"])
+def test_stored_suites_that_are_damaged_are_refused_in_one_line(text, tmp_path):
+    path = tmp_path / "noise.json"
+    path.write_text(text)
+    with pytest.raises(BadInput, match="noise.json: .*run its suite again") as caught:
+        _stored(path)
+    assert "\n" not in str(caught.value)

@@ -31,6 +31,10 @@ def poisson_gaussian(**changes):
         ({"black_level": float("nan")}, "black_level is nan"),
         ({"white_level": 65536.0}, "above 65535"),
         ({"code_step": -1.0}, "code_step -1"),
+        ({"gain_dn_per_e": 5e5}, "500000 is more than the 959 DN from black to white, so that one electron"),
+        ({"gain_dn_per_e": [0.5, 0.5, 0.5, 960.0]}, "960 is more than the 959 DN"),
+        ({"code_step": 1000.0}, "code_step 1000 leaves 1 codes from black to white"),
+        ({"code_step": 64.0}, "code_step 64 leaves 15 codes"),
         ({"iso": 0.0}, "iso must be above 0"),
         ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
     ],
@@ -39,6 +43,40 @@ def poisson_gaussian(**changes):
 def test_a_baseline_that_no_camera_has_is_refused_in_one_line(change, message):
     with pytest.raises(ValueError, match=message) as caught:
         poisson_gaussian(**change)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"gain_dn_per_e": 1.0, "black_level": 0.0, "white_level": 3.0},  # photons counted in two bits
+        {"black_level": 0.0, "white_level": 65280.0, "code_step": 256.0},  # eight bits, shifted to sixteen
+        {"code_step": 63.0},
+        {"gain_dn_per_e": 900.0},
+    ],
+)
+def test_few_shades_and_high_gains_that_cameras_have_are_taken(change):
+    poisson_gaussian(**change).sample(KEY, FLAT)
+
+
+@pytest.mark.parametrize("key", [0, None, "0", FLAT, np.zeros(2), jax.random.split(KEY, 3)])
+def test_what_is_no_key_is_refused_in_one_line(key):
+    with pytest.raises(
+        TypeError, match=r"key is .*: expected (a|one) key.*, as jax.random.key\(0\)"
+    ) as caught:
+        MODEL.sample(key, FLAT)
+    assert "\n" not in str(caught.value)
+
+
+def test_keys_of_both_kinds_draw_with_and_without_jit():
+    for key in (KEY, jax.random.PRNGKey(1), np.asarray(jax.random.PRNGKey(1))):
+        assert np.array_equal(jax.jit(MODEL.sample)(key, FLAT), MODEL.sample(key, FLAT))
+
+
+@pytest.mark.parametrize("mechanism", [None, 3, Point])
+def test_what_is_no_mechanism_is_refused_in_one_line(mechanism):
+    with pytest.raises(TypeError, match="mechanism is of type .*: expected its name, or an entry") as caught:
+        MODEL.with_mechanism(mechanism)
     assert "\n" not in str(caught.value)
 
 

@@ -70,11 +70,40 @@ def test_darks_cut_off_at_zero_are_refused_and_dead_columns_are_not():
     assert cut_off([frame_statistics(whole)]) == ""
 
 
+def drawn(level, sigma, count=8, seed=7):
+    noisy = level + sigma * np.random.default_rng(seed).standard_normal((count, *SIZE))
+    frames = np.clip(np.rint(noisy), 0, None).astype(np.uint16)
+    return Recording(frames, "MONO", (level,) * 4, 4095.0, kind="dark", exposure_s=1.0, path="dark.h5")
+
+
+@pytest.mark.parametrize("level, sigma", [(2.0, 0.8), (1.2, 0.4), (60.0, 20.0), (12.0, 4.0)])
+def test_darks_near_zero_whose_noise_ends_above_it_are_not_cut_off(level, sigma):
+    """Noise of a code holds many a 0 that is no end of it; of many frames most pixels touch 0 once."""
+    dark = drawn(level, sigma, count=40)
+    assert cut_off([frame_statistics(dark)]) == ""
+    flat = recording("flat", 2000.0, black=level, stated=level)
+    (transfer,) = photon_transfer(CaptureSet("c", (flat, dark)))
+    (read,) = of_all_pixels(transfer).outcomes("temporal dark noise", "DN")
+    assert isinstance(read, Estimate) and read.value == pytest.approx(sigma, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "level, sigma", [(0.0, 1.0), (1.0, 1.0), (2.0, 2.0), (0.0, 5.0), (8.0, 4.0), (40.0, 20.0)]
+)
+def test_darks_whose_noise_ends_below_zero_are_cut_off_for_table_and_refusal_alike(level, sigma):
+    dark = drawn(level, sigma)
+    assert "darks are cut off at 0" in cut_off([frame_statistics(dark)])
+    (transfer,) = photon_transfer(CaptureSet("c", (dark,)))
+    (read,) = of_all_pixels(transfer).outcomes("temporal dark noise", "DN")
+    assert isinstance(read, NotMeasurable) and "cut off" in read.record
+
+
 def test_scenes_that_move_tell_no_gain_and_those_that_stand_still_do():
     rng = np.random.default_rng(3)
     scene = 800 + 1500 * np.kron(rng.random((6, 8)), np.ones((16, 16)))
     moved = np.stack([np.roll(scene, 5 * k, (0, 1)) for k in range(4)])
-    for light, moves in ((moved, True), (np.stack([scene] * 4), False)):
+    upright = np.stack([np.roll(np.tile(scene[:1], (SIZE[0], 1)), 5 * k, 1) for k in range(4)])
+    for light, moves in ((moved, True), (upright, True), (np.stack([scene] * 4), False)):
         frames = np.rint(200 + GAIN * (rng.poisson(light) + 4 * rng.standard_normal(light.shape)))
         own = Recording(frames.astype(np.uint16), "MONO", (200.0,) * 4, WHITE, kind="scene", path="s.h5")
         (transfer,) = photon_transfer(CaptureSet("c", (own, recording("dark"))))

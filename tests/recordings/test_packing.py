@@ -70,3 +70,9 @@ def test_what_cannot_be_packed_is_refused():
         pack(np.zeros((4, 6)), "RGBG")
     with pytest.raises(ValueError, match="4 channels"):
         unpack(np.zeros((4, 6, 3)), "RGGB")
+    with pytest.raises(ValueError, match=r"cannot unpack an array of shape \(4, 6\): expected packed pixels"):
+        unpack(np.zeros((4, 6)), "RGGB")
+    for verb in (pack, unpack):
+        for value in (None, [[1, 2], [3, 4]]):
+            with pytest.raises(TypeError, match=f"cannot {verb.__name__} a {type(value).__name__}: expected"):
+                verb(value, "RGGB")

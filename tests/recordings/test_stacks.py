@@ -261,7 +261,7 @@ def test_claims_that_no_file_holds_are_refused_before_they_are_read(tmp_path):
 def test_pipes_and_links_to_nothing_are_no_files(tmp_path):
     os.mkfifo(tmp_path / "a.fits")
     (tmp_path / "b.tif").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(BadInput, match="a.fits: no plain file"):
+    with pytest.raises(BadInput, match="a.fits: is no plain file"):
         load_recording(tmp_path / "a.fits")
     for call in (lambda: load_recording(tmp_path / "b.tif"), lambda: load_capture_set(tmp_path)):
         with pytest.raises(BadInput, match="b.tif: a link to nothing"):

@@ -6,8 +6,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from cannoise_jax.physics.core.ranges import check_key
 from cannoise_jax.recordings.metadata import check_fields
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
@@ -39,12 +39,5 @@ def checked_key(key: Any) -> jax.Array:
     """The key as given, `jax.random.key(0)` for None. Raises TypeError for what is no single key of JAX."""
     if key is None:
         return jax.random.key(0)
-    if isinstance(key, (jax.Array, np.ndarray)):
-        if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and key.shape == ():
-            return jnp.asarray(key)
-        if key.dtype == np.uint32 and key.shape == (2,):  # as jax.random.PRNGKey makes them
-            return jnp.asarray(key)
-        raise TypeError(
-            f"key is an array {key.dtype}{list(key.shape)}: expected one key, as jax.random.key(0)"
-        )
-    raise TypeError(f"key is of type {type(key).__name__}: expected a key of JAX, as jax.random.key(0)")
+    check_key(key)
+    return jnp.asarray(key)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery.frames.faults import fault_lines
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import light, outcome
 from cannoise_jax.discovery.report.card import card
@@ -55,6 +56,7 @@ def document(
     inputs: file, kind, frames, frames_used, settings (iso, exposure_s, temperature_c, reference) and sha256
       of every recording, and the files of one that was made from single files, each with its own: then sha256
       is that of all, end to end.
+    faults: why recordings bear no measurement, or contradict what is stated of them, a line each.
     verdict: see `verdict`.
     baseline: of the simulator that is handed back; not_measured: what of it was not, a line each; gate: how
       it was chosen.
@@ -112,6 +114,7 @@ def document(
             "camera": diagnosis.capture.camera,
             "simulator": diagnosis.simulator,
             "inputs": inputs,
+            "faults": fault_lines(diagnosis.faults),
             "verdict": diagnosis.verdict,
             "baseline": outcome.baseline(diagnosis),
             "not_measured": outcome.not_measured(diagnosis),

@@ -3,16 +3,18 @@ differs."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cannoise_jax.discovery.compare.report import difference_document
+from cannoise_jax.discovery.frames.faults import at_iso
 from cannoise_jax.discovery.proof.gate import Gated, Tried
 from cannoise_jax.discovery.proof.judged import CALIBRATED
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.settings import black_levels
+from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.recordings.recording import DARK
 
 _KNOWN = 0.5
@@ -25,9 +27,9 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was
     found (DN), where they do. shot_noise: whether noise grows with the light: where it does not, as a
-    bolometer's, gain and read noise in electrons are no measurements. gain_measured, read_noise_measured:
-    see `measured`. The ISO is None where no file states one, and not the stand-in by which a camera model
-    knows that gain."""
+    bolometer's, gain and read noise in electrons are no measurements. gain_measured, read_noise_measured,
+    black_cut_off: see `Measured`. The ISO is None where no file states one, and not the stand-in by which a
+    camera model knows that gain."""
     model = diagnosis.model
     grows = {
         diagnosis.first.isos[b.iso]: bool(b.gain.sum() > _SURE * np.linalg.norm(b.gain_stderr))
@@ -39,8 +41,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     return [
         {
             "iso": stated.get(iso, iso),
-            "gain_measured": told.get(stated.get(iso, iso), (True, True))[0],
-            "read_noise_measured": told.get(stated.get(iso, iso), (True, True))[1],
+            **told.get(stated.get(iso, iso), Measured())._asdict(),
             "gain_dn_per_e": gain[n],
             "read_noise_e": read[n],
             "read_noise_dn": gain[n] * read[n],
@@ -59,33 +60,46 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     ]
 
 
-def measured(diagnosis: Result) -> dict[float | None, tuple[bool, bool]]:
-    """Of every ISO whether its gain, and whether its read noise, was measured; else the baseline has what the
-    files state, or a gain of one. True of a simulator that was handed over."""
+class Measured(NamedTuple):
+    """Whether gain and read noise of one ISO were measured, and whether darks are cut off at code 0, which
+    then show no black level."""
+
+    gain_measured: bool = True
+    read_noise_measured: bool = True
+    black_cut_off: bool = False
+
+
+def measured(diagnosis: Result) -> dict[float | None, Measured]:
+    """What of the baseline of every ISO was measured: it has what the files state, or a gain of one, or what
+    can be made of recordings with faults, for the rest. Nothing of a simulator that was handed over."""
     if diagnosis.simulator != CALIBRATED:
         return {}
     dark = {r.iso for r in diagnosis.capture.recordings if r.kind in DARK and r.count > 1}
-    out: dict[float | None, tuple[bool, bool]] = {}
+    out: dict[float | None, Measured] = {}
     for b in diagnosis.first.baselines:
         known = b.read_stderr > 0
         sure = bool(np.all(known & (b.read_stderr < _KNOWN * b.read_noise)))
-        out[b.iso] = bool(np.any(b.gain_stderr > 0)), b.iso in dark or sure
+        wrong = diagnosis.faults.get(b.iso, Faults())
+        gain = bool(np.any(b.gain_stderr > 0)) and not wrong.moves
+        read = not wrong.cut_off and (b.iso in dark or (sure and not wrong.moves))
+        out[b.iso] = Measured(gain, read, bool(wrong.cut_off))
     return out
 
 
 def not_measured(diagnosis: Result) -> list[str]:
-    """A line for every ISO of which the baseline was not measured: what, and what to record."""
+    """A line for every ISO of which the baseline was not measured: what, and what to record, unless a fault
+    of the recordings says it."""
     out = []
-    for iso, (gain, read) in measured(diagnosis).items():
-        at = "" if iso is None else f" at ISO {iso:g}"
-        if not gain:
+    for iso, (gain, read, _) in measured(diagnosis).items():
+        wrong, at = diagnosis.faults.get(iso, Faults()), at_iso(iso)
+        if not gain and not wrong.moves:
             stated = any(r.shot for r in diagnosis.capture.recordings if r.iso == iso)
             what = "that of the files stands" if stated else "1 DN/e- stands"
             out.append(
                 f"the gain{at} was not measured, {what} in its place: record two or more flats of an even "
                 "light, dimmer than the white level"
             )
-        if not read:
+        if not read and not wrong.cut_off:
             out.append(f"the read noise{at} was not measured: record two or more darks of a short exposure")
     return out
 

@@ -128,11 +128,6 @@ def sites(values: list[float]) -> str:
     return said[0] if len(set(said)) == 1 else ", ".join(said)
 
 
-def share(part: float | None) -> str:
-    """A share as the page prints it."""
-    return "not measured" if part is None else percent(part)
-
-
 def strength(terms: dict[str, Term], mechanism: str, values: Any, of: str | None) -> str:
     """A strength of a mechanism, or an interval of it, with its unit; fractions in percent."""
     return amount(values, of, "" if mechanism == UNKNOWN else terms[mechanism].amplitude)
@@ -148,7 +143,7 @@ def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any
             "anchor": f"finding-{n + 1}",
             "size": size(f["mechanism"], f["amplitude"]["value"], f["amplitude"]["unit"]),
             "sign": f["sign"],
-            "share": share(f["share"]),
+            "share": percent(f["share"]),
             "part": f["share"] or 0.0,
             "confirmed": bool(f["confirmed"]),
             "in_simulator": f["in_simulator"],

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any, get_args, get_type_hints
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point, contradiction
@@ -23,6 +24,9 @@ HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
 _MAY_BE_NONE = ("doubling_c", "reference_iso", "reference_temperature_c")
 _ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
+_FEWEST_STEPS = 15
+"""Between black and white, of codes that are further apart than whole numbers: 4 bits, the least that cameras
+send of a pixel with more than two shades (Mono4p of the GenICam pixel formats, PFNC)."""
 _BRIGHTEST, _DARKEST = 4.0, -0.5
 """Median and least value of a clean mosaic: scenes beyond the white level are fine, codes in DN are not."""
 
@@ -48,8 +52,9 @@ def known(value: Any, what: str) -> np.ndarray | None:
 
 
 def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa: str) -> None:
-    """The baseline: an RGB Bayer pattern or MONO, ISOs that ascend from above 0, gains above 0, read noises
-    from 0, black below white below 2^16, a code step from 0 (none) to below white."""
+    """The baseline: an RGB Bayer pattern or MONO, ISOs that ascend from above 0, gains above 0 by which one
+    electron does not saturate, read noises from 0, black below white below 2^16, a code step from 0 (none) to
+    below white, that leaves shades where it is above 1."""
     if cfa not in CFA_PATTERNS:
         raise ValueError(f"cfa is {cfa!r}, not one of {', '.join(CFA_PATTERNS)}")
     isos = known(iso, "iso")
@@ -71,6 +76,21 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
         raise ValueError(f"white_level {white:g} is not above black_level {black.max():g}")
     if step is not None and white is not None and not 0 <= step < white:
         raise ValueError(f"code_step {step:g} is not from 0 to below white_level {white:g}")
+    if black is None or white is None:
+        return
+    span = float(white - black.min())
+    # Values from 0 to the span have at most the variance mean (span - mean) (Bhatia and Davis, Am. Math. Mon.
+    # 107, 2000), which shot noise, gain times mean, would exceed.
+    if gain is not None and gain.max() > span:
+        raise ValueError(
+            f"gain_dn_per_e {gain.max():g} is more than the {span:g} DN from black to white, so that one "
+            "electron saturates: give DN per electron"
+        )
+    if step is not None and step > max(1.0, span / _FEWEST_STEPS):
+        raise ValueError(
+            f"code_step {step:g} leaves {int(span // step) + 1} codes from black to white: give the spacing "
+            "of the stored codes in DN"
+        )
 
 
 def check_fitted(fitted: Fitted) -> None:
@@ -158,6 +178,17 @@ def is_whole(value: Any, highest: int) -> bool:
     """Whether a value is a whole number from 0 to `highest`."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     return whole and 0 <= int(value) <= highest
+
+
+def check_key(key: Any) -> None:
+    """Raises TypeError for what is no single key of JAX."""
+    if not isinstance(key, (jax.Array, np.ndarray)):
+        raise TypeError(f"key is of type {type(key).__name__}: expected a key of JAX, as jax.random.key(0)")
+    typed = jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and key.shape == ()
+    if not typed and not (key.dtype == np.uint32 and key.shape == (2,)):  # as jax.random.PRNGKey makes them
+        raise TypeError(
+            f"key is an array {key.dtype}{list(key.shape)}: expected one key, as jax.random.key(0)"
+        )
 
 
 def check_taken(clean: Any, settings: Settings) -> None:

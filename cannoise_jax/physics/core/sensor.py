@@ -161,8 +161,8 @@ class SensorModel:
 
         mechanism: a name of the package; an entry or record of one's own; or any name with `point`, a bare
         place in the grammar. Parameters: numbers or `IsoTable`s, maybe traced; they hold at the scaling law's
-        reference setting. Raises ValueError for unknown names, numbers outside the parameter's range (as its
-        record states it), and maps that the mechanism does not have.
+        reference setting. Raises TypeError for what is no mechanism, ValueError for unknown names, numbers
+        outside the parameter's range (as its record states it), and maps that the mechanism does not have.
         """
         record = _record(mechanism, point)
         id, known = record.id, record.defaults()
@@ -201,8 +201,9 @@ class SensorModel:
         self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
     ) -> UInt16[Array, "t h w"]:
         """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
-        setting beyond the calibrated range draws one `ExtrapolationWarning`, and what `ranges.check_taken`
-        refuses raises ValueError."""
+        setting beyond the calibrated range draws one `ExtrapolationWarning`, what `ranges.check_taken`
+        refuses raises ValueError, and what is no key TypeError."""
+        ranges.check_key(key)
         ranges.check_taken(clean, settings)
         warn_outside(self, settings)
         setting = (settings.iso, settings.exposure_s, settings.temperature_c)
@@ -259,7 +260,11 @@ def _record(mechanism: str | Mechanism | HasRecord, point: Point | None) -> Mech
             return registry.mechanism(mechanism)
         ranges.check_point(mechanism, point)
         return bare(point, mechanism)
-    record = mechanism if isinstance(mechanism, Mechanism) else mechanism.record
+    record = mechanism if isinstance(mechanism, Mechanism) else getattr(mechanism, "record", None)
+    if not isinstance(record, Mechanism):
+        raise TypeError(
+            f"mechanism is of type {type(mechanism).__name__}: expected its name, or an entry or record"
+        )
     if point is not None:
         raise ValueError(f"{record.id}: has its place in the grammar: give a name with point, or it alone")
     registry.check_record(record)

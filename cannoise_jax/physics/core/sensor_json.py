@@ -27,7 +27,7 @@ from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
 from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
 from cannoise_jax.physics.core.settings import IsoTable, black_levels
 from cannoise_jax.recordings.atomic import remove_leftovers
-from cannoise_jax.recordings.opened import BROKEN_ARRAYS, json_of
+from cannoise_jax.recordings.opened import BROKEN_ARRAYS, check_plain, json_of
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -84,8 +84,8 @@ def check_place(path: Path, maps: bool = True) -> None:
 def _owns(path: Path, npz: Path) -> bool:
     """Whether the sensor model at `path` names the file as that of its maps."""
     try:
-        return json.loads(path.read_text())["maps"]["file"] == npz.name
-    except (OSError, ValueError, KeyError, TypeError):
+        return json_of(path.read_text(encoding="utf-8-sig"))["maps"]["file"] == npz.name
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
 
 
@@ -186,9 +186,8 @@ def read_model(
 ) -> SensorModel:
     """What `SensorModel.load` returns. baseline: see `model_of`."""
     path = Path(path)
-    if path.exists() and not path.is_file():
-        what = "is a folder" if path.is_dir() else "is no plain file"
-        raise BadInput(f"{path}: {what}: name a sensor.json")
+    if path.exists():
+        check_plain(path, "name a sensor.json")
     try:
         document = json_of(path.read_text(encoding="utf-8-sig"))  # editors on Windows write a mark first
     except OSError as error:
@@ -220,8 +219,8 @@ def _read_maps(path: Path, document: dict[str, Any]) -> dict[str, np.ndarray]:
         raise BadInput(f"{path}: maps: file is {name[:20]!r}...: no name of a file: restore the model")
     npz = path.with_name(Path(name).name or path.stem)
     wanted = entry_of(entry, "sha256", str, "maps: ")
-    if npz.exists() and not npz.is_file():
-        raise BadInput(f"{npz}: is no plain file: keep the maps of {path.name} there")
+    if npz.exists():
+        check_plain(npz, f"keep the maps of {path.name} there")
     try:
         content = npz.read_bytes()
     except OSError as error:

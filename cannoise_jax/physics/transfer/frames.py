@@ -41,6 +41,8 @@ class FrameStatistics:
     total: temporal variance of each pixel, rows included, only frame means taken out; None likewise.
     dof: degrees of freedom of `variance` at one pixel. relative: rows were scaled, not shifted.
     low, high: code at which each channel piles up at the bottom and top; nan where it does not.
+    lowest: share of the values of each channel at its lowest code, without pixels that are 0 in every frame,
+      which are masked or dead; 0 where that code is neither 0 nor `low`.
     clipped: pixels that touched such a code, or the white level, in any frame.
     """
 
@@ -57,6 +59,7 @@ class FrameStatistics:
     code_step: float
     low: PerChannel
     high: PerChannel
+    lowest: PerChannel
     clipped: Bool[np.ndarray, "H W"]
 
 
@@ -75,6 +78,7 @@ def with_all_sites(s: FrameStatistics) -> FrameStatistics:
         # A code at which one site piles up is an end of all.
         "low": (*s.low, _end(s.low, min)),
         "high": (*s.high, _end(s.high, max)),
+        "lowest": (*s.lowest, float(np.mean(s.lowest))),
     }
     return replace(s, **own)
 
@@ -166,11 +170,13 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     mean, variance, total, clipped = _second_pass(recording, rows, columns, relative, low, high)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
     count = recording.count
+    lowest = [_lowest(h, low[c], int((site(mean, c) == 0).sum()) * count) for c, h in enumerate(histograms)]
     dof = 2 * (count - 1) ** 2 / (3 * count - 4) if recording.kind == "scene" and count > 1 else count - 1.0
     level = per_channel(frame_means.mean(0) - np.asarray(recording.black_level))
     return FrameStatistics(
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
-        level, float(step), per_channel(np.array(low)), per_channel(np.array(high)), clipped,
+        level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
+        per_channel(np.array(lowest)), clipped,
     )  # fmt: skip
 
 
@@ -194,6 +200,13 @@ def rails(histogram: np.ndarray, step: float, white_level: float) -> tuple[float
     if codes[-1] >= white_level:
         high = min(float(white_level), high) if np.isfinite(high) else float(white_level)
     return low, high
+
+
+def _lowest(histogram: np.ndarray, low: float, dead: int) -> float:
+    """Share of the values at code 0, or at `low`; dead: values 0 of pixels that are never anything else."""
+    end = 0 if np.isnan(low) else int(low)
+    dead = dead if end == 0 else 0
+    return float((histogram[end] - dead) / max(histogram.sum() - dead, 1))
 
 
 def _first_pass(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -31,7 +31,6 @@ from cannoise_jax.physics.transfer.quantities import (
     RECORD_DARKS,
     RECORD_FLATS,
     SET_ASIDE,
-    STILL,
     UNSURE,
     Quantity,
     dark_current_quantities,
@@ -42,7 +41,7 @@ from cannoise_jax.physics.transfer.quantities import (
     pattern_quantities,
     saturation_quantities,
 )
-from cannoise_jax.physics.transfer.rails import LINEAR, MOVES, below_rail, moving, with_measured_black
+from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
@@ -126,7 +125,7 @@ def of_all_pixels(t: PhotonTransfer) -> PhotonTransfer:
     statistics = [with_all_sites(s) for s in t.statistics]
     dark, step = reference_dark(statistics), _code_step(statistics)
     black = _of_all(black_level(t.statistics))
-    lit = _lit(statistics)
+    lit = lit_of(statistics)
     line = _line(lit, dark, black.level, step, ALL)
     own = _channel_quantities("all", ALL, line, statistics, dark, black)
     shared = [q for q in t.quantities if q.channel == "all"]
@@ -141,19 +140,13 @@ def _of_all(black: Black) -> Black:
     return black._replace(level=(*black.level, float(np.mean(black.level))), error=(*black.error, error))  # type: ignore[arg-type]
 
 
-def _lit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
-    """The flats, or the scenes where there are none."""
-    flats = [s for s in statistics if s.recording.kind == "flat"]
-    return flats or [s for s in statistics if s.recording.kind == "scene"]
-
-
 def _channel_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
     dark: FrameStatistics | None, black: Black,
 ) -> list[Quantity]:  # fmt: skip
     flats = [s for s in statistics if s.recording.kind == "flat"]
     return [
-        *noise_quantities(name, c, line, _lit(statistics), dark, _code_step(statistics), black),
+        *noise_quantities(name, c, line, lit_of(statistics), dark, _code_step(statistics), black),
         *pattern_quantities(name, c, line, flats, dark, black.level),
         *dark_current_quantities(name, c, line, statistics),
         *saturation_quantities(name, c, line, statistics, black.level),
@@ -162,7 +155,7 @@ def _channel_quantities(
 
 def channel_lines(statistics: Sequence[FrameStatistics]) -> list[Line | NotMeasurable]:
     """The photon transfer line of every channel, mosaic order."""
-    lit, dark = _lit(statistics), reference_dark(statistics)
+    lit, dark = lit_of(statistics), reference_dark(statistics)
     black, step = black_level(statistics).level, _code_step(statistics)
     return [_line(lit, dark, black, step, c) for c in range(4)]
 
@@ -217,10 +210,8 @@ def _line(
 ) -> Line | NotMeasurable:
     if not any(s.variance is not None for s in lit):
         return NotMeasurable(RECORD_FLATS)
-    scenes = [s for s in lit if s.recording.kind == "scene" and s.variance is not None]
-    most = max((moving(s, c) for s in scenes), default=0.0)
-    if most > MOVES:
-        return NotMeasurable(f"{100 * most:.0f} % of what changes between frames is no noise: {STILL}")
+    if why := moved(lit, c):
+        return NotMeasurable(why)
     levels = _levels(lit, dark, black, step, c)
     if all(level.known_signal for level in levels):
         return NotMeasurable(DIMMER)
@@ -229,7 +220,7 @@ def _line(
         if dark is None:
             return NotMeasurable(f"{RECORD_DARKS}, or flats of several levels")
         return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, step, c) else UNSURE)
-    if line.dropped > SET_ASIDE and scenes:
+    if line.dropped > SET_ASIDE and any(s.recording.kind == "scene" for s in lit):
         return NotMeasurable(f"{100 * line.dropped:.0f} % of pixels change by more than noise: {STILL}")
     return line
 

@@ -26,7 +26,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
-from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail
+from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail, is_cut_off
 from cannoise_jax.physics.transfer.spatial import (
     Split,
     TemporalParts,
@@ -45,7 +45,6 @@ UNSURE = (
     "the noise of the flats does not surely grow with their light (too dim, or darks and flats of other "
     "settings): record brighter flats, 2 frames or more, best at several levels"
 )
-STILL = "the scene or its light moves: record flats, or scenes that stand still"
 BELOW_A_CODE = (
     "the noise of the darks is so far below a code that most of their pixels never change: record darks and "
     "flats at a higher gain, or flats of several levels"
@@ -88,10 +87,7 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        dropped = f"{100 * line.dropped:.2f} % of pixels set aside"
-        if line.dropped > SET_ASIDE:
-            dropped += ": so many are no outliers: the light moves, or the gain is not to be trusted"
-        out.append(Quantity("system gain", "DN/e-", name, line.slope, dropped))
+        out.append(Quantity("system gain", "DN/e-", name, line.slope, set_aside(line)))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     sigma = _read_noise(line, dark, step, c)
     out.append(Quantity("temporal dark noise", "DN", name, sigma, "pixels; row noise taken out"))
@@ -114,6 +110,14 @@ def noise_quantities(
     return out
 
 
+def set_aside(line: Line) -> str:
+    """How many pixels the line was drawn without, and what so many mean."""
+    said = f"{100 * line.dropped:.2f} % of pixels set aside"
+    if line.dropped > SET_ASIDE:
+        said += ": so many are no outliers: the light moves, or the gain is not to be trusted"
+    return said
+
+
 def _read_noise(
     line: Line | NotMeasurable, dark: FrameStatistics | None, step: float, c: int
 ) -> Estimate | NotMeasurable:
@@ -128,7 +132,7 @@ def _read_noise(
         return NotMeasurable(RECORD_DARKS)
     if hidden_in_a_code(dark, step, c):
         return NotMeasurable(BELOW_A_CODE)
-    if _cut_off(dark, c):
+    if is_cut_off(dark, c):
         return NotMeasurable("darks are cut off at black: raise the camera's offset and record darks again")
     square, stderr = _mean_square(dark, c)
     return root(normal_estimate(square - step**2 / 12, stderr))
@@ -144,7 +148,7 @@ class QuietNoise(NamedTuple):
 def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise | None:
     """The noise of darks that are quieter than about a code, None of others: what rounds to their variance at
     the levels of these pixels; that variance less step^2 / 12 is something else."""
-    if dark.variance is None or _cut_off(dark, c):
+    if dark.variance is None or is_cut_off(dark, c):
         return None
     square, stderr = _mean_square(dark, c)
     if not 0 < square < (COARSE**2 + 1 / 12) * step**2:
@@ -164,15 +168,10 @@ def _mean_square(dark: FrameStatistics, c: int) -> tuple[float, float]:
     return square, float(variance[keep].std() / np.sqrt(keep.sum()))
 
 
-def _cut_off(dark: FrameStatistics, c: int) -> bool:
-    """Whether values pile up at the lower end."""
-    return bool(np.isfinite(dark.low[c])) and float(np.mean(site(dark.clipped, c))) > 0.01
-
-
 def hidden_in_a_code(dark: FrameStatistics, step: float, c: int) -> bool:
     """Whether most values are at one code, above 0, and the others at most at the next: noise of less than a
     code, which looks like values that pile up there."""
-    if dark.variance is None or not _cut_off(dark, c) or dark.low[c] <= 0:
+    if dark.variance is None or not is_cut_off(dark, c) or dark.low[c] <= 0:
         return False
     return bool(np.quantile(pixel_variance(dark, c), 0.99) < step**2)
 

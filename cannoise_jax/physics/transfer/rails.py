@@ -1,5 +1,5 @@
 """What recordings can and cannot be measured on: values near the ends of the codes, darks cut off at zero,
-and a stated black level that the darks contradict."""
+scenes that move, and a stated black level that the darks contradict."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
-from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
@@ -25,21 +24,37 @@ pixels nearer to it those that never touched it have lost the upper end of their
 thousand is beyond."""
 _ALMOST_ALL = 0.99
 """Share of the pixels of a flat that have to lie below the rail for a map of them: hot pixels do not."""
-_CUT = 0.01
-"""Share of the values of a dark at code 0 beyond which it is cut off: a normal law cut at 2.3 standard
-deviations keeps 98.5 % of its width, one cut further in loses more than an interval of 90 % holds."""
+_CUT, _BELOW = 0.01, 2.33
+"""Share of the values of a dark at its lowest code beyond which it is cut off, and how many standard
+deviations below its level a normal law has so much: cut there it keeps 98.5 % of its width, cut further in it
+loses more than an interval of 90 % holds."""
 MOVES = 0.1
 """Share of the change between frames of a scene that is none of noise beyond which it tells no gain: that is
 off by as much, several times what an interval of 90 % holds."""
+STILL = "the scene or its light moves: record flats, or scenes that stand still"
+_UPRIGHT = 0.5
+"""Share of the change between frames that whole columns have in common, beyond which it is none of noise:
+column noise lies below that of pixels, let alone with their shot noise."""
 _APART = 4
 """Pixels of the mosaic: crosstalk and smoothing reach less far."""
-_LOOKED_AT = 1 << 26
-"""Bytes of a dark that are counted."""
 _OUTSIDE = 3.0
 """Standard deviations of the noise of a dark by which a black level has to lie outside the levels of all
 darks to be none of theirs: medians of a frame, rounded to codes, lie nearer."""
 _MATTERS = 1e-3
 """Of the level of a flat: an error of the black level up to which PRNU and gain are off by as little."""
+
+
+def lit_of(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
+    """The flats, or the scenes where there are none."""
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    return flats or [s for s in statistics if s.recording.kind == "scene"]
+
+
+def moved(lit: Sequence[FrameStatistics], c: int) -> str:
+    """Why scenes among what is lit tell no gain in one channel; empty where none moves."""
+    scenes = [s for s in lit if s.recording.kind == "scene" and s.variance is not None]
+    most = max((moving(s, c) for s in scenes), default=0.0)
+    return f"{100 * most:.0f} % of what changes between frames is no noise: {STILL}" if most > MOVES else ""
 
 
 def below_rail(s: FrameStatistics, c: int) -> Bool[np.ndarray, "h w"]:
@@ -55,14 +70,18 @@ def below_rail(s: FrameStatistics, c: int) -> Bool[np.ndarray, "h w"]:
 
 def moving(s: FrameStatistics, c: int) -> float:
     """Share of the change between two frames of a scene that pixels some apart in rows and in columns have in
-    common: of noise next to none, of a scene or light that moves most."""
+    common: of noise next to none, of a scene or light that moves most. Where whole columns have more than
+    half of it, that share: upright edges that move sideways."""
     if s.recording.count < 2:
         return 0.0
     frames = np.asarray(s.recording.frames[:2], np.float64)
     change = frames[1] - frames[0]
     change, far = (change, _APART) if c == ALL else (site(change, c), _APART // 2)
     change = change - change.mean(1, keepdims=True)
-    change = change - change.mean(0, keepdims=True)
+    columns, all_of_it = change.mean(0, keepdims=True), float(np.mean(change**2))
+    if (upright := float(np.mean(columns**2))) > _UPRIGHT * all_of_it:
+        return upright / all_of_it
+    change = change - columns
     most = 8 * robust_std(change, 0.0)  # hits and noisy pixels
     change = np.clip(change, -most, most)
     power = float(np.mean(change**2))
@@ -79,21 +98,28 @@ def is_below_rail(s: FrameStatistics, c: int) -> bool:
     return bool(below_rail(s, c).mean() >= _ALMOST_ALL)
 
 
+def is_cut_off(s: FrameStatistics, c: int) -> bool:
+    """Whether the noise of a dark has lost its lower end in one channel: a good share of the values is at the
+    lowest code, and not because noise of a few codes about a level near 0 ends there."""
+    if s.lowest[c] <= _CUT:
+        return False
+    if np.isfinite(s.low[c]) or s.variance is None:
+        return True
+    level = site(s.mean, c)
+    spread = np.hypot(np.sqrt(np.median(pixel_variance(s, c)) / median_quotient(s.dof)), robust_std(level))
+    return bool(np.median(level) + max(s.code_step, 1.0) / 2 < _BELOW * spread)
+
+
 def cut_off(statistics: Sequence[FrameStatistics]) -> str:
     """What is wrong with the darks that the read noise is taken from, where a good share of their values is
     cut off at code 0; empty where none is."""
     dark = reference_dark(statistics)
     if dark is None:
         return ""
-    alive = dark.mean > 0  # masked columns and dead pixels are no noise that is cut
-    zero, count = 0, 0
-    for part in chunks(dark.recording.frames):
-        zero, count = zero + int(np.count_nonzero(part[:, alive] == 0)), count + len(part) * int(alive.sum())
-        if part.itemsize * count > _LOOKED_AT:
-            break
-    if zero <= _CUT * count:
+    at_zero = [dark.lowest[c] if is_cut_off(dark, c) and not dark.low[c] > 0 else 0.0 for c in range(4)]
+    share, name = 100 * float(np.mean(at_zero)), dark.recording.path or dark.recording.camera
+    if not share:
         return ""
-    share, name = 100 * zero / count, dark.recording.path or dark.recording.camera
     return (
         f"{name}: darks are cut off at 0 ({share:.0f} % of their values), so that neither read noise nor "
         "black level shows: raise the camera's offset and record again"

@@ -1,0 +1,65 @@
+"""Where recordings bear no measurement, or contradict what is stated of them, as calibrating says it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+from cannoise_jax.discovery.frames.calibrate import gain_groups
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
+from cannoise_jax.physics.transfer.faults import Faults, faults
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.photon_transfer import channel_lines
+from cannoise_jax.physics.transfer.rails import with_measured_black
+from cannoise_jax.recordings.lazy import chosen
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+
+
+class FaultWarning(UserWarning):
+    """Recordings bear no measurement, or contradict what is stated of them."""
+
+
+def faults_of(capture: CaptureSet) -> dict[float | None, Faults]:
+    """The faults of the frames that a run looks at, by ISO. A scene whose reference follows each frame may
+    move."""
+    used = all_frames(split_recordings(capture))
+    looked = [
+        _only(r, numbers) for r, numbers in zip(capture.recordings, used, strict=True) if not _followed(r)
+    ]
+    out = {}
+    for iso in gain_groups(capture):
+        if own := [frame_statistics(r) for r in looked if r.iso == iso]:
+            out[iso] = faults(own, channel_lines(with_measured_black(own)))
+    return out
+
+
+def fault_lines(found: Mapping[float | None, Faults]) -> list[str]:
+    """A line for each reason why recordings bear no measurement, or contradict what is stated of them."""
+    out = []
+    for iso, wrong in found.items():
+        moves = f"the gain{at_iso(iso)} was not measured: {wrong.moves}" if wrong.moves else ""
+        doubted = f"the gain{at_iso(iso)}: {wrong.doubted}" if wrong.doubted else ""
+        out += [line for line in (wrong.cut_off, moves, doubted, wrong.black) if line]
+    return out
+
+
+def at_iso(iso: float | None) -> str:
+    """The setting as a sentence names it, where one is stated."""
+    return "" if iso is None else f" at ISO {iso:g}"
+
+
+def check_still(capture: CaptureSet, found: Mapping[float | None, Faults]) -> None:
+    """Raises BadInput where scenes without a reference are all that is lit at an ISO, and move: their motion
+    would be measured as noise."""
+    for iso, wrong in found.items():
+        lit = [r for r in capture.recordings if r.iso == iso and r.kind == "scene" and r.clean is None]
+        if wrong.moves and lit:
+            raise BadInput(f"{lit[0].path or capture.camera}: {wrong.moves}")
+
+
+def _followed(recording: Recording) -> bool:
+    return recording.clean is not None and recording.clean.ndim == 3
+
+
+def _only(recording: Recording, numbers: list[int]) -> Recording:
+    return dataclasses.replace(recording, frames=chosen(recording.frames, tuple(numbers)), clean=None)

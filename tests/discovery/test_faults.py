@@ -1,0 +1,96 @@
+"""What calibrating refuses, or says of recordings, a diagnosis says of them too, in the same words."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cannoise_jax.commands.calibrate import calibrate
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.faults import FaultWarning, faults_of
+from cannoise_jax.discovery.report.document import document
+from cannoise_jax.discovery.report.page import page
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+
+from .capture import SIZE, capture_set
+
+GAIN, READ = 0.8, 4.0
+
+
+def recording(kind, light=None, black=200.0, stated=200.0, count=4):
+    """Frames of a monochrome camera under one light, `[count, H, W]` or less, in electrons."""
+    rng = np.random.default_rng([5, kind == "dark"])
+    electrons = rng.poisson(np.broadcast_to(0.0 if light is None else light, (count, *SIZE)))
+    noisy = black + GAIN * (electrons + READ * rng.standard_normal(electrons.shape))
+    frames = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+    return Recording(frames, "MONO", (stated,) * 4, 4095.0, kind=kind, exposure_s=1.0, path=f"{kind}.h5")
+
+
+def report_of(capture):
+    with pytest.warns(FaultWarning) as said:
+        found = diagnose(capture, compare=False)
+    report = document(found, key=0, version="")
+    assert [str(w.message) for w in said if w.category is FaultWarning] == report["faults"]
+    return report, found
+
+
+def test_darks_cut_off_at_zero_are_said_as_calibrating_refuses_them():
+    capture = CaptureSet("c", (recording("flat", 2000.0, 0.0, 0.0), recording("dark", None, 0.0, 0.0)))
+    with pytest.raises(BadInput) as refused:
+        calibrate(capture)
+    report, found = report_of(capture)
+    assert report["faults"] == [str(refused.value)]
+    (base,) = report["baseline"]
+    assert base["gain_measured"] and not base["read_noise_measured"] and base["black_cut_off"]
+    assert not any("read noise" in line for line in report["not_measured"])  # once is enough
+    assert "black_clipping" in found.findings
+    text = page(found, report)
+    assert "Dark.h5: darks are cut off at 0" in text.split("Gain and read noise")[0]
+
+
+def test_a_black_level_that_the_darks_contradict_is_said_and_found(caplog):
+    capture = CaptureSet("c", (recording("flat", 2000.0, stated=500.0), recording("dark", stated=500.0)))
+    calibrate(capture)
+    report, found = report_of(capture)
+    (line,) = report["faults"]
+    assert line.startswith("darks are at 200 DN, 500 is stated as black level")
+    assert caplog.messages == [f"c: {line}"]
+    assert "bookkeeping" in found.findings
+    assert report["baseline"][0]["black_dn"] == pytest.approx([200.0] * 4, abs=0.2)
+
+
+def moving(count=4):
+    x, y = np.meshgrid(np.arange(SIZE[1]), np.arange(SIZE[0]))
+    return np.stack([200 + 1500.0 * ((x + 3 * k) // 10 % 2) + 800.0 * (y // 12 % 2) for k in range(count)])
+
+
+def test_scenes_that_move_are_refused_as_they_tell_calibrating_no_gain():
+    capture = CaptureSet("c", (recording("scene", moving()), recording("dark")))
+    transfers, _ = calibrate(capture)
+    refused = {o.record for o in transfers[0].outcomes("system gain", "DN/e-")}
+    with pytest.raises(BadInput, match="scene.h5: .*the scene or its light moves: record flats") as error:
+        diagnose(capture, compare=False)
+    assert str(error.value).removeprefix("scene.h5: ") in refused
+
+
+def test_scenes_with_references_that_move_are_said_and_may_move_with_them():
+    light = moving()
+    scene = recording("scene", light)
+    known, followed = (
+        dataclasses.replace(scene, clean=(GAIN * at / 3895).astype(np.float32)) for at in (light[0], light)
+    )
+    (wrong,) = faults_of(CaptureSet("c", (known,))).values()
+    assert wrong.moves
+    assert not faults_of(CaptureSet("c", (followed,)))
+
+
+def test_flats_that_move_are_said_as_the_table_of_calibrating_does():
+    capture = CaptureSet("c", (recording("flat", moving()), recording("dark")))
+    transfers, _ = calibrate(capture)
+    notes = {q.note for q in transfers[0].quantities if q.name == "system gain"}
+    assert faults_of(capture)[None].doubted in notes
+
+
+def test_sound_recordings_have_no_faults():
+    for wrong in faults_of(capture_set(1)).values():
+        assert not any(wrong)
