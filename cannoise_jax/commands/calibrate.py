@@ -170,6 +170,7 @@ def calibrate(
     """
     from cannoise_jax.mechanisms import LISTED
     from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.estimators.particles import told
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
@@ -185,6 +186,8 @@ def calibrate(
             raise BadInput(wrong)
         if note := contradicted_black(every[iso]):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
+    if note := told([s for iso in order for s in every[iso]]):
+        logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
     transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):

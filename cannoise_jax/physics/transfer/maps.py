@@ -281,4 +281,4 @@ def telegraph(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"sites": noise.telegraph_sites(dark, **values)[None]}
+    return {"sites": noise.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}
