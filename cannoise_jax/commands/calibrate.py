@@ -170,6 +170,7 @@ def calibrate(
     """
     from cannoise_jax.mechanisms import LISTED
     from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.estimators.particles import told
     from cannoise_jax.physics.transfer.faults import faults
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
@@ -186,6 +187,8 @@ def calibrate(
             raise BadInput(wrong.cut_off)
         if wrong.black:
             logging.getLogger(__name__).warning("%s: %s", capture.camera, wrong.black)
+    if note := told([s for iso in order for s in every[iso]]):
+        logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
     transfers = tuple(transfer_at(every[iso]) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):

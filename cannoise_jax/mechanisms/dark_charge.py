@@ -26,7 +26,7 @@ from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Para
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal, sample_poisson
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import charge
+from cannoise_jax.physics.transfer.estimators import charge, glow
 from cannoise_jax.vocabulary import RMS, Term
 
 DARK_CURRENT = Mechanism(
@@ -252,7 +252,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.glow.from_edges(name="glow", parameter="e_per_s",
                 before=(*looks.MAPS, *looks.THERMAL_LINES), lifted_by=("dark_level",)),
         ),
-        estimator=Estimator(charge.amp_glow, gives_way_to=("hot_pixels",), maps=measured.glow),
+        estimator=Estimator(glow.amp_glow, gives_way_to=("hot_pixels",), maps=measured.glow),
         examples=Examples("columns", strong={"e_per_s": 200.0, "length": 0.4},
                           cases=(Case({"e_per_s": 3.0, "length": 0.2}, LONG),)),
     ),

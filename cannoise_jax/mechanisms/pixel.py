@@ -15,7 +15,7 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.bent import small_signal
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import light, maps, noise
+from cannoise_jax.physics.transfer.estimators import light, maps, noise, particles
 from cannoise_jax.vocabulary import RMS, Term
 
 _JANESICK = "Janesick, Photon Transfer, SPIE Press 2007"
@@ -274,7 +274,10 @@ EARLY = (
         signatures=looks.always(
             looks.events.hits(name="hits", covers=("hits", "clocking"), lifted_by=imprints.HITS),
         ),
+        estimator=Estimator(particles.cosmic_rays),
         examples=Examples("tail", shown={"rate": 600.0, "charge_e": 300.0}, dim=True,
-                          strong={"rate": 40000.0, "charge_e": 60.0}),
+                          strong={"rate": 40000.0, "charge_e": 60.0},
+                          cases=(Case({"rate": 6.0, "charge_e": 2000.0},
+                                      (Shot("dark", exposure_s=100.0),)),)),
     ),
 )  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
 from cannoise_jax.recordings.one_noise import apart, numbered, words
+from cannoise_jax.recordings.over_time import check_single_exposures
 from cannoise_jax.recordings.plausible import check_kinds
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 
@@ -44,24 +45,26 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
     recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
     none at all, for frames that are too small, for a recording of frames of several noises none of which is
-    the rule, for flats all darker than all darks, and where so much is lost that no two frames of one
-    recording are left.
+    the rule, for frames averaged over time (see `over_time`), for flats all darker than all darks, and where
+    so much is lost that no two frames of one recording are left.
     """
     if not capture.recordings:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings: add some")
     kept: list[Recording] = []
     lines: list[str] = []
     seen: Seen = {}
+    judged: list[tuple[Recording, list[int], list[str]]] = []
     for recording in map(checked, capture.recordings):
         _check_size(recording)
-        good, why = _judged(recording, seen)
+        judged.append((recording, *_judged(recording, seen)))
+    # First of all: of frames averaged over time the last ones look as if they had another noise.
+    check_single_exposures([_some(recording, good) for recording, good, _ in judged if good])
+    for recording, good, why in judged:
         lines += why
         good, why = _of_one_noise(recording, good, unsteady)
         lines += why
-        if len(good) == recording.count:
-            kept.append(recording)
-        elif good:
-            kept.append(_only(recording, good))
+        if good:
+            kept.append(_some(recording, good))
     repeated = any(r.count > 1 for r in capture.recordings)
     if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
@@ -156,7 +159,7 @@ def of_several_noises(recording: Recording) -> str:
 def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tuple[list[int], list[str]]:
     """The frames of one temporal noise among the good ones, and why others are not. Raises BadInput where
     none is the rule."""
-    left = recording if len(good) == recording.count else _only(recording, good)
+    left = _some(recording, good) if good else recording
     found = apart(left) if good else None
     if found is None:
         return good, []
@@ -177,7 +180,10 @@ def _check_size(recording: Recording) -> None:
         )
 
 
-def _only(recording: Recording, numbers: list[int]) -> Recording:
+def _some(recording: Recording, numbers: list[int]) -> Recording:
+    """The recording with these of its frames."""
+    if len(numbers) == recording.count:
+        return recording
     clean: Any = recording.clean
     if clean is not None and clean.ndim == 3:
         clean = chosen(clean, tuple(numbers))

@@ -9,7 +9,7 @@ import pytest
 
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.physics.transfer.estimate import normal_estimate, root, variance_difference
-from cannoise_jax.physics.transfer.estimators.charge import _log_estimate
+from cannoise_jax.physics.transfer.estimators.charge import log_estimate
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms
 from cannoise_jax.physics.transfer.photon_transfer import transfer_at
@@ -72,9 +72,9 @@ def test_hardly_ever_does_anything_enter_that_is_not_there(kind, tables):
 def test_the_interval_of_a_value_whose_logarithm_is_not_known_reaches_from_zero_to_its_own_errors():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        e = _log_estimate(3.0, 1e4)
+        e = log_estimate(3.0, 1e4)
     assert e.ci90 == pytest.approx((0.0, 3 + 1.6449 * 3e4)) and not e.significant
-    known = _log_estimate(3.0, 0.1)
+    known = log_estimate(3.0, 0.1)
     assert known.ci90 == pytest.approx((3 * np.exp(-0.16449), 3 * np.exp(0.16449)))
 
 

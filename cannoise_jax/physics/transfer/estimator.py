@@ -43,11 +43,12 @@ class Estimator:
       measured on. in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
     gives_way_to: ids beside which it does not enter. against(estimates, statistics) -> why not to believe it,
       or nothing.
-    law: what it makes of the values of one pixel, for `estimators.loudness`. loud(dark, **values) -> 1 at the
-      pixels that it alone makes loud; spares(statistics, without=pixels) -> its estimates without those that
-      another does, where they hold whatever the other laws are. placed(estimates, dark) -> its
-      place, where that is not the usual one. beside(estimates, point, dark) -> whether a mechanism at that
-      place makes what it sees. maps(parameters, seen) -> frozen maps of the unit that was recorded.
+    law: what it makes of the values of one pixel, for `estimators.loudness`. loud(dark, gain=DN/e-, **values)
+      -> 1 at the pixels that it alone makes loud; spares(statistics, baseline, without=pixels) -> its
+      estimates without those that another does, where they hold whatever the other laws are.
+      placed(estimates, dark) -> its place, where that is not the usual one. beside(estimates, point, dark) ->
+      whether a mechanism at that place makes what it sees. maps(parameters, seen) -> frozen maps of the unit
+      that was recorded.
     corrects(baseline, statistics, estimates) -> the baseline that a model with it has.
     """
 

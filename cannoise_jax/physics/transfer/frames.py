@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.hits import Hits, without_hits
 from cannoise_jax.recordings.codes import code_histograms, code_lattice
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import ALL, site
@@ -43,7 +44,8 @@ class FrameStatistics:
     low, high: code at which each channel piles up at the bottom and top; nan where it does not.
     lowest: share of the values of each channel at its lowest code, without pixels that are 0 in every frame,
       which are masked or dead; 0 where that code is neither 0 nor `low`.
-    clipped: pixels that touched such a code, or the white level, in any frame.
+    clipped: pixels that touched such a code, or the white level, or were hit by a particle, in any frame.
+    hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     """
 
     recording: Recording
@@ -61,6 +63,7 @@ class FrameStatistics:
     high: PerChannel
     lowest: PerChannel
     clipped: Bool[np.ndarray, "H W"]
+    hits: Hits | None = None
 
 
 def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
@@ -154,12 +157,14 @@ def _steady(recording: Recording, rows: np.ndarray, lean: np.ndarray | None) -> 
 
 
 def frame_statistics(recording: Recording) -> FrameStatistics:
-    """All statistics of one recording. Reads its frames twice, a few at a time.
+    """All statistics of one recording, darks without their particle hits (see `hits`). Reads its frames a few
+    at a time, twice or, where they are darks, some times more.
 
     Raises ValueError for mosaics smaller than 4 x 4.
     """
     if min(recording.size) < 4:
         raise ValueError(f"frames of {recording.size} pixels are too small for statistics")
+    recording, hits = without_hits(recording)
     rows, columns, histograms = _first_pass(recording)
     step = recording.code_step
     if step is None:
@@ -173,10 +178,12 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     lowest = [_lowest(h, low[c], int((site(mean, c) == 0).sum()) * count) for c, h in enumerate(histograms)]
     dof = 2 * (count - 1) ** 2 / (3 * count - 4) if recording.kind == "scene" and count > 1 else count - 1.0
     level = per_channel(frame_means.mean(0) - np.asarray(recording.black_level))
+    if hits is not None:
+        clipped |= hits.pixels
     return FrameStatistics(
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
-        per_channel(np.array(lowest)), clipped,
+        per_channel(np.array(lowest)), clipped, hits,
     )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from cannoise_jax.physics.core.settings import black_levels, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge, noise
+from cannoise_jax.physics.transfer.estimators import glow as glows
 from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
@@ -272,7 +273,7 @@ def heat(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
 
 def glow(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """Glow over its brightest point."""
-    found = charge.glow_map(seen.statistics, seen.baseline)
+    found = glows.glow_map(seen.statistics, seen.baseline)
     return {} if found is None else {"glow": found[None]}
 
 
@@ -281,4 +282,4 @@ def telegraph(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"sites": noise.telegraph_sites(dark, **values)[None]}
+    return {"sites": noise.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}

@@ -92,7 +92,7 @@ def find_mechanisms(
                 found[id] = finding._replace(verdict="explained by", because=rival)
     dark = darkest(statistics)
     if dark is not None:
-        found |= _causes(found, dark, statistics)
+        found |= _causes(found, dark, statistics, baseline)
         found = {id: placed(finding, dark) for id, finding in found.items()}
         elsewhere = {id: f.point for id, f in found.items() if f.point is not None}
         found = {id: _beside(finding, elsewhere, dark) for id, finding in found.items()}
@@ -100,7 +100,10 @@ def find_mechanisms(
 
 
 def _causes(
-    found: Mapping[str, Finding], dark: FrameStatistics, statistics: Sequence[FrameStatistics]
+    found: Mapping[str, Finding],
+    dark: FrameStatistics,
+    statistics: Sequence[FrameStatistics],
+    baseline: Baseline,
 ) -> dict[str, Finding]:
     """The findings that make single values loud, those left out that others explain; where several stay, with
     the estimates of all together."""
@@ -109,10 +112,11 @@ def _causes(
     }
     if len(rivals) < 2:
         return {}
-    cause = explanation(dark, {law: f.measured or {} for law, f in rivals.items()})
+    starts = {law: f.measured or {} for law, f in rivals.items()}
+    cause = explanation(dark, starts, gain=baseline.gain)
     together = " and ".join(rivals[law].mechanism for law in cause.laws)
     loud = [
-        sites(dark, **{name: e.value for name, e in cause.estimates[law].items()}) > 0
+        sites(dark, gain=baseline.gain, **{name: e.value for name, e in cause.estimates[law].items()}) > 0
         for law in cause.laws
         if (sites := rivals[law].estimator.loud)
     ]
@@ -123,7 +127,9 @@ def _causes(
         elif len(cause.laws) > 1:
             estimates: Estimates = cause.estimates[law]
             if spares := finding.estimator.spares:
-                estimates = spares(statistics, without=np.any(loud, axis=0)) if loud else finding.estimates
+                estimates = (
+                    spares(statistics, baseline, without=np.any(loud, axis=0)) if loud else finding.estimates
+                )
             out[finding.mechanism] = finding._replace(estimates=estimates, because=f"({together} together)")
     return out
 

@@ -1,8 +1,7 @@
-"""Charge that is not light: dark current, glow and hot pixels, from darks of known exposure."""
+"""Charge that is not light: dark current and hot pixels, from darks of known exposure."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -19,8 +18,6 @@ from cannoise_jax.recordings.packing import site
 
 _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
-_GRID = 24
-"""Cells along a side through whose means the glow is fitted."""
 _FAR = 6.0
 """Spreads of the healthy pixels beyond which a pixel is not one of them."""
 
@@ -41,85 +38,6 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     relative = float(np.linalg.norm(np.divide(baseline.gain_stderr, baseline.gain)) / 4)
     by_mean, by_variance, agree, _ = dark_currents(pooled, relative)
     return {"e_per_s": by_mean if agree else by_variance}
-
-
-def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """e_per_s at the brightest point and length (in frame sides): least squares of G exp(-d/L) around a point
-    on the frame's edge, on the longest dark less the shortest, in blocks."""
-    found = _fitted_glow(statistics, baseline)
-    if found is None:
-        return _LONG
-    rate, length = float(np.exp(found.at[0])) / found.seconds, float(np.exp(found.at[1]))
-    strength = dataclasses.replace(_log_estimate(rate, found.errors[0]), chance=found.chance)
-    return {"e_per_s": strength, "length": _log_estimate(length, found.errors[1], found.lengths)}
-
-
-def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarray, "H W"] | None:
-    """exp(-d/L) around the point on the edge where the glow was found; None without suitable darks."""
-    found = _fitted_glow(statistics, baseline)
-    if found is None:
-        return None
-    height, width = statistics[0].recording.size
-    y0, x0 = _edge_point(found.at[2], height, width)
-    distance = np.hypot.outer(np.arange(height) - y0, np.arange(width) - x0) / max(height, width)
-    return np.exp(-distance / np.exp(found.at[1]))
-
-
-class _Glow(NamedTuple):
-    """Log peak charge, log length, place on the edge and level of a glow, their errors, the lengths that can
-    be told, the seconds it took, and the chance with which an even dark shows one as good."""
-
-    at: np.ndarray
-    errors: np.ndarray
-    lengths: tuple[float, float]
-    seconds: float
-    chance: float
-
-
-def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | None:
-    pair = _long_and_short(statistics)
-    if pair is None or baseline is None:
-        return None
-    long, short, seconds = pair
-    charge, variance = _charge_map(long, short, baseline)
-    height, width = charge.shape
-    rows, columns = (np.linspace(0, n, min(_GRID, n // 2) + 1).astype(int) for n in (height, width))
-    sums = np.add.reduceat(np.add.reduceat(charge, rows[:-1], 0), columns[:-1], 1)
-    pixels = np.outer(np.diff(rows), np.diff(columns))
-    y = 0.5 * (rows[:-1] + rows[1:] - 1)
-    x = 0.5 * (columns[:-1] + columns[1:] - 1)
-    spread = np.add.reduceat(np.add.reduceat(variance, rows[:-1], 0), columns[:-1], 1)
-    means, sigma = sums / pixels, np.sqrt(spread) / pixels
-    side = max(height, width)
-
-    def model(p: np.ndarray) -> np.ndarray:
-        y0, x0 = _edge_point(p[2], height, width)
-        distance = np.hypot.outer(y - y0, x - x0) / side
-        return p[3] + np.exp(p[0] - distance / np.exp(p[1]))
-
-    def cost(p: np.ndarray) -> np.ndarray:
-        return ((model(p) - means) / sigma).ravel()
-
-    # Shorter than half a block it is a spot, and of more than two frames a level: of any strength.
-    lengths = 0.5 * max(np.diff(rows).max(), np.diff(columns).max()) / side, 2.0
-    top = np.unravel_index(np.argmax(means), means.shape)
-    peak = max(float(means[top] - np.median(means)), 1e-6)
-    starts = [
-        np.array([np.log(peak), np.log(length), around, float(np.median(means))])
-        for around in np.arange(0.05, 4, 0.2) for length in (max(0.1, lengths[0]), 0.4)
-    ]  # fmt: skip
-    best = min(starts, key=lambda p: float(np.sum(cost(p) ** 2)))
-    open_ended = [np.inf, np.inf]
-    bounds = [-np.inf, np.log(lengths[0]), -np.inf, -np.inf], [np.inf, np.log(lengths[1]), *open_ended]
-    scale = [0.3, 0.3, 0.1, float(sigma.mean())]
-    fit = optimize.least_squares(cost, best, x_scale=scale, bounds=bounds)
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
-    excess = max(1.0, 2 * fit.cost / max(means.size - 4, 1))
-    even = np.sum(means / sigma**2) / np.sum(1 / sigma**2)
-    gain = (np.sum(((means - even) / sigma) ** 2) - 2 * fit.cost) / excess
-    places = 2 * sum(means.shape)  # blocks along the edge at which a glow may sit
-    chance = min(places * float(stats.chi2.sf(gain, 2)), 1.0)
-    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), lengths, seconds, chance)
 
 
 def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -166,7 +84,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     fraction = float(special.expit(fit.x[0]))
     ends = special.expit(fit.x[0] + Z90 * errors[0] * np.array([-1, 1]))
     return {
-        "e_per_s": _log_estimate(float(np.exp(fit.x[1])) / seconds, float(errors[1])),
+        "e_per_s": log_estimate(float(np.exp(fit.x[1])) / seconds, float(errors[1])),
         "fraction": Estimate(
             fraction, float(errors[0]) * fraction * (1 - fraction), (float(ends[0]), float(ends[1]))
         ),
@@ -218,7 +136,7 @@ def _above_healthy(
     long: FrameStatistics, short: FrameStatistics | None, baseline
 ) -> tuple[Float[np.ndarray, "H W"], float]:
     """Charge above the median pixel, e-, and the spread of the healthy pixels, from the quartiles."""
-    charge, _ = _charge_map(long, short, baseline)
+    charge, _ = charge_map(long, short, baseline)
     low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
     return charge - middle, float(high - low) / 1.349
 
@@ -239,7 +157,7 @@ def hessian(
     return out
 
 
-def _log_estimate(value: float, error: float, within: tuple[float, float] = (0.0, np.inf)) -> Estimate:
+def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0, np.inf)) -> Estimate:
     """A positive value, within some bounds, whose logarithm has a Gaussian error. Where that error exceeds
     one the value may be zero, which no logarithm reaches: its own error is then taken as Gaussian."""
     stderr = value * float(error)
@@ -272,7 +190,7 @@ def _long_and_short(
     return (long, short, long_s - short_s) if short_s <= 0.1 * long_s else (long, None, long_s)
 
 
-def _charge_map(
+def charge_map(
     long: FrameStatistics, short: FrameStatistics | None, baseline
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Electrons that the long dark has more than the short one (or than black), and their variance."""
@@ -284,12 +202,3 @@ def _charge_map(
             noise = baseline.read_noise[c] ** 2 if s.variance is None else site(s.variance, c)
             site(variance, c)[...] += noise / baseline.gain[c] ** 2 / s.recording.count
     return charge, variance
-
-
-def _edge_point(around: float, height: int, width: int) -> tuple[float, float]:
-    """The point on the frame's edge at `around` in [0, 4): top, right, bottom, left."""
-    side, share = int(np.floor(around)) % 4, around - np.floor(around)
-    down, across = share * (height - 1), share * (width - 1)
-    return [(0.0, across), (down, width - 1.0), (height - 1.0, width - 1 - across), (height - 1 - down, 0.0)][
-        side
-    ]

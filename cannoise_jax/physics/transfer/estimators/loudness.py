@@ -19,7 +19,8 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate
 from cannoise_jax.physics.transfer.estimator import Law
 from cannoise_jax.physics.transfer.estimators.charge import hessian
-from cannoise_jax.physics.transfer.estimators.noise import standardised, telegraph_odds
+from cannoise_jax.physics.transfer.estimators.noise import pixels_in_order, standardised, telegraph_odds
+from cannoise_jax.physics.transfer.estimators.pick import odd_by_charge
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 
 LAWS: tuple[Law, ...] = ("tails", "spread", "telegraph")
@@ -67,13 +68,17 @@ _PARTS = {
 
 
 def explanation(
-    dark: FrameStatistics, found: Mapping[Law, Mapping[str, Estimate]], seed: int = 0
+    dark: FrameStatistics,
+    found: Mapping[Law, Mapping[str, Estimate]],
+    seed: int = 0,
+    gain: Float[np.ndarray, "4"] | None = None,
 ) -> Explanation:
     """Which of the laws found one by one explain the dark together, every one as a single cause or
     beside others. found: by law, with the estimates to start from. seed: of the pixels that are
-    looked at, where there are too many."""
+    looked at, where there are too many. gain: DN/e-, by which warm pixels are told, whose own charge explains
+    their noise."""
     series, sigma = standardised(dark)
-    series = _without_hot(series)
+    series = _without_hot(series[:, ~pixels_in_order(odd_by_charge(dark, gain))])
     offsets = _offsets(series)
     series = _sample(series, _MOST_VALUES // len(offsets[0]), seed)
     starts = {law: _start(law, found[law], sigma) for law in found}

@@ -22,6 +22,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
     darkest,
+    odd_by_charge,
     pooled_variance,
     repeated_darks,
     steady_pixels,
@@ -115,7 +116,8 @@ def pixel_read_noise_map(
     frames have in common: cov(ln v1, ln v2) = 4 w^2 for log-normal read noise, whatever the shape of the
     noise, for the halves share nothing but the pixel.
 
-    without: pixels to leave out, as those that are known for telegraph pixels.
+    without: pixels to leave out, as those that are known for telegraph pixels. Warm pixels, whose own charge
+    explains their noise, are left out as well.
     """
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 4:
@@ -123,8 +125,9 @@ def pixel_read_noise_map(
     rounding = dark.code_step**2 / 12
     halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
     products, means = [], []
+    odd = dark.clipped | odd_by_charge(dark, None if baseline is None else baseline.gain)
     for c in range(4):
-        keep = ~site(dark.clipped if without is None else dark.clipped | without, c)
+        keep = ~site(odd if without is None else odd | without, c)
         logs = [site(v, c)[keep] - site(v, c)[keep].mean() for v in halves]
         # Every way to halve the frames measures the same; their mean is a little surer than one alone.
         products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
@@ -18,7 +18,12 @@ from cannoise_jax.physics.transfer.estimate import (
     root,
 )
 from cannoise_jax.physics.transfer.estimators.charge import hessian
-from cannoise_jax.physics.transfer.estimators.pick import darkest, repeated_darks, steady_pixels
+from cannoise_jax.physics.transfer.estimators.pick import (
+    darkest,
+    odd_by_charge,
+    repeated_darks,
+    steady_pixels,
+)
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
@@ -65,15 +70,19 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     centre and width of every channel are fitted along.
 
     Telegraph pixels and a spread of read noise over the pixels make the same histogram: a lambda below 0.135
-    only means heavy tails where those are absent.
+    only means heavy tails where those are absent. Warm pixels, which have levels of their own, do not count.
     """
     dark = darkest(statistics)
     if dark is None:
         return repeated_darks(statistics)
     step = dark.code_step if dark.code_step > 0 else 1.0
     histograms = np.zeros((4, 1 << 16), np.int64)
+    odd = odd_by_charge(dark, None if baseline is None else baseline.gain)
     for part in chunks(dark.recording.frames):
         histograms += code_histograms(part)
+        for c in range(4):
+            left_out = site(part, c)[:, site(odd, c)].ravel()
+            histograms[c] -= np.bincount(left_out, minlength=1 << 16)
     found = []
     for histogram in histograms:
         edges, counts = _classes(histogram, step)
@@ -85,11 +94,13 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
 
 def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """jump_dn, fraction and rate: maximum likelihood of two-state Markov chains in Gaussian noise, mixed with
-    quiet pixels; the level of every pixel is that of its channel."""
+    quiet pixels; the level of every pixel is that of its channel. Warm pixels, whose own charge explains
+    their noise, do not count."""
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 8:
         return repeated_darks(statistics, 8, 100)
     series, sigma = standardised(dark)
+    series = series[:, ~pixels_in_order(odd_by_charge(dark, None if baseline is None else baseline.gain))]
     spread = series.std(0)
     loud = spread > 2.0
     if loud.sum() < 10:
@@ -125,11 +136,17 @@ def no_heavier(tails: Mapping[str, Estimate], statistics: Sequence[FrameStatisti
 
 
 def telegraph_sites(
-    dark: FrameStatistics, jump_dn: float, fraction: float, rate: float
+    dark: FrameStatistics,
+    jump_dn: float,
+    fraction: float,
+    rate: float,
+    gain: Float[np.ndarray, "4"] | None = None,
 ) -> Float[np.ndarray, "H W"]:
-    """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0."""
+    """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0. gain: DN/e-, by
+    which warm pixels are told from them."""
     series, sigma = standardised(dark)
     odds = telegraph_odds(series, jump_dn / sigma, rate) + np.log(fraction) - np.log1p(-fraction)
+    odds[pixels_in_order(odd_by_charge(dark, gain))] = -np.inf
     sites = np.zeros(dark.mean.shape)
     for c, part in enumerate(np.split(odds > 0, 4)):
         site(sites, c)[...] = part.reshape(site(sites, c).shape)
@@ -198,6 +215,11 @@ def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float
         rows = np.sum(values * quiet, -1) / np.maximum(quiet.sum(-1), 1)
         columns.append((values - (rows - rows.mean(0))[..., None]).reshape(len(frames), -1))
     return np.concatenate(columns, 1) / sigma, sigma
+
+
+def pixels_in_order(values: Shaped[np.ndarray, "H W"]) -> Shaped[np.ndarray, "n"]:
+    """One value a pixel in the order of `standardised`: channel by channel."""
+    return np.concatenate([site(values, c).ravel() for c in range(4)])
 
 
 def _median_share(dof: float) -> float:

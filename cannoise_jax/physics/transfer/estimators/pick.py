@@ -7,11 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
-from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
+
+_WARM = 6.0
+"""Robust standard deviations of the pixels' means above their median beyond which a pixel is warm."""
+_COLDEST, _MIRRORED = 0.98, 1.25
+"""Quantile of how far pixels lie below their median, and how often it those that are warm lie above."""
 
 REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady light, better 16")
 
@@ -60,6 +66,28 @@ def steady_pixels(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
         _, inside = robust_mean_square(pixel_variance(s, c), s.dof)
         site(keep, c)[...] = inside & ~site(s.clipped, c)
     return keep
+
+
+def odd_by_charge(s: FrameStatistics, gain: Float[np.ndarray, "4"] | None) -> Bool[np.ndarray, "H W"]:
+    """Pixels of a repeated dark that say nothing of its read noise: those that a particle hit, and warm ones
+    whose variance is what the shot noise of their own dark charge explains. gain: DN/e-; without it none
+    counts as warm."""
+    odd = np.zeros(s.mean.shape, bool) if s.hits is None else s.hits.pixels.copy()
+    if gain is None:
+        return odd
+    cut, _ = cut_and_loss(s.dof)
+    for c in range(4):
+        mean, variance = site(s.mean, c), pixel_variance(s, c)
+        middle = float(np.median(mean))
+        charge = mean - middle
+        read, _ = robust_mean_square(variance, s.dof)
+        least = _WARM * robust_std(mean, middle)
+        # Heat only adds: what lies as far below (telegraph pixels in their lower state) has another cause.
+        if (cold := -charge[charge < -least]).size:
+            least = max(least, _MIRRORED * float(np.quantile(cold, _COLDEST)))
+        warm = charge > least
+        site(odd, c)[...] |= warm & (variance <= cut * (read + gain[c] * charge))
+    return odd
 
 
 def pooled_variance(s: FrameStatistics) -> tuple[float, float]:
