@@ -25,7 +25,7 @@ _ROUNDS = 8
 _FEW = 0.5
 """Share of the frame beyond which what stands out is no shadow of a few grains."""
 _SHALLOWER = 0.3
-"""Depth, of the deepest, down to which shadows are left out in the first round; squared in the next."""
+"""Depth, over the deepest, down to which shadows are left out in the first round; squared in the next."""
 _SETTLED = 0.002
 """Share of the frame by which places change that bend a surface no more."""
 
