@@ -9,6 +9,7 @@ says by itself: another aperture draws another shadow of the same grain.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -51,7 +52,7 @@ def dusty(flats: Sequence[Stack]) -> Bool[np.ndarray, "h w"] | None:
     """Where the light of the flats, which are of one size, holds shadows; None: nowhere."""
     where = None
     for round_ in range(_ROUNDS if flats else 0):
-        left = each(lambda s, dust=where: relative(s, surface_of(s, dust)), flats)
+        left = each(partial(_left, dust=where), flats)
         weights = [_weight(x) for x in left]
         total = np.sum(weights, 0)
         found = shadows(np.sum([w * x for w, x in zip(weights, left, strict=True)], 0) / total, total)
@@ -66,6 +67,10 @@ def dusty(flats: Sequence[Stack]) -> Bool[np.ndarray, "h w"] | None:
         if np.mean(where ^ known) < _SETTLED:
             break
     return where if where is None else places(found)
+
+
+def _left(flat: Stack, dust: Bool[np.ndarray, "h w"] | None) -> Float[np.ndarray, "h w"]:
+    return relative(flat, surface_of(flat, dust))
 
 
 def _weight(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
