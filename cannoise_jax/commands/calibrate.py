@@ -175,6 +175,7 @@ def calibrate(
     from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
     from cannoise_jax.physics.transfer.rails import contradicted_black, cut_off
+    from cannoise_jax.physics.transfer.several_gains import several_gains
 
     # As `photon_transfer`, which does not say how far it is.
     every: dict[float | None, list[FrameStatistics]] = {}
@@ -182,7 +183,7 @@ def calibrate(
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
-        if wrong := cut_off(every[iso]):
+        if wrong := cut_off(every[iso]) or several_gains(every[iso]):
             raise BadInput(wrong)
         if note := contradicted_black(every[iso]):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
