@@ -123,7 +123,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lens_shading",
              "Sensitivity falls smoothly towards the corners.",
-             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=35),
+             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=36),
         LENS_SHADING,
         needs="flats with a reference of the light falling on the sensor (clean)",
         signatures=lambda recorded: (
@@ -176,7 +176,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dead_pixels",
              "A few pixels do not respond to light.",
-             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=36),
+             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=37),
         DEAD_PIXELS,
         needs="flats at two levels, with a hundred dead pixels or more in the frame",
         signatures=looks.always(

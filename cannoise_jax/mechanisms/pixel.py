@@ -204,7 +204,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("excess_noise",
              "Random gain of an electron multiplier raises the shot noise.",
-             3, "sensor", "1", "excess noise factor F^2, minus one", listed=31),
+             3, "sensor", "1", "excess noise factor F^2, minus one", listed=32),
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
         signatures=looks.always(
@@ -268,7 +268,7 @@ EARLY = (
     Entry(
         Term("cosmic_rays",
              "Single bright tracks that do not repeat.",
-             24, "sensor", "1/(Mpx s)", "events per megapixel and second", listed=37),
+             24, "sensor", "1/(Mpx s)", "events per megapixel and second", listed=30),
         COSMIC_RAYS,
         needs="long darks, ten frames or more",
         signatures=looks.always(

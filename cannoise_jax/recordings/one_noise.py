@@ -32,6 +32,9 @@ _SIDE = 512
 _CODES = 0.5
 """Of the square of a code: the variance of a difference that rounding may bring or take where noise is less
 than a code, and the level of a frame moves by part of one."""
+_GAP = 4.0
+"""How much further two levels are apart than all that their frames scatter: then they are two settings, and
+not dark charge that grows."""
 _FEWEST = 3
 _MOST_APART = 0.25
 """Share of the frames up to which those of another noise are left out and the others surely the rule."""
@@ -70,6 +73,8 @@ def apart(recording: Recording) -> Apart | None:
     centre = float(np.median(variances))
     if centre <= 0:
         return None
+    if recording.kind == "bias" or (recording.kind == "dark" and _in_two(signal)):
+        signal = np.zeros_like(signal)
     coarse = _CODES * _step(recording) ** 2
     alike = np.stack([_alike(variances, errors, signal, coarse, at) for at in range(len(variances))])
     # The rule is the noise that most frames share; of equal numbers that of the frame in the middle.
@@ -123,13 +128,22 @@ def _alike(
 ) -> np.ndarray:
     """Which frames may have the noise of frame `at`.
 
-    Where the light, or dark charge, differs shot noise does too, by the ratio of the signals at most.
+    Where the light, or dark charge, differs shot noise does too, by the ratio of the signals at most. (Of
+    biases, and of darks of two levels, the signals are taken for none.)
     """
     floor = 3 * np.sqrt(max(variances[at], 0.0))  # below it the signal has no shot noise to speak of
     light = (signal + floor) / (signal[at] + floor) if floor > 0 else np.ones_like(signal)
     low, high = (variances[at] * pick(light, 1.0) for pick in (np.minimum, np.maximum))
     room = _SIGMAS * np.hypot(errors, errors[at]) + coarse
     return (variances >= low / _RATIO - room) & (variances <= high * _RATIO + room)
+
+
+def _in_two(levels: Float[np.ndarray, "t"]) -> bool:
+    """Whether levels are two, each of two frames or more: of a sensor that warms up they are spread out."""
+    order = np.sort(levels)
+    steps = np.diff(order)
+    at = int(np.argmax(steps))
+    return bool(0 < at < len(steps) - 1 and steps[at] > _GAP * (order[-1] - order[0] - steps[at]))
 
 
 def _noise(

@@ -51,6 +51,18 @@ def test_two_gain_settings_of_which_none_is_the_rule_are_refused(low, high):
     assert "temporal noise" in of_several_noises(recording(both))
 
 
+@pytest.mark.parametrize(("kind", "black"), [("dark", 60), ("dark", -120), ("bias", 300)])
+def test_two_gain_settings_whose_black_levels_are_apart_are_refused(kind, black):
+    both = np.concatenate([frames(0, 4, gain=0.4), frames(1, 4, gain=1.6) + black])
+    with pytest.raises(BadInput, match="another gain setting"):
+        usable(CaptureSet("c", (recording(both, kind),)))
+
+
+def test_a_dark_that_warms_up_is_one_setting():
+    warm = np.stack([frames(k, 1, electrons=25.0 * k)[0] for k in range(1, 9)])
+    assert apart(recording(warm)) is None
+
+
 def test_lamps_rows_hits_hot_pixels_and_noise_below_a_code_are_no_other_noise():
     rng = np.random.default_rng(3)
     pattern = 1 + 0.03 * rng.standard_normal(SIZE)

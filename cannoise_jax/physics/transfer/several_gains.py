@@ -1,0 +1,113 @@
+"""Whether the flats of one setting have one gain: those of two settings that no file states have not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.physics.transfer.black import reference_dark
+from cannoise_jax.physics.transfer.fit import median_quotient
+from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance, pixel_variance
+from cannoise_jax.physics.transfer.rails import LINEAR, below_rail
+from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.recording import DARK
+
+_RISES, _FALLS = 1.3, 1.8
+"""Ratio of the gains of a brighter flat and of a dimmer one beyond which they are those of two settings. The
+gain of one setting falls with the light where the response bends (by 1.4 at 0.7 of white that lacks 15 %) or
+full pixels push charge away, but hardly rises: of ten flats of four real cameras by 1.07."""
+_SIGMAS = 6.0
+"""Standard errors by which they have to differ beyond that."""
+_SYSTEMATIC = 0.02
+"""Relative error of a gain besides that of its noise."""
+_SAME_S = 1.05
+"""Ratio of exposures up to which a dark is as long as a flat."""
+_ENOUGH = 0.05
+"""Share of the pixels of a flat that have to be below the rail."""
+
+
+class _Gain(NamedTuple):
+    """Gain of one flat by its own dark, DN/e-, its relative error, and its signal, DN. straight: whether it
+    is dim enough for a straight response."""
+
+    flat: FrameStatistics
+    value: float
+    error: float
+    signal: float
+    straight: bool
+
+
+def several_gains(statistics: Sequence[FrameStatistics]) -> str:
+    """Which two flats are of gains that no one setting has, each less the dark as long as itself; empty where
+    all are of one, or fewer than two can be told."""
+    dark = reference_dark(statistics)
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.variance is not None]
+    if dark is None:
+        return ""
+    seen = [g for s in flats if (g := _gain(s, _dark_of(s, statistics, dark))) is not None]
+    worst: tuple[float, _Gain, _Gain] | None = None
+    for dim in seen:
+        for bright in seen:
+            if bright.signal <= dim.signal:
+                continue
+            excess = _excess(dim, bright)
+            if excess > 0 and (worst is None or excess > worst[0]):
+                worst = excess, dim, bright
+    if worst is None:
+        return ""
+    low, high = sorted(worst[1:], key=lambda g: g.value)
+    first, second = (g.flat.recording.path or g.flat.recording.camera for g in (low, high))
+    return (
+        f"{first}: a gain of {low.value:.2g} DN/e-; {second}: {high.value:.2g}: flats and darks of two gain "
+        "settings that no file states: put each setting into a folder of its own"
+    )
+
+
+def _excess(dim: _Gain, bright: _Gain) -> float:
+    """By how much the logarithms of two gains differ beyond what one setting and their errors allow."""
+    change = float(np.log(bright.value / dim.value))
+    room = _SIGMAS * float(np.hypot(bright.error, dim.error))
+    falls = -change - np.log(_FALLS) if bright.straight else -np.inf
+    return max(change - np.log(_RISES), falls) - room
+
+
+def _dark_of(
+    flat: FrameStatistics, statistics: Sequence[FrameStatistics], reference: FrameStatistics
+) -> FrameStatistics:
+    """The repeated dark as long as a flat; where there is none, the one given."""
+    own = flat.recording.exposure_s
+    alike = [
+        s for s in statistics
+        if s.recording.kind in DARK and s.variance is not None and own and s.recording.exposure_s
+        and 1 / _SAME_S <= s.recording.exposure_s / own <= _SAME_S
+    ]  # fmt: skip
+    return max(alike, key=lambda s: s.recording.count, default=reference)
+
+
+def _gain(flat: FrameStatistics, dark: FrameStatistics) -> _Gain | None:
+    """Variance over signal, both less those of the dark, of the median pixel; None for flats without light,
+    or of too few pixels."""
+    gains, signals, errors = [], [], []
+    straight = True
+    for c in range(4):
+        usable = below_rail(flat, c)
+        if usable.mean() < _ENOUGH:
+            return None
+        mean, variance = (float(np.median(v[usable])) for v in (site(flat.mean, c), pixel_variance(flat, c)))
+        signal = mean - float(np.median(site(dark.mean, c)))
+        if signal <= 0:
+            return None
+        straight &= mean < LINEAR * flat.recording.white_level
+        read = 0.0 if dark.variance is None else float(np.median(pixel_variance(dark, c)))
+        read /= median_quotient(dark.dof) if dark.variance is not None else 1.0
+        shot = variance / median_quotient(flat.dof) - read
+        if shot <= read:  # then the read noise, and the dark that is taken for it, would tell the gain
+            return None
+        gains.append(shot / signal / float(np.median(site(of_variance(flat), c))))
+        # The median of a mean square is worth 0.6 of the mean.
+        errors.append(np.sqrt(2 / (0.6 * usable.sum() * flat.dof)) * (1 + read / shot))
+        signals.append(signal)
+    error = float(np.hypot(np.mean(errors) / 2, _SYSTEMATIC))
+    return _Gain(flat, float(np.mean(gains)), error, min(signals), straight)

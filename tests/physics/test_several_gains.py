@@ -1,0 +1,56 @@
+"""Flats and darks of two gain settings that no file states are told; bent responses are not."""
+
+import re
+
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.several_gains import several_gains
+from cannoise_jax.recordings.recording import Recording
+
+
+def setting(
+    seed, gain, electrons, seconds, black=200.0, count=4, read=4.0, rate=0.0, loss=0.0, size=(64, 96)
+):
+    """Statistics of a flat and of a dark; loss: share of the signal that is missing at 4095."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for kind, level in (("flat", electrons), ("dark", 0.0)):
+        e = rng.poisson(level + rate * seconds, (count, *size)) + read * rng.standard_normal((count, *size))
+        linear = gain * e
+        frames = np.rint(black + linear * (1 - loss * linear / 4095)).clip(0, 4095).astype(np.uint16)
+        path = f"{kind}_{seconds:g}s.h5"
+        own = Recording(frames, "MONO", (200.0,) * 4, 4095.0, kind=kind, exposure_s=seconds, path=path)
+        out.append(frame_statistics(own))
+    return out
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "count", "bright"), [(0.4, 1.6, 4, 900), (0.5, 0.9, 4, 2500), (0.3, 0.6, 2, 3500)]
+)
+def test_two_settings_are_told_and_named(low, high, count, bright):
+    both = setting(1, low, bright, 1.0, 200.0, count) + setting(2, high, bright, 4.0, 260.0, count)
+    said = several_gains(both)
+    told = [float(v) for v in re.findall(r"5: (?:a gain of )?([\d.]+)", said.replace(".h5", "5"))]
+    assert told == pytest.approx([low, high], rel=0.06)
+    assert said.startswith("flat_1s.h5: a gain of") and "flat_4s.h5" in said
+    assert "two gain settings" in said and "\n" not in said
+
+
+def test_a_dim_flat_of_a_high_gain_is_told_too():
+    said = several_gains(setting(1, 0.3, 7000, 1.0) + setting(2, 3.0, 300, 4.0, 260.0))
+    assert said.startswith("flat_1s.h5: a gain of 0.29 DN/e-; flat_4s.h5: 3")
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"rate": 60.0}, {"loss": 0.15}, {"count": 2}, {"read": 30.0}, {"black": 240.0}]
+)
+def test_one_setting_is_one(more):
+    series = [setting(k, 0.5, 1200 * t, t, **more) for k, t in enumerate((0.1, 0.5, 1.0, 2.0, 4.0))]
+    assert several_gains([s for pair in series for s in pair]) == ""
+
+
+def test_without_a_dark_or_a_second_flat_nothing_is_said():
+    flat, dark = setting(1, 0.5, 2000, 1.0)
+    assert several_gains([flat]) == several_gains([dark]) == several_gains([flat, dark]) == ""
