@@ -175,7 +175,6 @@ def calibrate(
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
-    from cannoise_jax.physics.transfer.several_gains import several_gains
 
     # As `photon_transfer`, which does not say how far it is.
     every: dict[float | None, list[FrameStatistics]] = {}
@@ -184,7 +183,7 @@ def calibrate(
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
         wrong = faults(every[iso])  # of the gain the table says it
-        if refused := wrong.cut_off or several_gains(every[iso]):
+        if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
         if wrong.black:
             logging.getLogger(__name__).warning("%s: %s", capture.camera, wrong.black)

@@ -103,12 +103,15 @@ def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tup
     if plan:
         print(plan, end="", file=sys.stderr, flush=True)
     capture, left_out = usable(capture, unsteady=True)
-    for line in left_out:
-        print(f"bin/compare: {line}", file=sys.stderr, flush=True)
 
     import jax
 
     from cannoise_jax.discovery.compare import better, compare
+    from cannoise_jax.discovery.frames.faults import fault_lines, faults_of, without_moving
+
+    capture, moved = without_moving(capture)
+    for line in (*left_out, *moved, *fault_lines(faults_of(capture))):
+        print(f"bin/compare: {line}", file=sys.stderr, flush=True)
 
     key = jax.random.key(arguments.key)
     found = [compare(capture, s, key, alpha=arguments.alpha, tell=tell) for s in simulators]

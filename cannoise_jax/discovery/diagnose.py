@@ -16,7 +16,13 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
-from cannoise_jax.discovery.frames.faults import FaultWarning, check_still, fault_lines, faults_of
+from cannoise_jax.discovery.frames.faults import (
+    FaultWarning,
+    check_measurable,
+    fault_lines,
+    faults_of,
+    without_moving,
+)
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
@@ -71,11 +77,11 @@ def diagnose(
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
     `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
-    test. tell: called with one line per stage. Frames without noise are left out with a `LeftOutWarning`,
-    and faults of the others are said with a `FaultWarning`.
-    Raises BadInput for a simulator that cannot be judged, where too few frames are left, and for scenes that
-    move, ValueError for unknown names or an alpha out of (0, 1), TypeError for what is no capture set or no
-    key.
+    test. tell: called with one line per stage. Frames without noise, and moving scenes beside flats, are left
+    out with a `LeftOutWarning`, and faults of the others are said with a `FaultWarning`.
+    Raises BadInput for a simulator that cannot be judged, where too few frames are left, for flats and darks
+    of two gains, and for scenes that move where no flats are, ValueError for unknown names or an alpha out of
+    (0, 1), TypeError for what is no capture set or no key.
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
@@ -85,11 +91,12 @@ def diagnose(
     allowed = frozenset(entry.id for entry in entries)
 
     capture, left_out = usable(capture, unsteady=True)
-    for line in left_out:
+    capture, moved = without_moving(capture)
+    for line in (*left_out, *moved):
         warnings.warn(line, LeftOutWarning, stacklevel=2)
     capture = read_once(capture)
     faults = faults_of(capture)
-    check_still(capture, faults)
+    check_measurable(capture, faults)
     for line in fault_lines(faults):
         warnings.warn(line, FaultWarning, stacklevel=2)
     tell("calibrate: black level, gain and read noise")

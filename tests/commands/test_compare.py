@@ -110,6 +110,9 @@ def test_two_reports_say_which_simulator_is_nearer_and_what_changed(tmp_path, ca
     assert main([str(tmp_path / n) for n in ("a", "a")]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("nothing says which is nearer") and "too much, 0.1 recorded" in printed
+    (tmp_path / "b" / "report.json").write_text(json.dumps({**report(0.6, [tails]), "faults": ["cut off"]}))
+    assert main([str(tmp_path / n) for n in ("a", "b")]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "  of the recordings: cut off"
     (tmp_path / "b" / "report.json").write_text("{}")
     assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 2
     assert "is no report of bin/diagnose" in capsys.readouterr().err

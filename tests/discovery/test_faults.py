@@ -7,7 +7,7 @@ import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.faults import FaultWarning, faults_of
+from cannoise_jax.discovery.frames.faults import FaultWarning, faults_of, without_moving
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -71,6 +71,33 @@ def test_scenes_that_move_are_refused_as_they_tell_calibrating_no_gain():
     with pytest.raises(BadInput, match="scene.h5: .*the scene or its light moves: record flats") as error:
         diagnose(capture, compare=False)
     assert str(error.value).removeprefix("scene.h5: ") in refused
+
+
+def test_scenes_that_move_beside_flats_are_left_out_and_others_stay():
+    flat, dark = recording("flat", 2000.0), recording("dark")
+    scene = recording("scene", moving())
+    still = dataclasses.replace(recording("scene", moving(1)), path="still.h5")
+    left, (line,) = without_moving(CaptureSet("c", (scene, flat, still, dark)))
+    assert [r.path for r in left.recordings] == ["flat.h5", "still.h5", "dark.h5"]
+    assert line.startswith("scene.h5: ") and line.endswith("the scene or its light moves: left out")
+    known = dataclasses.replace(scene, clean=(GAIN * moving()[0] / 3895).astype(np.float32))
+    for kept in ((scene, dark), (known, flat, dark)):
+        left, lines = without_moving(CaptureSet("c", kept))
+        assert len(left.recordings) == len(kept) and not lines
+
+
+def test_two_gains_that_no_file_states_are_refused_by_both():
+    own = recording("flat", 300.0), recording("dark")
+    other = [
+        dataclasses.replace(r, frames=(3.0 * (r.frames - 200.0) + 260).astype(np.uint16), exposure_s=4.0)
+        for r in own
+    ]
+    capture = CaptureSet("c", (*own, *other))
+    with pytest.raises(BadInput, match="of two gain settings that no file states") as refused:
+        calibrate(capture)
+    with pytest.raises(BadInput) as error:
+        diagnose(capture, compare=False)
+    assert str(error.value) == str(refused.value)
 
 
 def test_scenes_with_references_that_move_are_said_and_may_move_with_them():

@@ -64,6 +64,7 @@ def _whole(report: dict[str, Any]) -> bool:
             and all(_is_number(d["nats"]) and d["nats"] >= 0 for d in remains)
             and all(d[n] is None or _is_number(d[n]) for d in remains for n in ("recorded", "simulated"))
             and all(d["unit"] is None or isinstance(d["unit"], str) for d in remains)
+            and all(isinstance(line, str) and line.isprintable() for line in report.get("faults", []))
         )
     except (KeyError, TypeError, IndexError):
         return False
@@ -75,7 +76,8 @@ def _is_number(value: Any) -> bool:
 
 def side_by_side(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:
     """Both reports as plain data: measures of the simulator that each hands back, and every line that
-    differs in one of them; nearer: A, B or neither. A measure counts where both 90 % intervals lie apart.
+    differs in one of them; nearer: A, B or neither; faults of the recordings. A measure counts where both
+    90 % intervals lie apart.
 
     Raises BadInput for reports of other recordings: their measures are not alike.
     """
@@ -98,6 +100,7 @@ def side_by_side(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:
         "two_sample_auc": [a["after"]["two_sample_auc"], b["after"]["two_sample_auc"]],
         "nats_of_mismatch": left,
         "differences": _lines(a, b),
+        "faults": list(dict.fromkeys([*a.get("faults", []), *b.get("faults", [])])),
     }
 
 
@@ -148,6 +151,7 @@ def lines(result: dict[str, Any], most: int = 14) -> list[str]:
         out.append(f"  {d['what']} ({d['time']}): {_side(d['a'])} | {_side(d['b'])}")
     if len(result["differences"]) > most:
         out.append(f"  and {len(result['differences']) - most} more")
+    out += [f"  of the recordings: {line}" for line in result["faults"]]
     return out
 
 

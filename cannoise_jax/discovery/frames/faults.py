@@ -10,7 +10,7 @@ from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.physics.transfer.faults import Faults, faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
-from cannoise_jax.physics.transfer.rails import with_measured_black
+from cannoise_jax.physics.transfer.rails import MOVES, moving, with_measured_black
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
@@ -48,10 +48,28 @@ def at_iso(iso: float | None) -> str:
     return "" if iso is None else f" at ISO {iso:g}"
 
 
-def check_still(capture: CaptureSet, found: Mapping[float | None, Faults]) -> None:
-    """Raises BadInput where scenes without a reference are all that is lit at an ISO, and move: their motion
-    would be measured as noise."""
+def without_moving(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
+    """The recordings without scenes that move, and a line for each: their motion would be measured as noise.
+    They stay where they are all that is lit, and where a reference tells their light."""
+    kept, lines = [], []
+    lit = {r.iso for r in capture.recordings if r.kind == "flat"}
+    for r in capture.recordings:
+        alone = r.kind != "scene" or r.clean is not None or r.iso not in lit
+        share = 0.0 if alone else max(moving(r, c) for c in range(4))
+        if share > MOVES:
+            why = f"{100 * share:.0f} % of what changes between frames is no noise"
+            lines.append(f"{r.path or r.kind}: {why}: the scene or its light moves: left out")
+        else:
+            kept.append(r)
+    return dataclasses.replace(capture, recordings=tuple(kept)), tuple(lines)
+
+
+def check_measurable(capture: CaptureSet, found: Mapping[float | None, Faults]) -> None:
+    """Raises BadInput where recordings of one ISO are of two gains, and where scenes without a reference are
+    all that is lit at an ISO, and move."""
     for iso, wrong in found.items():
+        if wrong.unlike:
+            raise BadInput(wrong.unlike)
         lit = [r for r in capture.recordings if r.iso == iso and r.kind == "scene" and r.clean is None]
         if wrong.moves and lit:
             raise BadInput(f"{lit[0].path or capture.camera}: {wrong.moves}")

@@ -14,7 +14,7 @@ from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
 from cannoise_jax.recordings.packing import ALL, site
-from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.recordings.recording import DARK, Recording
 
 LINEAR = 0.7
 """Share of the white level up to which flats enter the line (EMVA 1288, section 6)."""
@@ -53,7 +53,7 @@ def lit_of(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
 def moved(lit: Sequence[FrameStatistics], c: int) -> str:
     """Why scenes among what is lit tell no gain in one channel; empty where none moves."""
     scenes = [s for s in lit if s.recording.kind == "scene" and s.variance is not None]
-    most = max((moving(s, c) for s in scenes), default=0.0)
+    most = max((moving(s.recording, c) for s in scenes), default=0.0)
     return f"{100 * most:.0f} % of what changes between frames is no noise: {STILL}" if most > MOVES else ""
 
 
@@ -68,13 +68,13 @@ def below_rail(s: FrameStatistics, c: int) -> Bool[np.ndarray, "h w"]:
     return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
 
 
-def moving(s: FrameStatistics, c: int) -> float:
+def moving(r: Recording, c: int) -> float:
     """Share of the change between two frames of a scene that pixels some apart in rows and in columns have in
     common: of noise next to none, of a scene or light that moves most. Where whole columns have more than
     half of it, that share: upright edges that move sideways."""
-    if s.recording.count < 2:
+    if r.count < 2:
         return 0.0
-    frames = np.asarray(s.recording.frames[:2], np.float64)
+    frames = np.asarray(r.frames[:2], np.float64)
     change = frames[1] - frames[0]
     change, far = (change, _APART) if c == ALL else (site(change, c), _APART // 2)
     change = change - change.mean(1, keepdims=True)
