@@ -185,8 +185,8 @@ def calibrate(
         wrong = faults(every[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        if wrong.black:
-            logging.getLogger(__name__).warning("%s: %s", capture.camera, wrong.black)
+        for line in filter(None, (wrong.black, wrong.unlit, wrong.longer)):
+            logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in every[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
     transfers = tuple(transfer_at(every[iso]) for iso in order)

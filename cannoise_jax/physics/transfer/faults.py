@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from cannoise_jax.physics.transfer.black import flat_seconds
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.several_gains import several_gains
+from cannoise_jax.physics.transfer.unlit import unlit_line
+from cannoise_jax.recordings.recording import DARK
+
+_LONGER, _LONG_S = 10.0, 1.0
+"""Times the exposure of flats, and seconds, from which dark charge may matter in darks and not in flats."""
 
 
 class Faults(NamedTuple):
@@ -19,7 +25,7 @@ class Faults(NamedTuple):
 
     cut_off: darks show neither read noise nor black level. unlike: flats and darks are of two gains. moves:
     scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
-    the darks'.
+    the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
     """
 
     cut_off: str = ""
@@ -27,6 +33,8 @@ class Faults(NamedTuple):
     moves: str = ""
     doubted: str = ""
     black: str = ""
+    unlit: str = ""
+    longer: str = ""
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -38,5 +46,20 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     worst = max(drawn, key=lambda line: line.dropped, default=None)
     doubted = set_aside(worst) if worst is not None and worst.dropped > SET_ASIDE else ""
     return Faults(
-        cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics)
+        cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
+        unlit_line(statistics), longer(statistics),
+    )  # fmt: skip
+
+
+def longer(statistics: Sequence[FrameStatistics]) -> str:
+    """Which darks, far longer than the flats, the read noise is taken from; empty where shorter ones are."""
+    darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
+    seconds, flat = [s.recording.exposure_s for s in darks], flat_seconds(statistics)
+    known = [t for t in seconds if t is not None]
+    # Of several exposures the dark current is told.
+    if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
+        return ""
+    return (
+        f"the read noise is that of darks of {known[0]:g} s, with the shot noise of their dark charge: "
+        f"record biases, or darks as long as the flats ({flat:g} s)"
     )

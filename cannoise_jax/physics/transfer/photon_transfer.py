@@ -43,6 +43,7 @@ from cannoise_jax.physics.transfer.quantities import (
 )
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
+from cannoise_jax.physics.transfer.unlit import without_unlit
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
@@ -94,7 +95,7 @@ def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
 def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
     _check_alike([s.recording for s in statistics])
-    statistics = with_measured_black(statistics)
+    statistics = without_unlit(with_measured_black(statistics))
     first = statistics[0].recording
     step = _code_step(statistics)
     dark = reference_dark(statistics)

@@ -35,6 +35,8 @@ from cannoise_jax.physics.transfer.spatial import (
     temporal_mean_square,
     total_of,
 )
+from cannoise_jax.physics.transfer.straight import bends
+from cannoise_jax.physics.transfer.unlit import UNLIT
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
 
@@ -52,6 +54,8 @@ BELOW_A_CODE = (
 SET_ASIDE = 0.1
 """Share of pixels beyond which those set aside are no few outliers, and the others no sound majority: of the
 noisiest camera tried it is a fortieth."""
+_NOISIER = 1.0
+"""Per cent of pixels set aside from which they are said."""
 DIMMER = "values of all flats pile up at the highest code: record dimmer flats, 2 frames or more"
 RECORD_DARKS = (
     "record at least 2 frames of one exposure with the cap on (one alone shows no noise), best that of flats"
@@ -87,10 +91,12 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        out.append(Quantity("system gain", "DN/e-", name, line.slope, set_aside(line)))
+        note = "; ".join(filter(None, (set_aside(line), bends(lit, black.level, c))))
+        out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     sigma = _read_noise(line, dark, step, c)
-    out.append(Quantity("temporal dark noise", "DN", name, sigma, "pixels; row noise taken out"))
+    note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))
+    out.append(Quantity("temporal dark noise", "DN", name, sigma, note))
     out.append(Quantity("temporal dark noise", "e-", name, _in_electrons(sigma, line)))
     if dark is not None and dark.total is not None:
         total, _ = robust_mean_square(site(dark.total, c), dark.recording.count - 1.0)
@@ -108,6 +114,15 @@ def noise_quantities(
         out.append(Quantity("temporal dark noise, rows included", "DN", name, with_rows))
         out.append(Quantity("temporal dark noise, rows included", "e-", name, _in_electrons(with_rows, line)))
     return out
+
+
+def _left_out(dark: FrameStatistics, c: int) -> str:
+    """How many noisier pixels the noise of the others is told without, where they are no few."""
+    if dark.variance is None:
+        return ""
+    _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
+    share = 100 * (1 - float(keep.mean()))
+    return f"; {share:.1f} % of pixels are far noisier and set aside" if share > _NOISIER else ""
 
 
 def set_aside(line: Line) -> str:
@@ -232,7 +247,8 @@ def pattern_quantities(
             out.append(Quantity(title, "e-", name, _in_electrons(sigma, line)))
     repeated = [s for s in flats if s.relative and s.variance is not None]
     within = [s for s in repeated if is_below_rail(s, c)]
-    lacking = NotMeasurable(DIMMER if repeated else RECORD_FLATS)
+    unlit = any(s.unlit for s in flats)
+    lacking = NotMeasurable(UNLIT if unlit else DIMMER if repeated else RECORD_FLATS)
     # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
     flat = min(
         within, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None

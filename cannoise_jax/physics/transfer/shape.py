@@ -72,7 +72,7 @@ def dark_lines(statistics: Sequence[FrameStatistics]) -> list[list[str]]:
     darks = [s for s in statistics if s.recording.kind in DARK]
     for s in sorted(darks, key=lambda s: s.recording.exposure_s or 0.0):
         level = float(np.median(s.mean))
-        noise = "" if s.variance is None else f"{np.sqrt(np.median(s.variance)):.1f}"
+        noise = "" if s.variance is None else f"{np.sqrt(np.median(s.variance) / median_quotient(s.dof)):.1f}"
         jumps = s.frame_means.mean(1)
         exposure = s.recording.exposure_s
         lines.append([

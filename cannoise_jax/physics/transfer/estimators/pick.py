@@ -69,10 +69,11 @@ def steady_pixels(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
 
 
 def odd_by_charge(s: FrameStatistics, gain: Float[np.ndarray, "4"] | None) -> Bool[np.ndarray, "H W"]:
-    """Pixels of a repeated dark that say nothing of its read noise: those that a particle hit, and warm ones
-    whose variance is what the shot noise of their own dark charge explains. gain: DN/e-; without it none
-    counts as warm."""
+    """Pixels of a repeated dark that say nothing of its read noise: dead ones, those that a particle hit, and
+    warm ones whose variance is what the shot noise of their own dark charge explains. gain: DN/e-; without it
+    none counts as warm."""
     odd = np.zeros(s.mean.shape, bool) if s.hits is None else s.hits.pixels.copy()
+    odd = odd if s.dead is None else odd | s.dead
     if gain is None:
         return odd
     cut, _ = cut_and_loss(s.dof)

@@ -1,0 +1,38 @@
+"""Whether the signal of flats grows as their exposure, as that of one light and a straight response does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.recording import PerChannel
+
+_BENDS = 0.03
+"""Change of the signal per second from the shortest flat to the longest: lamps and shutters are good to a few
+per cent, and a gain by photon transfer is off by about as much."""
+_FEWEST, _SPAN, _TOP = 3, 4.0, 0.9
+"""Exposures, ratio of the longest to the shortest, and share of the white level up to which flats count."""
+
+
+def bends(flats: Sequence[FrameStatistics], black: PerChannel, c: int) -> str:
+    """How the signal per second of one channel changes as flats grow longer and brighter, where it does so
+    steadily; empty else, and where too few exposures are known."""
+    seen: dict[float, list[float]] = {}
+    for s in flats:
+        seconds, signal = s.recording.exposure_s, float(s.frame_means[:, c].mean()) - black[c]
+        if s.recording.kind == "flat" and seconds and signal < _TOP * (s.recording.white_level - black[c]):
+            seen.setdefault(seconds, []).append(signal)
+    signals = [sum(v) / len(v) for _, v in sorted(seen.items())]
+    times = sorted(seen)
+    if len(times) < _FEWEST or times[-1] < _SPAN * times[0] or min(signals) <= 0:
+        return ""
+    rates = [v / t for v, t in zip(signals, times, strict=True)]
+    steps = [b - a for a, b in zip(rates, rates[1:], strict=False)]
+    growing = all(a < b for a, b in zip(signals, signals[1:], strict=False))
+    change = rates[-1] / rates[0] - 1
+    if not growing or abs(change) < _BENDS or not (max(steps) <= 0 or min(steps) >= 0):
+        return ""
+    return (
+        f"the signal per second changes by {100 * change:+.1f} % from {times[0]:g} to {times[-1]:g} s: the "
+        "response bends, or the light changed, and the gain of dim light is another"
+    )

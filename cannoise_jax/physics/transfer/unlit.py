@@ -1,0 +1,106 @@
+"""Parts of flats that no light reaches: overscan that no header states, the outside of an image circle, dead
+blocks. They say nothing of gain and sensitivities, and rows or shading that hold them are no patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool
+from scipy import ndimage
+
+from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.black import black_level
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.metadata import chunks
+from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.recording import Recording
+
+_DARK = 0.05
+"""Share of the light of the brightest tenth below which a part counts as unlit: the corners of a lens with
+cos^4 at 60 degrees off the axis still have 0.06."""
+_SIDE = 9
+"""Pixels of the mosaic that are judged together, so that neither single dead pixels nor dust counts."""
+_CLEAR = 6.0
+"""Standard errors of such a mean that the limit has to lie above black: dimmer flats tell nothing."""
+LEAST = 0.001
+"""Share of a flat from which unlit parts are told."""
+UNLIT = "no light reaches a part of the flats: record flats that fill the frame, or cut that part off"
+
+
+def unlit(s: FrameStatistics, black: Sequence[float]) -> Bool[np.ndarray, "H W"]:
+    """Pixels of a flat in parts that no light reaches; none of other recordings, or of dim flats.
+
+    black: level per mosaic site, DN.
+    """
+    none = np.zeros(s.mean.shape, bool)
+    if s.recording.kind != "flat" or min(s.mean.shape) < 2 * _SIDE:
+        return none
+    light, noise = np.empty(s.mean.shape), []
+    for c in range(4):
+        signal = site(s.mean, c) - black[c]
+        level = float(np.quantile(signal, 0.9))
+        if level <= 0:
+            return none
+        site(light, c)[...] = signal / level
+        noise.append(robust_std(np.diff(signal, axis=1)) / level)
+    if _CLEAR * max(noise) / _SIDE > _DARK:
+        return none
+    dark = ndimage.uniform_filter(light, _SIDE) < _DARK
+    # A mean beside the light holds some of it.
+    return ndimage.binary_dilation(dark, np.ones((_SIDE, _SIDE), bool)) & (light < 2 * _DARK)
+
+
+def without_unlit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
+    """The statistics with unlit parts of flats among the pixels that are not used (`clipped`), and of darks
+    the parts there that never change."""
+    black = black_level(statistics).level
+    masks = [unlit(s, black) for s in statistics]
+    told = [m for m in masks if m.mean() >= LEAST]
+    if not told:
+        return list(statistics)
+    always = np.logical_and.reduce(told)
+    out = []
+    for s, mask in zip(statistics, masks, strict=True):
+        if mask.mean() >= LEAST:
+            s = replace(s, clipped=s.clipped | mask, unlit=float(mask.mean()))
+        elif s.recording.kind != "flat" and s.variance is not None:
+            dead = always & _never_changes(s.recording)
+            s = replace(s, clipped=s.clipped | dead, dead=dead) if dead.any() else s
+        out.append(s)
+    return out
+
+
+def _never_changes(recording: Recording) -> Bool[np.ndarray, "H W"]:
+    """Pixels among which more than half have one value in all frames."""
+    same = np.ones(recording.size, bool)
+    first = np.asarray(recording.frames[0])
+    for part in chunks(recording.frames):
+        same &= (part == first).all(0)
+    return ndimage.uniform_filter(same.astype(np.float32), _SIDE) > 0.5
+
+
+def unlit_line(statistics: Sequence[FrameStatistics]) -> str:
+    """Which flat has the largest part that no light reaches, and where; empty where none has."""
+    black = black_level(statistics).level
+    masks = [(unlit(s, black), s) for s in statistics]
+    mask, s = max(masks, key=lambda pair: float(pair[0].mean()))
+    if mask.mean() < LEAST:
+        return ""
+    where = _lines("columns", mask, 0) or _lines("rows", mask, 1)
+    name = s.recording.path or s.recording.camera
+    return (
+        f"{name}: no light reaches {100 * mask.mean():.1f} % of its pixels{where}: they take no part in gain "
+        "and sensitivities: record flats that fill the frame, or cut that part off all frames"
+    )
+
+
+def _lines(what: str, mask: Bool[np.ndarray, "H W"], axis: int) -> str:
+    """The lines, counted from 1, where they are all that is unlit, and wholly; empty else."""
+    whole = mask.all(axis)
+    if not np.array_equal(mask, np.broadcast_to(np.expand_dims(whole, axis), mask.shape)):
+        return ""
+    parts, _ = ndimage.label(whole)
+    spans = [(int(part[0].start) + 1, int(part[0].stop)) for part in ndimage.find_objects(parts)]
+    return f" ({what} " + ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in spans) + ")"
