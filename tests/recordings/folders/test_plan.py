@@ -532,3 +532,11 @@ def test_names_that_are_no_text_reach_the_cache_and_its_plan(tmp_path):
     again, _ = capture_of(folder, Options({}), tmp_path / "cache")
     assert [r.count for r in again.recordings] == [2, 2, 2]
     assert any("\udcff" in "".join(r.sources) for r in again.recordings)
+
+
+def test_averages_of_one_kind_are_one_note(tmp_path):
+    night(tmp_path)
+    for n in range(8):
+        shot(tmp_path / f"sum_{n}.fits", "flat", IMAGETYP="Flat Field", NCOMBINE=4, INSTRUME="Acme 100")
+    said = [note for note in plan_folder(tmp_path).notes if "averages" in note]
+    assert len(said) == 1 and "and 5 more" in said[0]
