@@ -540,3 +540,8 @@ def test_averages_of_one_kind_are_one_note(tmp_path):
         shot(tmp_path / f"sum_{n}.fits", "flat", IMAGETYP="Flat Field", NCOMBINE=4, INSTRUME="Acme 100")
     said = [note for note in plan_folder(tmp_path).notes if "averages" in note]
     assert len(said) == 1 and "and 5 more" in said[0]
+
+
+def test_a_negative_black_level_that_is_stated_is_a_problem(tmp_path):
+    problems = plan_folder(night(tmp_path), {"black_level": (-5.0,)}).problems
+    assert len(problems) == 1 and "-5 DN" in problems[0]
