@@ -70,6 +70,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     from cannoise_jax.recordings.join import join_recordings
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
+    from cannoise_jax.recordings.sidd import is_instance
     from cannoise_jax.recordings.usable import copies, of_several_noises, without_noise
 
     missing = next((path for path in inputs if not path.exists() and not path.is_symlink()), None)
@@ -82,6 +83,11 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
     if not output.parent.is_dir():
         raise BadInput(f"{output}: no such folder {output.parent}")
     check_takes_files(output.parent, output)
+    if folder := next((path for path in inputs if path.is_dir() and not is_instance(path)), None):
+        raise BadInput(
+            f"{folder}: a folder, which becomes one recording for each kind and setting: name a folder for "
+            f"the output, not the file {output}"
+        )
     loaded = [load_recording(path, **given) for path in inputs]
     recording = join_recordings(loaded)
     _check_modes(inputs)

@@ -83,6 +83,8 @@ def diagnose(
     of two gains, and for scenes that move where no flats are, ValueError for unknown names or an alpha out of
     (0, 1), TypeError for what is no capture set or no key.
     """
+    if isinstance(alpha, bool) or not isinstance(alpha, int | float | np.number):
+        raise TypeError(f"alpha is {alpha!r}: give a number between 0 and 1")
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     capture, key = checked_capture(capture), checked_key(key)

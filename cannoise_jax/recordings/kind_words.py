@@ -6,14 +6,26 @@ import re
 import unicodedata
 
 _WORDS = {
-    "bias": ("bias", "biase", "zero", "zeroe", "offset", "sesgo", "nullbild"),
+    "bias": ("bias", "biase", "zero", "zeroe", "offset", "sesgo", "nullbild", "nullbilder"),
     "dark": (
         *("dark", "darkflat", "flatdark", "black", "capped", "df", "noir", "noire", "dunkel", "dunkelbild"),
-        *("dunkelbilder", "oscuro", "oscura", "escuro", "escura", "scuro", "scuri", "buio"),
+        *(
+            "dunkelbilder",
+            "dunkelstrom",
+            "obscurite",
+            "oscuridad",
+            "oscuro",
+            "oscura",
+            "escuro",
+            "escura",
+            "scuro",
+            "scuri",
+            "buio",
+        ),
     ),
     "flat": (
         *("flat", "skyflat", "domeflat", "twilight", "bright", "white", "lamp", "plu", "ff", "flatfeld"),
-        *("hellbild", "hellbilder", "weissbild", "plano", "piatto", "piatti"),
+        *("hellbild", "hellbilder", "weissbild", "weissbilder", "plano", "piatto", "piatti"),
     ),
     "scene": (
         *("light", "object", "science", "scene", "brute", "sample", "lichtbild", "lichtbilder", "objekt"),
@@ -25,7 +37,8 @@ _KIND = {word: kind for kind, words in _WORDS.items() for word in words}
 
 def kinds_in(text: str) -> set[str]:
     """The kinds that the words of a text name; accents do not matter."""
-    plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    text = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
+    plain = "".join(c for c in text if not unicodedata.combining(c))
     # "gain100_offset50" is a setting of the camera, "Offset_0001" the first bias.
     numbered = re.match(r"(?i)offsets?[ _-]*\d+", plain)
     if numbered and not re.search(r"[A-Za-z]{2}", plain[numbered.end() :]):

@@ -59,6 +59,7 @@ _NO_FIELDS = ("frames", "clean", "path", "sources")
 FIELDS = tuple(f.name for f in dataclasses.fields(Recording) if f.name not in _NO_FIELDS)
 """What a file may state beside its pixels."""
 
+_NUMBERS = tuple(f for f in FIELDS if f not in ("cfa", "camera", "kind", "reference"))
 _FLAGS = {"cfa": "--cfa", "black_level": "--black-level", "white_level": "--white-level"}
 _OWN_WORDS = (TypeError, AttributeError, IndexError, ArithmeticError)
 """What parsers raise where they did not expect such bytes: its words are about their code."""
@@ -104,6 +105,8 @@ def make_recording(
         )
     black = channels_of(path, "black_level", stated["black_level"])
     white = number_of(path, "white_level", stated["white_level"])
+    if min(black) < 0 and overrides.get("black_level") is not None:
+        raise BadInput(f"{path}: black level {min(black):g} DN: stored codes start at 0: state one from 0 on")
     if white > _HIGHEST or min(black) < -_HIGHEST:
         raise BadInput(
             f"{path}: black level {min(black):g}, white level {white:g}: far beyond codes of 16 bits: "
@@ -163,12 +166,17 @@ def checked(recording: Recording) -> Recording:
 
 
 def check_fields(recording: Recording) -> None:
-    """Raises BadInput where a recording that was put together in Python has no arrays, or no kind."""
+    """Raises BadInput where a recording that was put together in Python has no arrays, texts for
+    numbers, or no kind."""
     place = recording.path or recording.camera
     for name in ("frames", "clean"):
         value = getattr(recording, name)
         if not (value is None and name == "clean" or hasattr(value, "shape") and hasattr(value, "dtype")):
             raise BadInput(f"{place}: {name} is a {type(value).__name__}: give an array")
+    for name in _NUMBERS:
+        value = getattr(recording, name)
+        if any(isinstance(v, str | bytes) for v in (value if isinstance(value, tuple | list) else (value,))):
+            raise BadInput(f"{place}: {name} is {value!r}, a text: give a number")
     if recording.kind is None:
         raise BadInput(f"{place}: kind is missing: use one of {', '.join(KINDS)}")
 
@@ -261,8 +269,9 @@ def _checked_clean(path: str | Path, frames: Frames, clean: Any, scan: bool) -> 
         raise BadInput(f"{path}: clean is {clean.dtype}: expected float32, (DN - black) / (white - black)")
     bad = sum(int(np.count_nonzero(~(np.abs(part) < _BRIGHTEST))) for part in chunks(clean)) if scan else 0
     if bad:
+        values = "1 value that is" if bad == 1 else f"{bad} values that are"
         raise BadInput(
-            f"{path}: clean holds {bad} values that are NaN, infinite or beyond {_BRIGHTEST:g} times the "
+            f"{path}: clean holds {values} NaN, infinite or beyond {_BRIGHTEST:g} times the "
             "white level: mend or leave out the reference"
         )
     return clean

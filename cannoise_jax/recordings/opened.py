@@ -117,11 +117,9 @@ def whole_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
         return values
     if values.dtype.kind == "b" or values.dtype.kind not in "iuf":
         raise BadInput(f"{path}: values are {values.dtype}: expected the sensor's own whole numbers")
-    if values.dtype.kind == "f" and np.isnan(values).any():
-        raise BadInput(
-            f"{path}: {np.isnan(values).sum()} values are NaN: pixels were masked: give the raw frames "
-            "of the camera"
-        )
+    if values.dtype.kind == "f" and (count := int(np.isnan(values).sum())):
+        said = "1 value is" if count == 1 else f"{count} values are"
+        raise BadInput(f"{path}: {said} NaN: pixels were masked: give the raw frames of the camera")
     if values.dtype.kind == "f" and not (np.isfinite(values).all() and (values == np.rint(values)).all()):
         raise BadInput(
             f"{path}: floating-point values that are no whole numbers ({values.dtype}): calibrated, averaged "

@@ -22,6 +22,10 @@ from cannoise_jax.recordings.recording import (
 
 LONGEST, _MOST_COUNTED = 200, 10**9
 """Characters of a camera's name; frames that one may say were averaged."""
+_X_TRANS_ROWS = {
+    row[k:] + row[:k] for row in ("GGRGGB", "GGBGGR", "RBGBRG", "BRGRBG") for k in range(len(row))
+}
+"""What a row of an X-Trans mosaic shows, from any site on: its name in headers of a single row."""
 MOST_NLF = 1.0
 """Of shot and read, normalised: at full scale their noise spans the whole range."""
 
@@ -57,7 +61,7 @@ def camera_of(path: str | Path, value: Any) -> str:
 def pattern_of(path: str | Path, value: Any) -> str:
     """The mosaic pattern that a file states. Raises BadInput for any other."""
     cfa = text_of(path, "cfa", value).strip().upper()
-    if "TRANS" in cfa or len(cfa) == 36:
+    if "TRANS" in cfa or len(cfa) == 36 or cfa in _X_TRANS_ROWS:
         raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
     if cfa not in CFA_PATTERNS:
         known = ", ".join(CFA_PATTERNS)

@@ -130,7 +130,8 @@ def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
     refused(capsys, "ends in .h5", good, tmp_path / "out.tif")
     refused(capsys, "is not below white level", good, out, "--black-level", "2000")
     (tmp_path / "empty").mkdir()
-    refused(capsys, "not a SIDD folder", tmp_path / "empty", out)
+    refused(capsys, "name a folder for the output", tmp_path / "empty", out)
+    refused(capsys, "stored codes start at 0", good, out, "--black-level=-5")
     refused(capsys, "holds no recordings", tmp_path / "empty", tmp_path / "new")
 
 

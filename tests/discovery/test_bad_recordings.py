@@ -51,6 +51,21 @@ def test_names_that_are_none_are_refused_in_one_line(more, said):
         diagnose(capture_set(1, kinds="d"), **more)
 
 
+@pytest.mark.parametrize("alpha", ("x", None, True))
+def test_an_alpha_that_is_no_number_is_refused_by_name(alpha):
+    with pytest.raises(TypeError, match="^alpha is .*between 0 and 1"):
+        diagnose(capture_set(1, kinds="d"), alpha=alpha)
+
+
+@pytest.mark.parametrize("level", (200.0, -3.0))
+def test_a_noise_free_image_in_dn_is_refused(level):
+    capture = capture_set(1, kinds="df")
+    size = capture.recordings[0].size
+    capture = of_first(capture, clean=np.full(size, level, np.float32), reference="independent")
+    with pytest.raises(BadInput, match="not normalised"):
+        diagnose(capture)
+
+
 @pytest.mark.parametrize("fields, said", [({"camera": "other"}, "several cameras"),
                                           ({"cfa": "BGGR"}, "several colour orders")])  # fmt: skip
 def test_recordings_of_two_sensors_are_refused(fields, said):

@@ -100,5 +100,7 @@ def test_the_dual_gain_switches_between_isos_at_once(sony):
 def test_unknown_names_and_isos_are_refused():
     with pytest.raises(BadInput, match="no such preset"):
         SensorModel.preset("nokia_3310")
+    with pytest.raises(TypeError, match="iso is 'x': give an ISO"):
+        SensorModel.preset("sony_a7s2", iso="x")
     with pytest.raises(BadInput, match="no values for ISO 123"):
         SensorModel.preset("sony_a7s2", iso=123)

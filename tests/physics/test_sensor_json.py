@@ -339,3 +339,23 @@ def test_a_name_of_any_length_is_refused_in_a_line_of_some_length(tmp_path):
     with pytest.raises(BadInput, match="it is no mechanism") as refused:
         SensorModel.load(tmp_path / "s.json")
     assert len(str(refused.value)) < 1200
+
+
+def test_what_names_no_file_is_refused_by_what_it_is(tmp_path):
+    model = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 4095.0)
+    for path, said in (
+        ("", "path is ''"),
+        (None, "path is None"),
+        (3, "path is 3"),
+        (tmp_path, "is a folder"),
+    ):
+        for force in (False, True):
+            with pytest.raises(BadInput, match=said) as refused:
+                model.save(path, force=force)
+            assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("levels", ((64, 64), (64,) * 3, (64,) * 5))
+def test_black_levels_are_one_or_four(levels):
+    with pytest.raises(ValueError, match="black_level has .*: give 1, or 4"):
+        SensorModel.poisson_gaussian(1.5, 3.0, levels, 4095.0)

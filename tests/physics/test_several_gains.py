@@ -54,3 +54,26 @@ def test_one_setting_is_one(more):
 def test_without_a_dark_or_a_second_flat_nothing_is_said():
     flat, dark = setting(1, 0.5, 2000, 1.0)
     assert several_gains([flat]) == several_gains([dark]) == several_gains([flat, dark]) == ""
+
+
+def test_gains_that_fall_steadily_may_be_a_tone_curve():
+    """Codes of a power of two thirds of the light: the gain of a level falls with its cube root."""
+    series = []
+    for k, level in enumerate((150, 1200, 8000)):
+        rng = np.random.default_rng(k)
+        for kind, electrons in (("flat", level), ("dark", 0)):
+            e = rng.poisson(electrons, (8, 64, 96)) + 2 * rng.standard_normal((8, 64, 96))
+            codes = np.rint(20 + 6 * np.maximum(e + 40, 0) ** (2 / 3)).astype(np.uint16)
+            own = Recording(
+                codes, "MONO", (90.0,) * 4, 4095.0, kind=kind, exposure_s=1.0 + k, path=f"{kind}_{k}.h5"
+            )
+            series.append(frame_statistics(own))
+    said = several_gains(series)
+    assert "tone curve" in said and "\n" not in said
+    assert "tone curve" not in several_gains(setting(1, 0.4, 900, 1.0) + setting(2, 1.6, 900, 4.0, 260.0))
+
+
+def test_two_settings_in_one_file_are_to_be_split():
+    both = setting(1, 0.4, 900, 1.0) + setting(2, 1.6, 900, 1.0, 260.0)
+    said = several_gains(both)
+    assert "split the file" in said and "folder" not in said

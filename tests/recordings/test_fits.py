@@ -85,6 +85,8 @@ BAD = {
     r"image has shape \(3, 6, 10\)": (FRAMES[:3], {"CTYPE3": "RGB"}),
     r"image has shape \(2, 2, 6, 10\)": (FRAMES.reshape(2, 2, 6, 10), {}),
     "odd size": (FRAMES[:, :5], {"BAYERPAT": "RGGB"}),
+    "X-Trans mosaic": (FRAMES, {"BAYERPAT": "GGRGGB"}),
+    "1 value is NaN": (np.where(np.arange(FRAMES.size).reshape(FRAMES.shape) == 7, np.nan, 5.0), {}),
     "unknown CFA 'TRUE'": (FRAMES, {"BAYERPAT": "TRUE"}),
 }
 

@@ -134,7 +134,7 @@ BAD = {
     "holds no frames": {"frames": FRAMES[:0]},
     "are empty": {"frames": FRAMES[:, :0]},
     "clean has shape \\(8, 11\\)": {"clean": np.zeros((8, 11), np.float32)},
-    "clean holds 1 values that are NaN": {"clean": np.where(np.arange(96).reshape(8, 12) == 5, np.nan, 0.5)},
+    "clean holds 1 value that is NaN": {"clean": np.where(np.arange(96).reshape(8, 12) == 5, np.nan, 0.5)},
     "clean has median 5.*so it is not normalised: write .DN - black. / .white - black.": {"clean": FRAMES[0]},
     "clean has median 18": {"clean": np.full(FRAMES.shape, 18.0, np.float32)},
     "clean is bool": {"clean": np.zeros((8, 12), bool)},

@@ -50,6 +50,8 @@ def test_the_others_keep_their_order_and_their_own_reference(index):
         ({"exposure_s": -1.0}, "exposure_s is -1: expected at least 0"),
         ({"exposure_s": float("nan")}, "exposure_s is not finite"),
         ({"white_level": 64.0}, "is not below white level"),
+        ({"exposure_s": "1"}, "exposure_s is '1', a text: give a number"),
+        ({"black_level": ("64",) * 4}, "black_level is .* a text"),
     ],
 )
 def test_recordings_that_no_file_may_hold_are_refused_where_they_are_used(change, said):

@@ -6,15 +6,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from cannoise_jax.physics.core.ranges import check_key
+from cannoise_jax.physics.core.ranges import BRIGHTEST, DARKEST, NOT_NORMALISED, check_key
 from cannoise_jax.recordings.metadata import check_fields
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 
 def checked_capture(capture: Any) -> CaptureSet:
     """The capture set as given. Raises TypeError for anything else, BadInput for one without recordings,
-    with some that hold no arrays, or of several cameras or colour orders."""
+    with some that hold no arrays, or images in DN, or of several cameras or colour orders."""
     if not isinstance(capture, CaptureSet):
         raise TypeError(
             f"capture is a {type(capture).__name__}: expected a CaptureSet, of load_capture_set(folder) or "
@@ -27,12 +28,24 @@ def checked_capture(capture: Any) -> CaptureSet:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings")
     for recording in capture.recordings:
         check_fields(recording)
+        _check_normalised(recording)
     place = capture.path or capture.camera
     for name, what in (("camera", "cameras"), ("cfa", "colour orders")):
         values = list(dict.fromkeys(str(getattr(r, name)) for r in capture.recordings))
         if len(values) > 1:
             raise BadInput(f"{place}: recordings of several {what} ({', '.join(values)}): give those of one")
     return capture
+
+
+def _check_normalised(recording: Recording) -> None:
+    """Raises BadInput for a noise-free image in DN; single pixels may be dead, so its median tells."""
+    clean: Any = recording.clean
+    if clean is None or clean.ndim not in (2, 3) or 0 in clean.shape or clean.dtype.kind not in "fiu":
+        return
+    middle = float(np.median(np.asarray(clean if clean.ndim == 2 else clean[0])))
+    if not DARKEST <= middle <= BRIGHTEST and np.isfinite(middle):
+        place = recording.path or recording.camera
+        raise BadInput(f"{place}: clean has median {middle:.4g}, {NOT_NORMALISED}")
 
 
 def checked_key(key: Any) -> jax.Array:

@@ -69,6 +69,8 @@ def preset(name: str, iso: float | None = None) -> Preset:
     table = {**table, "read": np.sqrt(np.square(table["read"]) - _CODE_STEP**2 / 12).tolist()}
     isos = np.asarray(table["iso"], np.float32)
     if iso is not None:
+        if isinstance(iso, bool) or not isinstance(iso, int | float | np.number):
+            raise TypeError(f"iso is {iso!r}: give an ISO of the camera's table, or None for all")
         if iso not in isos:
             listed = ", ".join(f"{i:g}" for i in isos)
             raise BadInput(f"{name}: no values for ISO {iso:g}, use one of {listed}")

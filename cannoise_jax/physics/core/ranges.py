@@ -27,8 +27,12 @@ _ABOVE_ZERO = ("doubling_c", "reference_iso", "reference_exposure_s")
 _FEWEST_STEPS = 15
 """Between black and white, of codes that are further apart than whole numbers: 4 bits, the least that cameras
 send of a pixel with more than two shades (Mono4p of the GenICam pixel formats, PFNC)."""
-_BRIGHTEST, _DARKEST = 4.0, -0.5
+BRIGHTEST, DARKEST = 4.0, -0.5
 """Median and least value of a clean mosaic: scenes beyond the white level are fine, codes in DN are not."""
+NOT_NORMALISED = (
+    "so it is not normalised: give (DN - black) / (white - black), 0 at the black level and 1 at the "
+    "white level"
+)
 
 
 def known(value: Any, what: str) -> np.ndarray | None:
@@ -69,6 +73,8 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
     if read is not None and read.min() < 0:
         raise ValueError(f"read_noise_e must be positive, got {read.min():g}")
     black, white = known(black_level, "black_level"), known(white_level, "white_level")
+    if black is not None and black.ndim < 2 and black.size not in (1, 4):
+        raise ValueError(f"black_level has {black.size} values: give 1, or 4 in mosaic order")
     step = known(code_step, "code_step")
     if white is not None and white > HIGHEST_CODE:
         raise ValueError(f"white_level {white:g} is above {HIGHEST_CODE}, the highest code of 16 bits")
@@ -219,8 +225,5 @@ def check_taken(clean: Any, settings: Settings) -> None:
 
 def _check_normalised(clean: np.ndarray) -> None:
     middle, least = float(np.median(clean)), float(clean.min())
-    if middle > _BRIGHTEST or least < _DARKEST:
-        raise ValueError(
-            f"clean has median {middle:.4g} and lowest value {least:.4g}, so it is not normalised: give "
-            "(DN - black) / (white - black), 0 at the black level and 1 at the white level"
-        )
+    if middle > BRIGHTEST or least < DARKEST:
+        raise ValueError(f"clean has median {middle:.4g} and lowest value {least:.4g}, {NOT_NORMALISED}")

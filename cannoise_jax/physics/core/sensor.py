@@ -24,7 +24,7 @@ from cannoise_jax.physics.core.sensor_draws import (
     sample_codes,
     sample_digital,
 )
-from cannoise_jax.physics.core.sensor_json import read_model, write_sensor
+from cannoise_jax.physics.core.sensor_json import check_place, read_model, write_sensor
 from cannoise_jax.physics.core.sensor_noise import noise_at_exposure, noise_at_level, placed, with_drawn
 from cannoise_jax.physics.core.settings import (
     DEFAULT,
@@ -229,6 +229,9 @@ class SensorModel:
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Writes a sensor.json, and an .npz of the same stem for measured maps. Raises BadInput where the
         file exists (without force) or cannot be written."""
+        if not isinstance(path, str | Path) or not str(path).strip():
+            raise BadInput(f"path is {path!r}: name a file for the sensor model")
+        check_place(Path(path), maps=False)
         if Path(path).exists() and not force:
             raise BadInput(f"{path}: exists: name another file, or replace it with force=True")
         write_sensor(path, self)

@@ -58,6 +58,8 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
     keep = longest < middle + _HOT * robust_std(longest, middle)
     for s in series:
         keep &= ~site(s.clipped, channel)
+    if not keep.any():
+        return NotMeasurable("every pixel of the darks is cut off or hot: record shorter ones")
     rows = []
     for s in series:
         value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)

@@ -143,6 +143,8 @@ def without_repetition(
             quiet, keep = np.asarray(fitted.maps["sites"])[0] == 0, steady_pixels(dark)
             for c in range(4):
                 variance, inside = pixel_variance(dark, c), site(keep, c)
+                if not (inside & site(quiet, c)).any():
+                    continue  # where every pixel jumps nothing shows what is left without
                 alone = float(variance[inside & site(quiet, c)].mean() / variance[inside].mean())
                 read[:, c] = read[:, c] * np.sqrt(min(alone, 1.0))
     grown = float(np.mean(gain / model.gain_dn_per_e))

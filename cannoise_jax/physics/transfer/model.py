@@ -127,9 +127,11 @@ def _causes(
         elif len(cause.laws) > 1:
             estimates: Estimates = cause.estimates[law]
             if spares := finding.estimator.spares:
-                estimates = (
+                spared = (
                     spares(statistics, baseline, without=np.any(loud, axis=0)) if loud else finding.estimates
                 )
+                # Where the others leave too few pixels, the fit of all together is what there is.
+                estimates = estimates if isinstance(spared, NotMeasurable) else spared
             out[finding.mechanism] = finding._replace(estimates=estimates, because=f"({together} together)")
     return out
 

@@ -59,10 +59,22 @@ def several_gains(statistics: Sequence[FrameStatistics]) -> str:
         return ""
     low, high = sorted(worst[1:], key=lambda g: g.value)
     first, second = (g.flat.recording.path or g.flat.recording.camera for g in (low, high))
+    one_file = first == second
+    what = (
+        "split the file into one of each setting" if one_file else "put each setting into a folder of its own"
+    )
+    curve = ", or a tone curve (gamma): record raw data" if _steady(seen) else ""
     return (
         f"{first}: a gain of {low.value:.2g} DN/e-; {second}: {high.value:.2g}: flats and darks of two gain "
-        "settings that no file states: put each setting into a folder of its own"
+        f"settings that no file states: {what}{curve}"
     )
+
+
+def _steady(seen: Sequence[_Gain]) -> bool:
+    """Whether the gains of three flats or more rise, or fall, from each signal to the next."""
+    gains = np.array([g.value for g in sorted(seen, key=lambda g: g.signal)])
+    steps = np.diff(gains)
+    return len(gains) > 2 and bool(np.all(steps > 0) or np.all(steps < 0))
 
 
 def _excess(dim: _Gain, bright: _Gain) -> float:

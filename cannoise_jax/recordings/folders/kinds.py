@@ -15,6 +15,7 @@ _LONGEST_BIAS_S = 1.0
 _LIT_TIMES, LIT_DN = 2.0, 100.0
 """Darks of one exposure and temperature that are so many times, and so much, brighter than others were lit.
 Dark current doubles within some 6 K; temperatures further apart than a few are settings of their own."""
+TAKEN_AS_LIGHTS = "taken as lights"
 
 
 def kinds_of(
@@ -54,7 +55,7 @@ def kinds_of(
         # several kinds are not.
         for what, names in unknown.items():
             kinds |= dict.fromkeys(names, "scene")
-            taken[f"{what}: taken as lights; --assign 'NAME*=KIND' says otherwise"] = names
+            taken[f"{what}: {TAKEN_AS_LIGHTS}; --assign 'NAME*=KIND' says otherwise"] = names
         unknown = {}
     notes = [f"{listed(names)}: {what}" for what, names in taken.items()]
     problems = [f"{listed(names)}: {what}: {remedy}" for what, names in unknown.items()]

@@ -11,10 +11,16 @@ from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import DARK
 
+NO_LIGHT = (
+    "no flats: without light no gain can be measured: record at least 2 frames of an even, steady light"
+)
+
 
 def lacks(groups: Sequence[Group]) -> list[str]:
     """What the recordings of one set lack, or what looks odd of them, a line each."""
     notes = []
+    if groups and all(g.kind in DARK for g in groups):
+        notes.append(NO_LIGHT)
     single = [g.label for g in groups if g.frames == 1]
     if single:
         notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")

@@ -42,6 +42,11 @@ def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
         values[name] = value
         said += [words] if words else []
     black, white = ({**values, **overrides}.get(n) for n in ("black_level", "white_level"))
+    if overrides.get("black_level") is not None and min(per_channel(overrides["black_level"])) < 0:
+        missing.append(
+            f"the black level: {min(per_channel(overrides['black_level'])):g} DN is stated, and stored codes "
+            "start at 0: state one from 0 on with --black-level"
+        )
     if black is not None and white is not None and max(per_channel(black)) >= white:
         missing.append(
             f"the white level of {white:g} DN is not above the black level, {max(per_channel(black)):g} DN: "

@@ -11,8 +11,8 @@ from typing import Any
 
 from cannoise_jax.recordings.folders.exposures import judged_exposures
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
-from cannoise_jax.recordings.folders.kinds import kinds_of, of_other_kinds
-from cannoise_jax.recordings.folders.lacks import lacks
+from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
+from cannoise_jax.recordings.folders.lacks import NO_LIGHT, lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
@@ -104,8 +104,12 @@ def plan_folder(
 def check(plan: Plan) -> None:
     """Raises BadInput, in one line that lists everything, where the plan has problems."""
     if plan.problems:
-        unusable = [note for note in plan.notes if note.endswith(_LEFT_OUT)]
-        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *unusable)))
+        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *filter(_may_be_why, plan.notes))))
+
+
+def _may_be_why(note: str) -> bool:
+    """Whether a note may be the reason of a problem, or names what else is missing."""
+    return note.endswith(_LEFT_OUT) or TAKEN_AS_LIGHTS in note or note == NO_LIGHT
 
 
 def text(plan: Plan) -> str:
@@ -167,7 +171,14 @@ def _one_pattern(shots: list[Shot]) -> tuple[list[Shot], list[str]]:
 
 
 def _notes(found: Scan) -> list[str]:
-    notes = [f"{name}: an average, no frame ({why}): left out" for name, why in found.averages]
+    by_why: dict[str, list[str]] = {}
+    for name, why in found.averages:
+        by_why.setdefault(why, []).append(name)
+    notes = [
+        f"{listed(names)}: {'an average, no frame' if len(names) == 1 else 'averages, no frames'} ({why})"
+        f"{_LEFT_OUT}"
+        for why, names in by_why.items()
+    ]
     by_fault: dict[str, list[str]] = {}
     for name, fault in found.duds:
         by_fault.setdefault(fault, []).append(name)

@@ -2,7 +2,8 @@
 
 import pytest
 
-from cannoise_jax.recordings.folders.plan import plan_folder
+from cannoise_jax.recordings.folders.plan import check, plan_folder
+from cannoise_jax.recordings.recording import BadInput
 from tests.recordings.folders.night import labels, night, notes, shot
 
 
@@ -93,3 +94,33 @@ def test_darks_that_were_lit_and_biases_that_were_exposed_are_named(tmp_path):
     assert "bias_9.fits: a bias of 300 s beside others" in problems
     stated = plan_folder(tmp_path, assign=[("dark_9*", "flat"), ("bias_9*", "bias")])
     assert not stated.problems
+
+
+def test_folders_named_in_german(tmp_path):
+    for name, kind, seconds in (
+        ("Weißbilder", "flat", 2.0),
+        ("Dunkelbilder", "dark", 60.0),
+        ("Offset", "bias", 0.0),
+    ):
+        for n in (1, 2):
+            shot(tmp_path / name / f"img_{n}.fits", kind, EXPTIME=seconds, INSTRUME="Acme 100")
+    plan = plan_folder(tmp_path)
+    assert not plan.problems and labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2}
+
+
+def test_a_refusal_names_what_was_taken_as_lights(tmp_path):
+    for n in (1, 2):
+        shot(tmp_path / "Dunkelbilder" / f"img_{n}.fits", "dark", EXPTIME=60.0, INSTRUME="Acme 100")
+        shot(tmp_path / "Himmel" / f"img_{n}.fits", "flat", EXPTIME=2.0, INSTRUME="Acme 100")
+    with pytest.raises(BadInput, match="Himmel/img_1.fits.*taken as lights") as refused:
+        check(plan_folder(tmp_path))
+    assert "\n" not in str(refused.value)
+
+
+def test_biases_alone_are_told_all_that_is_missing_at_once(tmp_path):
+    for n in (1, 2):
+        shot(tmp_path / f"bias_{n}.fits", "bias", EXPTIME=0.0, INSTRUME="Acme 100")
+    with pytest.raises(BadInput) as refused:
+        check(plan_folder(tmp_path))
+    for what in ("colour order", "white level", "no flats"):
+        assert what in str(refused.value)

@@ -532,3 +532,16 @@ def test_names_that_are_no_text_reach_the_cache_and_its_plan(tmp_path):
     again, _ = capture_of(folder, Options({}), tmp_path / "cache")
     assert [r.count for r in again.recordings] == [2, 2, 2]
     assert any("\udcff" in "".join(r.sources) for r in again.recordings)
+
+
+def test_averages_of_one_kind_are_one_note(tmp_path):
+    night(tmp_path)
+    for n in range(8):
+        shot(tmp_path / f"sum_{n}.fits", "flat", IMAGETYP="Flat Field", NCOMBINE=4, INSTRUME="Acme 100")
+    said = [note for note in plan_folder(tmp_path).notes if "averages" in note]
+    assert len(said) == 1 and "and 5 more" in said[0]
+
+
+def test_a_negative_black_level_that_is_stated_is_a_problem(tmp_path):
+    problems = plan_folder(night(tmp_path), {"black_level": (-5.0,)}).problems
+    assert len(problems) == 1 and "-5 DN" in problems[0]

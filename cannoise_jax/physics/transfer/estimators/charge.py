@@ -20,6 +20,8 @@ _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
 _FAR = 6.0
 """Spreads of the healthy pixels beyond which a pixel is not one of them."""
+_FLAT = 1e12
+"""Ratio of curvatures beyond which a likelihood is flat along a parameter."""
 
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -53,6 +55,8 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     if pair is None or baseline is None:
         return _LONG
     long, short, seconds = pair
+    if long.clipped.all():
+        return NotMeasurable("every pixel of the longest dark is cut off: record a shorter one")
     charge, sigma = _above_healthy(long, short, baseline)
     values = charge[~long.clipped].ravel()
     tail, below = values[values > _FAR * sigma], -values[values < -_FAR * sigma]
@@ -80,7 +84,9 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     hot_share = max(above - len(below), 1) / (len(values) + full.size)
     start = np.array([special.logit(min(1.2 * hot_share, 0.4)), np.log(np.r_[tail, full].mean())])
     fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
-    errors = np.sqrt(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.05, 0.05])))))
+    errors = fit_errors(hessian(negative, fit.x, np.array([0.05, 0.05])))
+    if errors is None:
+        return NotMeasurable("hot pixels are not told from the healthy ones: record a longer dark")
     fraction = float(special.expit(fit.x[0]))
     ends = special.expit(fit.x[0] + Z90 * errors[0] * np.array([-1, 1]))
     return {
@@ -155,6 +161,14 @@ def hessian(
             ]  # fmt: skip
             out[i, j] = out[j, i] = sum(corners) / (4 * step[i] * step[j])
     return out
+
+
+def fit_errors(curvature: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n"] | None:
+    """Standard errors of parameters, from the second derivatives of minus the log-likelihood; None where it
+    does not depend on one of them."""
+    if not np.isfinite(curvature).all() or np.linalg.cond(curvature) > _FLAT:
+        return None
+    return np.sqrt(np.abs(np.diag(np.linalg.inv(curvature))))
 
 
 def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0, np.inf)) -> Estimate:

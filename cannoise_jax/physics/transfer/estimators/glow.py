@@ -170,7 +170,9 @@ def _levels(
 ) -> Float[np.ndarray, "r c"]:
     """The weighted mean of the region that every cell is in."""
     weight = (1 / sigma**2).ravel()
-    own = np.bincount(regions.ravel(), weight * means.ravel()) / np.bincount(regions.ravel(), weight)
+    # Of few cells some regions are empty.
+    total = np.maximum(np.bincount(regions.ravel(), weight), 1e-300)
+    own = np.bincount(regions.ravel(), weight * means.ravel()) / total
     return own[regions]
 
 

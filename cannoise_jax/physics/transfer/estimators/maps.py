@@ -33,6 +33,13 @@ from cannoise_jax.recordings.packing import green_sites, site
 
 _HOT = 6.0
 """Robust standard deviations: of a normal law one pixel in 5e8 lies as far out."""
+_FEWEST = 16
+"""Pixels of a channel that say anything of a spread over pixels."""
+_NARROWEST = 8
+"""Columns: the mean of a row of two pixels of a colour takes all that tells one from the other."""
+_COLUMNS = 16
+"""Smooth shading alone takes ten of them."""
+_NO_PIXELS = NotMeasurable("nearly all pixels jump or are warm: record shorter darks, or a larger frame")
 
 
 class Pattern(NamedTuple):
@@ -103,6 +110,8 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     flat, dark = brightest_flat(statistics), darkest(statistics)
     if flat is None:
         return REPEATED_FLATS
+    if flat.recording.size[1] < _COLUMNS:
+        return NotMeasurable(f"record frames of at least {_COLUMNS} columns")
     offsets = 0.0
     if dark is not None:
         offsets = _column_part(offset_pattern(dark)).value / float(np.mean(flat.level)) ** 2
@@ -122,12 +131,16 @@ def pixel_read_noise_map(
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 4:
         return repeated_darks(statistics, 4)
+    if dark.recording.size[1] < _NARROWEST:
+        return NotMeasurable(f"record frames of at least {_NARROWEST} columns")
     rounding = dark.code_step**2 / 12
     halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
     products, means = [], []
     odd = dark.clipped | odd_by_charge(dark, None if baseline is None else baseline.gain)
     for c in range(4):
         keep = ~site(odd if without is None else odd | without, c)
+        if keep.sum() < _FEWEST:
+            return _NO_PIXELS
         logs = [site(v, c)[keep] - site(v, c)[keep].mean() for v in halves]
         # Every way to halve the frames measures the same; their mean is a little surer than one alone.
         products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))
@@ -220,7 +233,7 @@ def _pixel_part(pattern: Pattern, other: float = 0.0) -> Estimate:
     """Variance of the pixels' own fixed pattern; other: known variance that is no part of it."""
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
-    count = inside.size - 2 * (height + width) + 4
+    count = max(inside.size - 2 * (height + width) + 4, 1)
     square = float(np.sum(inside**2)) / count
     return variance_difference(square, heavy_dof(inside, count), pattern.noise + other, pattern.noise_dof)
 
@@ -230,7 +243,7 @@ def _column_part(pattern: Pattern, other: float = 0.0) -> Estimate:
     means = pattern.columns.mean(0)
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
-    share = float(np.sum(inside**2)) / (inside.size - 2 * (height + width) + 4) / height
+    share = float(np.sum(inside**2)) / max(inside.size - 2 * (height + width) + 4, 1) / height
     # Channel means, and the smooth shading of a flat, have been taken out of both sets of columns.
     count = width - 2 * (pattern.smooth + 1)
     dof = max(heavy_dof(means, count) / correlation_loss(means[None]), 2.0)

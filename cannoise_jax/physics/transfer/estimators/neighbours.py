@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
-from cannoise_jax.physics.transfer.estimate import Estimates, normal_estimate
+from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
@@ -18,6 +18,14 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import mosaic_map, per_channel
+
+_LEAST_BESIDE, _LEAST_BLENDED = 8, 16
+"""Rows and columns that covariances of neighbours need, and those of pixels four away inside the edges: row
+means alone take half of the variance of rows of four."""
+
+
+def _larger(least: int) -> NotMeasurable:
+    return NotMeasurable(f"record frames of at least {least} rows and {least} columns")
 
 
 def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -29,6 +37,8 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     flat, dark = brightest_flat(statistics), darkest(statistics)
     if flat is None:
         return REPEATED_FLATS
+    if min(flat.recording.size) < _LEAST_BESIDE:
+        return _larger(_LEAST_BESIDE)
     shot = lag_covariances(flat)
     read = lag_covariances(dark) if dark is not None else None
     signal = mosaic_map(per_channel(np.maximum(flat.level, 1.0)), flat.recording.size).astype(np.float64)
@@ -74,6 +84,8 @@ def in_camera_denoising(statistics: Sequence[FrameStatistics], baseline=None) ->
     s = darkest(statistics) or brightest_flat(statistics)
     if s is None:
         return repeated_darks(statistics)
+    if min(s.recording.size) < _LEAST_BLENDED:
+        return _larger(_LEAST_BLENDED)
     # At the edge a pixel stands in for its missing neighbours.
     found = lag_covariances(s, ((0, 0), *(lag for group in _BLEND_LAGS for lag in group)), margin=2)
     power = found[0, 0][0] - s.code_step**2 / 12

@@ -17,7 +17,7 @@ from cannoise_jax.physics.transfer.estimate import (
     normal_estimate,
     root,
 )
-from cannoise_jax.physics.transfer.estimators.charge import hessian
+from cannoise_jax.physics.transfer.estimators.charge import fit_errors, hessian
 from cannoise_jax.physics.transfer.estimators.pick import (
     darkest,
     odd_by_charge,
@@ -85,6 +85,8 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
             histograms[c] -= np.bincount(left_out, minlength=1 << 16)
     found = []
     for histogram in histograms:
+        if not histogram.any():
+            return NotMeasurable("every pixel is hit or warm: record shorter darks, or a larger frame")
         edges, counts = _classes(histogram, step)
         if len(counts) < 5:
             return NotMeasurable("the noise spans too few codes: record darks at a higher gain")
@@ -116,7 +118,9 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     fit = optimize.minimize(
         negative, start, method="Nelder-Mead", options={"xatol": 2e-4, "fatol": 2e-3, "maxfev": 250}
     )
-    errors = np.sqrt(np.abs(np.diag(np.linalg.inv(hessian(negative, fit.x, np.array([0.03, 0.05, 0.05]))))))
+    errors = fit_errors(hessian(negative, fit.x, np.array([0.03, 0.05, 0.05])))
+    if errors is None:
+        return NotMeasurable("jumps of so many pixels are not told from unlike noise: record more darks")
     sides = np.array([-Z90, 0.0, Z90])
     jumps = np.exp(fit.x[0] + errors[0] * sides) * sigma
     shares = [special.expit(fit.x[k] + errors[k] * sides) for k in (1, 2)]
