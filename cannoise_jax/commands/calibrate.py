@@ -185,7 +185,7 @@ def calibrate(
         wrong = faults(every[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        for line in filter(None, (wrong.black, wrong.unlit, wrong.longer)):
+        for line in filter(None, (wrong.black, wrong.unlit, wrong.longer, wrong.uneven)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in every[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)

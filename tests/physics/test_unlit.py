@@ -1,14 +1,19 @@
-"""Parts of flats that no light reaches: told, and kept from gain, sensitivities and dark noise."""
+"""Parts of flats that no light reaches, and of darks that are noisier: told, and kept from what they would
+bend."""
+
+import re
 
 import numpy as np
 import pytest
 
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
+from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
+from cannoise_jax.physics.transfer.estimators.noise import heavy_tails, rts
 from cannoise_jax.physics.transfer.faults import faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 from cannoise_jax.physics.transfer.shape import dark_lines
-from cannoise_jax.physics.transfer.unlit import UNLIT, unlit
+from cannoise_jax.physics.transfer.unlit import UNLIT, unlit, without_unlit
 from cannoise_jax.recordings.recording import Recording
 
 SIZE, GAIN, READ, BLACK = (96, 128), 0.5, 4.0, 500.0
@@ -123,3 +128,31 @@ def test_noisier_pixels_that_dark_noise_leaves_out_are_counted():
         ]
         notes = [q.note for q in transfer_at(found).quantities if q.name == "temporal dark noise"]
         assert any("are far noisier and set aside" in n for n in notes) == said
+
+
+def test_noise_that_differs_between_parts_of_the_frame_is_said_and_no_noise_of_pixels():
+    louder = np.where(np.arange(SIZE[1]) < SIZE[1] // 2, 2.0, 1.0)
+    found = [
+        frame_statistics(recorded(k, v, count=16, change=lambda dn: louder * dn))
+        for k, v in (("flat", 9000.0), ("dark", 0.0))
+    ]
+    line = faults(found).uneven
+    low, high = (float(v) for v in re.findall(r"[\d.]+", line)[:2])
+    assert (low, high) == pytest.approx((GAIN * READ, 2 * GAIN * READ), rel=0.05)
+    for estimator in (rts, heavy_tails, pixel_read_noise_map):
+        assert estimator(found) == NotMeasurable(line)
+
+
+@pytest.mark.parametrize("count", [2, 8])
+def test_noise_of_pixels_lines_and_dead_parts_is_not_called_uneven(count):
+    rng = np.random.default_rng(3)
+    spread = np.exp(0.4 * rng.standard_normal(SIZE))
+    spread[40:44] = 6.0
+    _, dead = covered("corner")
+    changes = (None, lambda dn: spread * dn, lambda dn: np.where(dead, 0.0, dn), np.zeros_like)
+    for change in changes:
+        found = [
+            frame_statistics(recorded(k, v, count=count, change=change))
+            for k, v in (("flat", 9000.0), ("dark", 0.0))
+        ]
+        assert not faults(without_unlit(found)).uneven

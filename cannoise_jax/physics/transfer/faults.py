@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from cannoise_jax.physics.transfer.black import flat_seconds
+from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
+from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
 from cannoise_jax.physics.transfer.unlit import unlit_line
 from cannoise_jax.recordings.recording import DARK
@@ -26,6 +27,7 @@ class Faults(NamedTuple):
     cut_off: darks show neither read noise nor black level. unlike: flats and darks are of two gains. moves:
     scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
+    uneven: it differs between parts of the frame.
     """
 
     cut_off: str = ""
@@ -35,6 +37,7 @@ class Faults(NamedTuple):
     black: str = ""
     unlit: str = ""
     longer: str = ""
+    uneven: str = ""
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -47,8 +50,13 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     doubted = set_aside(worst) if worst is not None and worst.dropped > SET_ASIDE else ""
     return Faults(
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
-        unlit_line(statistics), longer(statistics),
+        unlit_line(statistics), longer(statistics), _uneven(statistics),
     )  # fmt: skip
+
+
+def _uneven(statistics: Sequence[FrameStatistics]) -> str:
+    dark = reference_dark(statistics)
+    return "" if dark is None else uneven_noise(dark)
 
 
 def longer(statistics: Sequence[FrameStatistics]) -> str:

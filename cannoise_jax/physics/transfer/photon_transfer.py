@@ -34,13 +34,12 @@ from cannoise_jax.physics.transfer.quantities import (
     UNSURE,
     Quantity,
     dark_current_quantities,
-    hidden_in_a_code,
     line_noise_quantity,
-    noise_below_a_code,
     noise_quantities,
     pattern_quantities,
     saturation_quantities,
 )
+from cannoise_jax.physics.transfer.quiet import hidden_in_a_code, noise_below_a_code
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit

@@ -28,6 +28,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     steady_pixels,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, steady_frames
+from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
 from cannoise_jax.recordings.packing import green_sites, site
 
@@ -133,6 +134,8 @@ def pixel_read_noise_map(
         return repeated_darks(statistics, 4)
     if dark.recording.size[1] < _NARROWEST:
         return NotMeasurable(f"record frames of at least {_NARROWEST} columns")
+    if uneven := uneven_noise(dark):
+        return NotMeasurable(uneven)
     rounding = dark.code_step**2 / 12
     halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
     products, means = [], []
