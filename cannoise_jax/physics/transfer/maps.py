@@ -34,6 +34,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     darkest,
     row_offsets,
     steady_pixels,
+    without_step,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
@@ -233,7 +234,7 @@ def column_pattern(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarra
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"field": _lines(column_offsets(dark), values["sigma_dn"], seen.draw)[None, None]}
+    return {"field": _lines(without_step(column_offsets(dark)), values["sigma_dn"], seen.draw)[None, None]}
 
 
 def read_noise(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:

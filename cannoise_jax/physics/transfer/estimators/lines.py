@@ -29,6 +29,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     repeated_darks,
     row_offsets,
     steady_pixels,
+    without_step,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.spatial import correlation_loss, temporal_mean_square
@@ -178,8 +179,11 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     # The pixels' own fixed pattern also leaves something in the average of a line.
     left = np.where(keep, rest - np.expand_dims(average, 1 - axis), 0.0)
     frozen = max(float(np.mean(left**2)) - pixel / frames, 0.0) / across
-    square = average.var(ddof=1)
-    fixed_dof = max(heavy_dof(average, count - 1) / correlation_loss(average[None]), 2.0)
+    taken = 1
+    if axis == 1:  # a step in the middle is that of two amplifiers
+        average, taken = without_step(average), 2
+    square = float(np.sum((average - average.mean()) ** 2)) / (count - taken)
+    fixed_dof = max(heavy_dof(average, count - taken) / correlation_loss(average[None]), 2.0)
     return {"sigma_dn": root(variance_difference(square, fixed_dof, temporal / frames + frozen, dof))}
 
 

@@ -115,3 +115,9 @@ def column_offsets(s: FrameStatistics) -> Float[np.ndarray, "T W"]:
     """Mean of every column of every frame above the frame's mean, DN."""
     means = s.column_means.mean(1)
     return means - means.mean(1, keepdims=True)
+
+
+def without_step(columns: Float[np.ndarray, "*T W"]) -> Float[np.ndarray, "*T W"]:
+    """Columns less the mean of either half of the frame, over all frames: what `amplifier_mismatch` holds."""
+    halves = np.array_split(columns.reshape(-1, columns.shape[-1]).mean(0), 2)
+    return columns - np.concatenate([np.full(half.shape, half.mean()) for half in halves])
