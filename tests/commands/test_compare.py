@@ -113,6 +113,10 @@ def test_two_reports_say_which_simulator_is_nearer_and_what_changed(tmp_path, ca
     (tmp_path / "b" / "report.json").write_text(json.dumps({**report(0.6, [tails]), "faults": ["cut off"]}))
     assert main([str(tmp_path / n) for n in ("a", "b")]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "  of the recordings: cut off"
+    unknown = (*tails[:3], None, *tails[4:])
+    (tmp_path / "b" / "report.json").write_text(json.dumps(report(0.6, [unknown])))
+    assert main([str(tmp_path / n) for n in ("a", "b")]) == 0
+    assert "not measured recorded, 0.3 simulated" in capsys.readouterr().out
     (tmp_path / "b" / "report.json").write_text("{}")
     assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 2
     assert "is no report of bin/diagnose" in capsys.readouterr().err

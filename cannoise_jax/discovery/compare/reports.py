@@ -162,6 +162,7 @@ def _said(v: Any) -> str:
 def _side(d: dict[str, Any] | None) -> str:
     if d is None:
         return "no difference"
-    recorded, simulated = pair(d["recorded"], d["simulated"])
+    both = d["recorded"], d["simulated"]
+    recorded, simulated = map(_said, both) if None in both else pair(*both)
     sizes = f"{recorded} recorded, {simulated} simulated"
     return f"{d['simulator_has']}, {sizes} {d['unit']}"
