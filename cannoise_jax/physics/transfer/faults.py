@@ -13,7 +13,7 @@ from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
-from cannoise_jax.physics.transfer.unlit import unlit_line
+from cannoise_jax.physics.transfer.unlit import unlit_line, without_unlit
 from cannoise_jax.recordings.recording import DARK
 
 _LONGER, _LONG_S = 10.0, 1.0
@@ -48,9 +48,10 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     drawn = [line for line in lines if isinstance(line, Line)]
     worst = max(drawn, key=lambda line: line.dropped, default=None)
     doubted = set_aside(worst) if worst is not None and worst.dropped > SET_ASIDE else ""
+    parted = without_unlit(statistics)
     return Faults(
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
-        unlit_line(statistics), longer(statistics), _uneven(statistics),
+        unlit_line(parted), _longer(statistics), _uneven(parted),
     )  # fmt: skip
 
 
@@ -59,7 +60,7 @@ def _uneven(statistics: Sequence[FrameStatistics]) -> str:
     return "" if dark is None else uneven_noise(dark)
 
 
-def longer(statistics: Sequence[FrameStatistics]) -> str:
+def _longer(statistics: Sequence[FrameStatistics]) -> str:
     """Which darks, far longer than the flats, the read noise is taken from; empty where shorter ones are."""
     darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
     seconds, flat = [s.recording.exposure_s for s in darks], flat_seconds(statistics)

@@ -46,8 +46,8 @@ class FrameStatistics:
       which are masked or dead; 0 where that code is neither 0 nor `low`.
     clipped: pixels that touched such a code, or the white level, or were hit by a particle, in any frame.
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
-    unlit: share of a flat that no light reaches (see `unlit`), among `clipped`. dead: pixels of a dark in
-      parts that never change, likewise; None where there are none.
+    unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
+      never change, likewise; None where there are none.
     """
 
     recording: Recording
@@ -66,7 +66,7 @@ class FrameStatistics:
     lowest: PerChannel
     clipped: Bool[np.ndarray, "H W"]
     hits: Hits | None = None
-    unlit: float = 0.0
+    unlit: Bool[np.ndarray, "H W"] | None = None
     dead: Bool[np.ndarray, "H W"] | None = None
 
 

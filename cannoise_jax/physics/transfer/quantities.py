@@ -208,7 +208,7 @@ def pattern_quantities(
             out.append(Quantity(title, "e-", name, _in_electrons(sigma, line)))
     repeated = [s for s in flats if s.relative and s.variance is not None]
     within = [s for s in repeated if is_below_rail(s, c)]
-    unlit = any(s.unlit for s in flats)
+    unlit = any(s.unlit is not None for s in flats)
     lacking = NotMeasurable(UNLIT if unlit else DIMMER if repeated else RECORD_FLATS)
     # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
     flat = min(

@@ -4,7 +4,6 @@ their pixels do would be taken for noise of single pixels."""
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -37,12 +36,8 @@ def uneven_noise(dark: FrameStatistics) -> str:
     room = _SIGMAS * 2 / np.sqrt(_OF_MEDIAN * min(part.size for part in parts) * dark.dof)
     if medians.max() <= _UNEVEN * np.exp(room) * max(medians.min(), dark.code_step**2 / 12):
         return ""
-    low, high = _sigma(medians.min(), dark), _sigma(medians.max(), dark)
+    low, high = np.sqrt(np.array([medians.min(), medians.max()]) / median_quotient(dark.dof))
     return (
         f"the noise of the dark differs between parts of the frame ({low:.3g} to {high:.3g} DN), as of "
         "amplifiers of their own: calibrate each part by itself (where it is a glow: record shorter darks)"
     )
-
-
-def _sigma(median: Float[np.ndarray, ""], dark: FrameStatistics) -> float:
-    return float(np.sqrt(median / median_quotient(dark.dof)))

@@ -64,7 +64,7 @@ def without_unlit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics
     out = []
     for s, mask in zip(statistics, masks, strict=True):
         if mask.mean() >= LEAST:
-            s = replace(s, clipped=s.clipped | mask, unlit=float(mask.mean()))
+            s = replace(s, clipped=s.clipped | mask, unlit=mask)
         elif s.recording.kind != "flat" and s.variance is not None:
             dead = always & _never_changes(s.recording)
             s = replace(s, clipped=s.clipped | dead, dead=dead) if dead.any() else s
@@ -82,12 +82,12 @@ def _never_changes(recording: Recording) -> Bool[np.ndarray, "H W"]:
 
 
 def unlit_line(statistics: Sequence[FrameStatistics]) -> str:
-    """Which flat has the largest part that no light reaches, and where; empty where none has."""
-    black = black_level(statistics).level
-    masks = [(unlit(s, black), s) for s in statistics]
-    mask, s = max(masks, key=lambda pair: float(pair[0].mean()))
-    if mask.mean() < LEAST:
+    """Which flat has the largest part that no light reaches, and where; empty where none has. statistics: as
+    `without_unlit` gives them."""
+    parts = [(s.unlit, s) for s in statistics if s.unlit is not None]
+    if not parts:
         return ""
+    mask, s = max(parts, key=lambda part: float(part[0].mean()))
     where = _lines("columns", mask, 0) or _lines("rows", mask, 1)
     name = s.recording.path or s.recording.camera
     return (

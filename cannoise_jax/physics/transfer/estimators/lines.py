@@ -182,7 +182,7 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     taken = 1
     if axis == 1:  # a step in the middle is that of two amplifiers
         average, taken = without_step(average), 2
-    square = float(np.sum((average - average.mean()) ** 2)) / (count - taken)
+    square = average.var(ddof=taken)
     fixed_dof = max(heavy_dof(average, count - taken) / correlation_loss(average[None]), 2.0)
     return {"sigma_dn": root(variance_difference(square, fixed_dof, temporal / frames + frozen, dof))}
 
