@@ -39,6 +39,17 @@ def stored_moments(black: float, read: float, step: float, spread: float = 0.0) 
     return float(mean.mean()) * step, float(square.mean()) * step**2
 
 
+def mean_bias(dither: float) -> float:
+    """The most by which rounding moves the mean of normal values of this variance, codes squared, in codes:
+    the first harmonic of the staircase."""
+    return float(np.exp(-2 * np.pi**2 * dither) / np.pi)
+
+
+def variance_bias(dither: float) -> float:
+    """The most by which it moves their variance away from that before rounding plus 1/12, codes squared."""
+    return float((1 / np.pi**2 + 4 * dither) * np.exp(-2 * np.pi**2 * dither))
+
+
 def level_and_spread(
     means: Float[np.ndarray, "*n"], variance: float, frames: int, step: float
 ) -> tuple[float, float]:

@@ -14,11 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.physics.core.rounding import mean_bias, variance_bias
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.quiet import dither
 from cannoise_jax.recordings.packing import site
 
 RECORD = (
@@ -65,7 +67,9 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)
         error = value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR)
         mean = float(site(s.mean, channel)[keep].mean())
-        doubt = mean_error(s, channel) / gain
+        seen, step = dither(s, channel), s.code_step
+        doubt = np.hypot(mean_error(s, channel), step * mean_bias(seen)) / gain
+        error = np.hypot(error, step**2 * variance_bias(seen))
         rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
     return Series(*np.array(rows, np.float64).T)
 

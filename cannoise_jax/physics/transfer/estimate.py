@@ -42,6 +42,14 @@ class Estimate:
         """The same measurement with a known number added."""
         return Estimate(self.value + by, self.stderr, (self.ci90[0] + by, self.ci90[1] + by))
 
+    def of_which(self, other: float) -> Estimate:
+        """The same measurement, of which up to `other` may be something else."""
+        if not other:
+            return self
+        low = self.ci90[0] - other
+        sure = Estimate(self.value - other, self.stderr, (low, self.ci90[1] - other)).by_chance
+        return Estimate(self.value, self.stderr, (low, self.ci90[1]), sure if self.value > other else 1.0)
+
     @property
     def by_chance(self) -> float:
         """The chance with which a true value of zero shows as much (both signs where both can be)."""

@@ -25,8 +25,8 @@ from cannoise_jax.physics.transfer.frames import (
     pixel_variance,
     with_all_sites,
 )
+from cannoise_jax.physics.transfer.patterns import pattern_quantities
 from cannoise_jax.physics.transfer.quantities import (
-    BELOW_A_CODE,
     DIMMER,
     RECORD_DARKS,
     RECORD_FLATS,
@@ -36,10 +36,14 @@ from cannoise_jax.physics.transfer.quantities import (
     dark_current_quantities,
     line_noise_quantity,
     noise_quantities,
-    pattern_quantities,
     saturation_quantities,
 )
-from cannoise_jax.physics.transfer.quiet import hidden_in_a_code, noise_below_a_code
+from cannoise_jax.physics.transfer.quiet import (
+    BELOW_A_CODE,
+    hidden_in_a_code,
+    noise_below_a_code,
+    unchanging,
+)
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit
@@ -106,7 +110,7 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     ]
     quantities.append(line_noise_quantity("row noise", dark, 0))
     quantities.append(line_noise_quantity("column noise", dark, 1))
-    quantities += shape_quantities(dark) if dark is not None else []
+    quantities += shape_quantities(dark) if dark is not None and not unchanging(dark) else []
     unknown = "needs a known photon flux: record flats under a calibrated light"
     quantities.append(Quantity("quantum efficiency", "e-/photon", "all", NotMeasurable(unknown)))
     return PhotonTransfer(

@@ -1,4 +1,4 @@
-"""The lines of the photon transfer table, one channel at a time: noise, patterns, dark current, saturation.
+"""The lines of the photon transfer table, one channel at a time: noise, dark current, saturation.
 
 Definitions follow EMVA 1288 release 4.0; `transfer` puts the lines together.
 """
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.black import Black
 from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
@@ -23,33 +24,26 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
-from cannoise_jax.physics.transfer.quiet import hidden_in_a_code, mean_square_of, noise_below_a_code
-from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail, is_cut_off
-from cannoise_jax.physics.transfer.spatial import (
-    Split,
-    TemporalParts,
-    shading,
-    spatial_split,
-    temporal_mean_square,
-    total_of,
+from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.quiet import (
+    BELOW_A_CODE,
+    hidden_in_a_code,
+    mean_square_of,
+    noise_below_a_code,
+    square_below_a_code,
+    unchanging,
 )
+from cannoise_jax.physics.transfer.rails import is_cut_off
 from cannoise_jax.physics.transfer.straight import bends
-from cannoise_jax.physics.transfer.unlit import UNLIT
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
-
-_UNSTEADY = 0.01  # relative temporal modulation of rows above which fixed row patterns of a flat are hidden
 
 RECORD_FLATS = "record at least 2 frames of an even, steady light, best at several levels up to saturation"
 UNSURE = (
     "the noise of the flats does not surely grow with their light (too dim, or darks and flats of other "
     "settings): record brighter flats, 2 frames or more, best at several levels"
 )
-BELOW_A_CODE = (
-    "the noise of the darks is so far below a code that most of their pixels never change: record darks and "
-    "flats at a higher gain, or flats of several levels"
-)
+CUT_OFF = "darks are cut off at black: raise the camera's offset and record darks again"
 SET_ASIDE = 0.1
 """Share of pixels beyond which those set aside are no few outliers, and the others no sound majority: of the
 noisiest camera tried it is a fortieth."""
@@ -96,23 +90,38 @@ def noise_quantities(
     sigma = _read_noise(line, dark, step, c)
     note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))
     out.append(Quantity("temporal dark noise", "DN", name, sigma, note))
-    out.append(Quantity("temporal dark noise", "e-", name, _in_electrons(sigma, line)))
+    out.append(Quantity("temporal dark noise", "e-", name, in_electrons(sigma, line)))
     if dark is not None and dark.total is not None:
-        total, _ = robust_mean_square(site(dark.total, c), dark.recording.count - 1.0)
-        pixel, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
-        count = site(dark.total, c).size * (dark.recording.count - 1)
-        value = float(np.sqrt(max(total - step**2 / 12, 0)))
-        error = 0.5 * np.sqrt(2 / count) * total / max(value, 1e-9)
-        error = float(
-            np.hypot(
-                error,
-                np.sqrt(2 / dark.row_means[1:, :, 0].size) * max(total - pixel, 0) / max(value, 1e-9) / 2,
-            )
-        )
-        with_rows = normal_estimate(value, error)
+        with_rows = _with_rows(sigma, dark, dark.total, step, c)
         out.append(Quantity("temporal dark noise, rows included", "DN", name, with_rows))
-        out.append(Quantity("temporal dark noise, rows included", "e-", name, _in_electrons(with_rows, line)))
+        out.append(Quantity("temporal dark noise, rows included", "e-", name, in_electrons(with_rows, line)))
     return out
+
+
+def _with_rows(
+    pixels: Outcome, dark: FrameStatistics, each: Float[np.ndarray, "H W"], step: float, c: int
+) -> Outcome:
+    """Temporal dark noise with what rows do together, DN. pixels: that without; each: the variance of every
+    pixel, rows included."""
+    if isinstance(pixels, NotMeasurable):
+        return pixels
+    values = site(each, c)
+    rows_error = np.sqrt(2 / dark.row_means[1:, :, 0].size)
+    if noise_below_a_code(dark, step, c) is not None:
+        dof = dark.recording.count - 1.0
+        total, _ = square_below_a_code(values, dof, step)
+        rows = max(total - square_below_a_code(pixel_variance(dark, c), dark.dof, step)[0], 0.0)
+        low, value, high = (
+            float(np.sqrt(v**2 + rows)) for v in (pixels.ci90[0], pixels.value, pixels.ci90[1])
+        )
+        return Estimate(value, max(pixels.stderr, rows_error * rows / max(value, 1e-9) / 2), (low, high))
+    total, _ = robust_mean_square(values, dark.recording.count - 1.0)
+    pixel, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
+    count = values.size * (dark.recording.count - 1)
+    value = float(np.sqrt(max(total - step**2 / 12, 0)))
+    error = 0.5 * np.sqrt(2 / count) * total / max(value, 1e-9)
+    error = np.hypot(error, rows_error * max(total - pixel, 0) / max(value, 1e-9) / 2)
+    return normal_estimate(value, float(error))
 
 
 def _left_out(dark: FrameStatistics, c: int) -> str:
@@ -147,12 +156,13 @@ def _read_noise(
     if hidden_in_a_code(dark, step, c):
         return NotMeasurable(BELOW_A_CODE)
     if is_cut_off(dark, c):
-        return NotMeasurable("darks are cut off at black: raise the camera's offset and record darks again")
+        return NotMeasurable(CUT_OFF)
     square, stderr = mean_square_of(dark, c)
     return root(normal_estimate(square - step**2 / 12, stderr))
 
 
-def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
+def in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
+    """A measurement in DN as one in e-, the error of the gain in its interval."""
     if isinstance(value, NotMeasurable):
         return value
     if isinstance(line, NotMeasurable):
@@ -165,93 +175,6 @@ def _in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
         for end in value.ci90
     ]
     return Estimate(ratio, error, (max(ratio - float(sides[0]), 0.0), ratio + float(sides[1])))
-
-
-def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> TemporalParts:
-    """Temporal variances of one channel of a repeated recording, for `spatial_split`. relative: of the
-    signal, each frame divided by its mean above black, instead of DN."""
-    rows, columns = line_means(s, c)
-    square, keep = robust_mean_square(pixel_variance(s, c), s.dof)
-    if relative:
-        black = black_of(s.recording, c)
-        level = s.frame_means[:, c] - black
-        rows, columns = ((v - black) / level[:, None] for v in (rows, columns))
-        square /= float(1 / np.mean(1 / level)) ** 2
-    row, row_dof = temporal_mean_square(rows)
-    column, column_dof = temporal_mean_square(columns)
-    return TemporalParts(square, keep.sum() * s.dof, row, row_dof, column, column_dof, s.recording.count)
-
-
-def _dark_split(dark: FrameStatistics, c: int) -> Split:
-    _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
-    return spatial_split(site(dark.mean, c), keep & ~site(dark.clipped, c), temporal_parts(dark, c))
-
-
-def pattern_quantities(
-    name: str, c: int, line: Line | NotMeasurable, flats: list[FrameStatistics], dark: FrameStatistics | None,
-    black: PerChannel,
-) -> list[Quantity]:  # fmt: skip
-    """DSNU1288 and PRNU1288, whole and by rows, columns and pixels."""
-    out: list[Quantity] = []
-    split = None
-    parts = ("total", "row", "column", "pixel")
-    titles = {p: f"{{}}1288{'' if p == 'total' else f', {p}s'}" for p in parts}
-    for part in parts:
-        title = titles[part].format("DSNU")
-        if dark is None:
-            out.append(Quantity(title, "DN", name, NotMeasurable(RECORD_DARKS)))
-            continue
-        split = split or _dark_split(dark, c)
-        sigma = root(getattr(split, part))
-        out.append(Quantity(title, "DN", name, sigma))
-        if part == "total":
-            out.append(Quantity(title, "e-", name, _in_electrons(sigma, line)))
-    repeated = [s for s in flats if s.relative and s.variance is not None]
-    within = [s for s in repeated if is_below_rail(s, c)]
-    unlit = any(s.unlit is not None for s in flats)
-    lacking = NotMeasurable(UNLIT if unlit else DIMMER if repeated else RECORD_FLATS)
-    # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
-    flat = min(
-        within, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
-    )
-    for part in parts:
-        title = titles[part].format("PRNU")
-        if flat is None:
-            out.append(Quantity(title, "%", name, lacking))
-        else:
-            outcome, note = _prnu(flat, split, c, part, black)
-            out.append(Quantity(title, "%", name, outcome, note if part == "total" else ""))
-    return out
-
-
-def _prnu(
-    flat: FrameStatistics, dark: Split | None, c: int, part: str, black: PerChannel
-) -> tuple[Outcome, str]:
-    parts = temporal_parts(flat, c, relative=True)
-    level = flat.frame_means[:, c].mean() - black[c]
-    unsteady = np.sqrt(parts.row_mean) > _UNSTEADY
-    if unsteady and part == "row":
-        return NotMeasurable(
-            "the light flickers between rows: use direct-current light, or whole mains periods"
-        ), ""
-    gains = (site(flat.mean, c) - black[c]) / level
-    gains = gains - shading(gains)
-    if unsteady:
-        gains = gains - gains.mean(1, keepdims=True)
-    _, keep = robust_mean_square(
-        pixel_variance(flat, c) / np.maximum(site(flat.mean, c) - black[c], 1), flat.dof
-    )
-    split = spatial_split(gains, keep & below_rail(flat, c), parts)
-    found: Estimate = getattr(split, part)
-    if unsteady and part == "total":
-        found = total_of(split.column, split.pixel)
-    if dark is not None:
-        offset: Estimate = getattr(dark, part)
-        found = found.shifted(-max(offset.value, 0.0) / level**2)
-    note = f"at {level:.0f} DN, shading taken out" + (
-        "; rows left out: the light flickers" if unsteady else ""
-    )
-    return root(found).scaled(100.0), note
 
 
 def dark_current_quantities(
@@ -285,7 +208,7 @@ def saturation_quantities(
     note = f"codes pile up at {max(tops):.0f} DN"
     return [
         Quantity("saturation level", "DN", name, outcome, note),
-        Quantity("saturation level", "e-", name, _in_electrons(outcome, line)),
+        Quantity("saturation level", "e-", name, in_electrons(outcome, line)),
     ]
 
 
@@ -293,4 +216,6 @@ def line_noise_quantity(title: str, dark: FrameStatistics | None, axis: int) -> 
     """Temporal noise that whole rows (axis 0) or columns (axis 1) share."""
     if dark is None or dark.variance is None:
         return Quantity(title, "DN", "all", NotMeasurable(RECORD_DARKS))
+    if unchanging(dark):
+        return Quantity(title, "DN", "all", NotMeasurable(BELOW_A_CODE))
     return Quantity(title, "DN", "all", line_noise(dark, axis))

@@ -2,16 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from scipy import special
 
 from cannoise_jax.physics.core.rounding import COARSE, before_rounding, level_and_spread
 from cannoise_jax.physics.transfer.estimate import Estimate, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.rails import is_cut_off
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.codes import code_histograms
+from cannoise_jax.recordings.packing import ALL, site
+
+BELOW_A_CODE = (
+    "the noise of the darks is so far below a code that most of their pixels never change: record darks and "
+    "flats at a higher gain, or flats of several levels"
+)
+TOO_FEW_CODES = "the noise spans too few codes: record darks at a higher gain"
+_HALF = 0.5
+"""Noise, codes, from which the variance of a pixel depends on its place between codes by less than 3 %."""
+_DITHERED = 0.2
+"""Variance v of noise and pattern together, codes squared, from which rounded means follow an offset to
+within 4 %, 2 exp(-2 pi^2 v). A smaller one does not show: half of the values at the next code are of one
+sixth whatever the noise."""
+_OTHERS = 0.01
+"""Share of the values of darks at two neighbouring codes that may be elsewhere: hits and hot pixels are."""
+_TOLD = 10
+"""Values at the codes beside those two from which they tell the noise to some percent, if they are three
+times those at the next: hits and hot pixels fill all alike."""
+_SPARSE = 0.3
+"""Temporal variance, codes squared, below which the variances of single pixels are mostly 0 or of few kinds,
+so that outliers among them are told by their size."""
+_STILL = 1e-3
+"""Temporal variance of pixels that never change, codes squared: that of the frame's mean, which is taken
+out."""
+_UNSEEN = 3.0
+"""Values expected at a code where none is, with a chance of 5 %."""
 
 
 class QuietNoise(NamedTuple):
@@ -26,9 +55,11 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     the levels of these pixels; that variance less step^2 / 12 is something else."""
     if dark.variance is None or is_cut_off(dark, c):
         return None
-    square, stderr = mean_square_of(dark, c)
+    square, stderr = square_below_a_code(pixel_variance(dark, c), dark.dof, step)
     if not 0 < square < (COARSE**2 + 1 / 12) * step**2:
         return None
+    if (top := _most_at_two_codes(dark, step, c)) is not None:
+        return QuietNoise(Estimate(0.5 * top, top / np.sqrt(12), (0.0, top)), square)
     level, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
     read, low, high = (
         before_rounding(level, max(v, 1e-6 * step**2), step, spread)[1]
@@ -37,11 +68,92 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     return QuietNoise(normal_estimate(read, 0.5 * abs(high - low)), square)
 
 
+def _most_at_two_codes(dark: FrameStatistics, step: float, c: int) -> float | None:
+    """The most that the noise of darks at two neighbouring codes can be, DN, None of others. Such darks tell
+    the share of the upper code alone: of level l and noise s only (l - edge) / s, of any s up to where a
+    third code shows."""
+    counts = code_histograms(dark.recording.frames)
+    counts = np.pad(counts.sum(0) if c == ALL else counts[c], 3 * int(step))
+    codes = counts[int(np.argmax(counts)) % int(step) :: int(step)]
+    at = int(np.argmax(codes[:-1] + codes[1:]))
+    lower, upper = (int(v) for v in codes[at : at + 2])
+    third, fourth = (int(codes[at - k] + codes[at + 1 + k]) for k in (1, 2))
+    number = int(counts.sum())
+    others = number - lower - upper
+    if not lower or not upper or others > _OTHERS * number or third > max(_TOLD, 3 * fourth):
+        return None
+    # The edge between both lies `away` deviations from the level; the next, a code further, is not reached.
+    away = abs(float(special.ndtri(upper / (lower + upper))))
+    seen = -float(special.ndtri((third + _UNSEEN * (1 + np.sqrt(third))) / number))
+    return step / (seen + away)
+
+
+def square_below_a_code(variance: Float[np.ndarray, "h w"], dof: float, step: float) -> tuple[float, float]:
+    """Mean of the temporal variances of pixels, DN^2, and its error. Where most hardly ever change code,
+    those that do are no outliers."""
+    square, keep = robust_mean_square(variance, dof)
+    kept = variance[keep]
+    if square < _SPARSE * step**2:
+        kept = variance[variance < step**2]
+        square = float(kept.mean())
+    return square, float(kept.std() / np.sqrt(kept.size))
+
+
 def mean_square_of(dark: FrameStatistics, c: int) -> tuple[float, float]:
     """Temporal variance of one channel, DN^2, and its error."""
     variance = pixel_variance(dark, c)
     square, keep = robust_mean_square(variance, dark.dof)
     return square, float(variance[keep].std() / np.sqrt(keep.sum()))
+
+
+def unchanging(dark: FrameStatistics) -> bool:
+    """Whether most pixels of a dark are at one code in all frames: then what changes from frame to frame
+    shows in the few others alone."""
+    if dark.total is None:
+        return False
+    still = dark.total < _STILL * _step(dark) ** 2
+    return bool(np.mean(still & (dark.mean == np.median(dark.mean))) > 0.5)
+
+
+def coarse(dark: FrameStatistics) -> str:
+    """Why the noise of single pixels does not show in a repeated dark: it is below half a code, so that it
+    depends on how near to the next code each pixel is; empty where it is not."""
+    if dark.variance is None:
+        return ""
+    squares = [square_below_a_code(pixel_variance(dark, c), dark.dof, _step(dark))[0] for c in range(4)]
+    quiet = float(np.mean(squares)) < (_HALF**2 + 1 / 12) * _step(dark) ** 2
+    return TOO_FEW_CODES if quiet else ""
+
+
+def pattern_below_a_code(dark: FrameStatistics) -> str:
+    """Why a fixed pattern does not show in a repeated dark: it and the noise are so far below a code that
+    rounding makes another of it; empty where they are not."""
+    if dark.variance is None or not coarse(dark):
+        return ""
+    return "" if all(dither(dark, c) for c in range(4)) else BELOW_A_CODE
+
+
+def unseen_offsets(darks: Sequence[FrameStatistics]) -> float:
+    """Variance that the fixed offsets of pixels may have where no repeated dark shows them, DN^2; 0 where one
+    does, or none is given."""
+    repeated = [s for s in darks if s.variance is not None]
+    if not repeated or not all(pattern_below_a_code(s) for s in repeated):
+        return 0.0
+    return _DITHERED * max(_step(s) for s in repeated) ** 2
+
+
+def dither(s: FrameStatistics, c: int) -> float:
+    """Variance of what rounding sees of one channel, codes squared: noise and offsets of its pixels, without
+    those four codes away. 0 where it is too little to be told from what is stored."""
+    step, mean = _step(s), site(s.mean, c)
+    offsets = float(mean[np.abs(mean - np.median(mean)) < 4 * step].var())
+    square, _ = square_below_a_code(pixel_variance(s, c), s.dof, step)
+    found = (square * (1 - 1 / s.recording.count) + offsets) / step**2 - 1 / 12
+    return found if found > _DITHERED else 0.0
+
+
+def _step(s: FrameStatistics) -> float:
+    return max(s.code_step, 1.0)
 
 
 def hidden_in_a_code(dark: FrameStatistics, step: float, c: int) -> bool:

@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, Not
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.quiet import coarse
 from cannoise_jax.recordings.packing import site
 
 _SERIES = NotMeasurable(RECORD)
@@ -144,7 +145,10 @@ def _above_healthy(
     """Charge above the median pixel, e-, and the spread of the healthy pixels, from the quartiles."""
     charge, _ = charge_map(long, short, baseline)
     low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
-    return charge - middle, float(high - low) / 1.349
+    sigma = float(high - low) / 1.349
+    if coarse(long):  # means of pixels jump by codes
+        sigma = max(sigma, 0.5 * long.code_step / float(np.mean(baseline.gain)))
+    return charge - middle, sigma
 
 
 def hessian(

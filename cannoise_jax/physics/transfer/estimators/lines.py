@@ -16,6 +16,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
     Estimates,
+    NotMeasurable,
     heavy_dof,
     root,
     variance_difference,
@@ -32,6 +33,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     without_step,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.quiet import pattern_below_a_code
 from cannoise_jax.physics.transfer.spatial import correlation_loss, temporal_mean_square
 from cannoise_jax.recordings.packing import SITES
 
@@ -163,6 +165,8 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     dark = darkest(statistics)
     if dark is None:
         return repeated_darks(statistics)
+    if hidden := pattern_below_a_code(dark):
+        return NotMeasurable(hidden)
     offsets = row_offsets(dark) if axis == 0 else column_offsets(dark)
     frames, count = offsets.shape
     across = dark.recording.size[1 - axis]

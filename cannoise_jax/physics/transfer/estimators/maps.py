@@ -28,9 +28,11 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     steady_pixels,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, steady_frames
+from cannoise_jax.physics.transfer.quiet import coarse, pattern_below_a_code, unseen_offsets
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
 from cannoise_jax.recordings.packing import green_sites, site
+from cannoise_jax.recordings.recording import DARK
 
 _HOT = 6.0
 """Robust standard deviations: of a normal law one pixel in 5e8 lies as far out."""
@@ -91,6 +93,8 @@ def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     dark = darkest(statistics)
     if dark is None:
         return repeated_darks(statistics)
+    if hidden := pattern_below_a_code(dark):
+        return NotMeasurable(hidden)
     return {"sigma_dn": root(_pixel_part(offset_pattern(dark)))}
 
 
@@ -100,10 +104,11 @@ def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     flat, dark = brightest_flat(statistics), darkest(statistics)
     if flat is None:
         return REPEATED_FLATS
-    offsets = 0.0
+    offsets, relative = 0.0, float(np.mean(1 / np.square(flat.level)))
     if dark is not None:
-        offsets = _pixel_part(offset_pattern(dark)).value * float(np.mean(1 / np.square(flat.level)))
-    return {"sigma": root(_pixel_part(response_pattern(flat), max(offsets, 0.0)))}
+        offsets = _pixel_part(offset_pattern(dark)).value * relative
+    unseen = unseen_offsets([s for s in statistics if s.recording.kind in DARK]) * relative
+    return {"sigma": root(_pixel_part(response_pattern(flat), max(offsets, 0.0)).of_which(unseen))}
 
 
 def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -134,8 +139,8 @@ def pixel_read_noise_map(
         return repeated_darks(statistics, 4)
     if dark.recording.size[1] < _NARROWEST:
         return NotMeasurable(f"record frames of at least {_NARROWEST} columns")
-    if uneven := uneven_noise(dark):
-        return NotMeasurable(uneven)
+    if why := uneven_noise(dark) or coarse(dark):
+        return NotMeasurable(why)
     rounding = dark.code_step**2 / 12
     halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
     products, means = [], []

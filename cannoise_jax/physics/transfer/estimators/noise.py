@@ -27,6 +27,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
+from cannoise_jax.physics.transfer.quiet import TOO_FEW_CODES, coarse
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.recordings.codes import code_histograms
 from cannoise_jax.recordings.metadata import chunks
@@ -76,8 +77,8 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     dark = darkest(statistics)
     if dark is None:
         return repeated_darks(statistics)
-    if uneven := uneven_noise(dark):
-        return NotMeasurable(uneven)
+    if why := uneven_noise(dark) or coarse(dark):
+        return NotMeasurable(why)
     step = dark.code_step if dark.code_step > 0 else 1.0
     histograms = np.zeros((4, 1 << 16), np.int64)
     odd = odd_by_charge(dark, None if baseline is None else baseline.gain)
@@ -92,7 +93,7 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
             return NotMeasurable("every pixel is hit or warm: record shorter darks, or a larger frame")
         edges, counts = _classes(histogram, step)
         if len(counts) < 5:
-            return NotMeasurable("the noise spans too few codes: record darks at a higher gain")
+            return NotMeasurable(TOO_FEW_CODES)
         found.append(_tail_shape(edges, counts))
     return {"tukey_lambda": _weighted(found)}
 
@@ -104,8 +105,8 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 8:
         return repeated_darks(statistics, 8, 100)
-    if uneven := uneven_noise(dark):
-        return NotMeasurable(uneven)
+    if why := uneven_noise(dark) or coarse(dark):
+        return NotMeasurable(why)
     series, sigma = standardised(dark)
     series = series[:, ~pixels_in_order(odd_by_charge(dark, None if baseline is None else baseline.gain))]
     spread = series.std(0)

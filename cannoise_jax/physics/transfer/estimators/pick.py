@@ -11,6 +11,7 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.quiet import BELOW_A_CODE, unchanging
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
@@ -30,6 +31,8 @@ def repeated_darks(statistics: Sequence[FrameStatistics], least: int = 2, better
     if most is None:
         return NotMeasurable(f"record at least {least} frames with the cap on, better {better}")
     kinds = {"bias": "biases", "dark": "darks"}
+    if most.count >= least and darkest(statistics) is None:
+        return NotMeasurable(BELOW_A_CODE)
     given = f"1 {most.kind}" if most.count == 1 else f"{most.count} {kinds[most.kind]}"
     return NotMeasurable(
         f"record at least {least} frames of one exposure with the cap on, better {better}: {given} given"
@@ -37,10 +40,11 @@ def repeated_darks(statistics: Sequence[FrameStatistics], least: int = 2, better
 
 
 def darkest(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
-    """The repeated darks with the most frames; among equals the shortest exposure."""
+    """The repeated darks with the most frames; among equals the shortest exposure. Those whose noise does not
+    show do not count."""
     darks = [
-        s for s in statistics if s.recording.kind in DARK and s.variance is not None
-    ]  # fmt: skip
+        s for s in statistics if s.recording.kind in DARK and s.variance is not None and not unchanging(s)
+    ]
     return min(darks, key=lambda s: (-s.recording.count, s.recording.exposure_s or 0.0), default=None)
 
 
@@ -102,7 +106,7 @@ def mean_variance(s: FrameStatistics) -> tuple[float, float]:
     that its scatter is worth: what the noise of pixels leaves in means of rows and columns."""
     values = np.concatenate([pixel_variance(s, c).ravel() for c in range(4)])
     mean = float(values.mean())
-    return mean, 2 * mean**2 * values.size / max(float(values.var()), 1e-12)
+    return mean, max(2 * mean**2 * values.size / max(float(values.var()), 1e-12), 1.0)
 
 
 def row_offsets(s: FrameStatistics) -> Float[np.ndarray, "T H"]:

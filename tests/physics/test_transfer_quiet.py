@@ -1,0 +1,78 @@
+"""Darks that are quieter than a code: their noise, its interval, and the gain beside them"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+
+from cannoise_jax.commands.calibrate import calibrate
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+SIZE = (64, 96)
+
+
+def recording(kind: str, frames: np.ndarray) -> Recording:
+    codes = np.clip(np.rint(frames), 0, 255).astype(np.uint8)
+    return Recording(codes, "MONO", (4.0,) * 4, 255.0, "quiet", kind, exposure_s=0.01)
+
+
+def measured(level: float, read: float, gain: float = 0.02):
+    rng = np.random.default_rng(round(1000 * level + 100 * read))
+    noise = read * rng.standard_normal((2, 8, *SIZE))
+    flat = level + gain * rng.poisson(6000.0, (8, *SIZE)) + noise[1]
+    own = recording("dark", level + noise[0]), recording("flat", flat)
+    (transfer,) = photon_transfer(CaptureSet("quiet", own))
+    return of_all_pixels(transfer)
+
+
+@pytest.mark.parametrize("level", [10.0, 10.21, 10.37, 10.5, 10.93])
+@pytest.mark.parametrize("read", [0.05, 0.12, 0.2, 0.27, 0.35])
+def test_the_interval_holds_the_noise_before_rounding(level, read):
+    found = measured(level, read)
+    for name in ("temporal dark noise", "temporal dark noise, rows included"):
+        (noise,) = found.outcomes(name, "DN")
+        if isinstance(noise, Estimate):
+            assert noise.ci90[0] - 0.03 * read <= read <= noise.ci90[1] + 0.03 * read, name
+    (gain,) = found.outcomes("system gain")
+    if isinstance(gain, Estimate):
+        assert gain.value == pytest.approx(0.02, rel=0.03)
+
+
+def test_noise_that_shows_at_two_codes_alone_is_bounded_from_above_only():
+    (noise,) = measured(10.5, 0.12).outcomes("temporal dark noise", "DN")
+    assert isinstance(noise, Estimate) and noise.ci90[0] == 0 and 0.12 < noise.ci90[1] < 0.3
+    (noise,) = measured(10.5, 0.35).outcomes("temporal dark noise", "DN")
+    assert isinstance(noise, Estimate) and noise.value == pytest.approx(0.35, rel=0.05)
+
+
+@pytest.mark.parametrize("level", [10.0, 10.3, 10.5])
+@pytest.mark.parametrize("read, pattern", [(0.05, 0.0), (0.05, 0.3), (0.12, 0.3), (0.2, 0.0), (0.3, 0.3)])
+def test_nothing_is_found_that_rounding_alone_makes(level, read, pattern):
+    """Noise of single pixels, patterns, hot pixels, a dark current: all of them look like what rounds."""
+    rng = np.random.default_rng(7)
+    offsets = level + pattern * rng.standard_normal(SIZE)
+    own = []
+    for seconds in (0.01, 1.0, 30.0):
+        noise = read * rng.standard_normal((2, 8, *SIZE))
+        dark = recording("dark", offsets + noise[0])
+        flat = recording("flat", offsets + 0.05 * rng.poisson(1000 + 50 * seconds, (8, *SIZE)) + noise[1])
+        own += [dataclasses.replace(r, exposure_s=seconds) for r in (dark, flat)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        (transfer,), findings = calibrate(CaptureSet("quiet", tuple(own)))
+    found = set()
+    for finding in findings:
+        if not isinstance(finding.estimates, NotMeasurable):
+            strength = next(iter(finding.estimates.values()))
+            if strength.significant and strength.by_chance < BY_CHANCE:
+                found.add(finding.mechanism)
+    assert found <= ({"dsnu"} if pattern else set())
+    for gain in transfer.outcomes("system gain"):
+        if isinstance(gain, Estimate):
+            assert gain.value == pytest.approx(0.05, rel=0.06)
