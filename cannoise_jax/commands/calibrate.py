@@ -66,7 +66,7 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"bin/calibrate: {line}", file=sys.stderr, flush=True)
 
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
-    from cannoise_jax.physics.transfer.model import format_findings, sensor_model
+    from cannoise_jax.physics.transfer.model import format_findings, sensor_model, smoothed
     from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
     from cannoise_jax.physics.transfer.table import format_transfer
     from cannoise_jax.recordings.atomic import texts_in_place
@@ -79,6 +79,8 @@ def _run(arguments: argparse.Namespace) -> int:
         print(format_transfer(transfer), end="\n\n")
     if findings:
         print(format_findings(findings), end="\n\n")
+    if note := smoothed(model, transfers, findings):
+        print(note, end="\n\n")
     texts = _texts(beside, model.camera, shown, capture)
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)

@@ -15,6 +15,7 @@ from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, with_all_sites
+from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channels_of, of_all_pixels
 from cannoise_jax.physics.transfer.table import format_outcome
 from cannoise_jax.recordings.packing import ALL, site
@@ -129,8 +130,9 @@ def _linearity(
     out: dict[str, Any] = {"seconds": seconds.tolist(), "signal": [], "fit": [], "deviation": [], "error": []}
     for c in channels:
         signal = np.array([s.frame_means[:, c].mean() - black[c] for s in flats])
-        # Saturation is where codes pile up, which may be below the white level.
-        top = min([white, *(s.high[c] for s in flats if np.isfinite(s.high[c]))]) - black[c]
+        # Saturation is where codes pile up or pixels are full, which may be below the white level.
+        ends = (s.high[c] for s in flats if np.isfinite(s.high[c]))
+        top = min([white, full_signal(flats, c), *ends]) - black[c]
         judged = (signal > _RANGE[0] * top) & (signal < _RANGE[1] * top)
         judged = judged if judged.sum() >= 3 else signal > 0
         design = np.stack([np.ones_like(seconds), seconds], -1)[judged] / signal[judged, None]

@@ -27,6 +27,7 @@ from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge, noise
 from cannoise_jax.physics.transfer.estimators import glow as glows
+from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
@@ -191,14 +192,12 @@ def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
 
 def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """Fixed sensitivities of the pixels, in units of their rms."""
-    flat, dark = brightest_flat(seen.statistics), darkest(seen.statistics)
+    flat = brightest_flat(seen.statistics)
     if flat is None:
         return {}
-    found, dark_pattern = response_pattern(flat), np.zeros(flat.mean.shape)
-    if dark is not None:
-        dark_pattern = offset_pattern(dark).pixels / float(np.mean(flat.level))
+    found = response_pattern(flat, dark_map(seen.statistics, flat))
     rest = seen.draw(found.pixels.shape)
-    field = shrunk(found.pixels - dark_pattern, values["sigma"], found.noise, rest)
+    field = shrunk(found.pixels, values["sigma"], found.noise, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 
@@ -207,7 +206,7 @@ def column_response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarr
     flat = brightest_flat(seen.statistics)
     if flat is None:
         return {}
-    found = response_pattern(flat)
+    found = response_pattern(flat, dark_map(seen.statistics, flat))
     height, width = found.pixels.shape
     share = float(np.mean(found.pixels[found.keep] ** 2)) / height
     field = shrunk(found.columns.mean(0), values["sigma"], share, seen.draw((width,)))

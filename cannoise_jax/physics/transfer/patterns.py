@@ -3,11 +3,16 @@ release 4.0), whole and by rows, columns and pixels."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
+
 import numpy as np
 
-from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, root
+from cannoise_jax.physics.transfer.estimate import NotMeasurable, Outcome, root
+from cannoise_jax.physics.transfer.estimators.dark_map import DarkMap, dark_map
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
+from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quantities import (
     CUT_OFF,
     DIMMER,
@@ -65,8 +70,8 @@ def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
 
 
 def pattern_quantities(
-    name: str, c: int, line: Line | NotMeasurable, flats: list[FrameStatistics], dark: FrameStatistics | None,
-    black: PerChannel,
+    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
+    dark: FrameStatistics | None, black: PerChannel,
 ) -> list[Quantity]:  # fmt: skip
     """DSNU1288 and PRNU1288, whole and by rows, columns and pixels."""
     out: list[Quantity] = []
@@ -84,52 +89,71 @@ def pattern_quantities(
         out.append(Quantity(title, "DN", name, sigma))
         if part == "total":
             out.append(Quantity(title, "e-", name, in_electrons(sigma, line)))
+    flats = [s for s in statistics if s.recording.kind == "flat"]
     repeated = [s for s in flats if s.relative and s.variance is not None]
-    within = [s for s in repeated if is_below_rail(s, c)]
+    full = full_signal(flats, c)
+    within = [s for s in repeated if is_below_rail(s, c) and below_full(s, full, black[c], c)]
     unlit = any(s.unlit is not None for s in flats)
     lacking = NotMeasurable(UNLIT if unlit else DIMMER if repeated else RECORD_FLATS)
     # EMVA 1288: at half of saturation; here the recorded flat nearest to it.
     flat = min(
-        within, key=lambda s: abs(s.level[c] / (s.recording.white_level - black[c]) - 0.5), default=None
+        within,
+        key=lambda s: abs(s.level[c] / (min(s.recording.white_level, full) - black[c]) - 0.5),
+        default=None,
     )
+    unseen = 0.0 if dark is None else unseen_offsets([dark])
+    found = None if flat is None else _prnu(flat, dark_map(statistics, flat), unseen, c, black)
     for part in parts:
         title = titles[part].format("PRNU")
-        if flat is None:
+        if found is None:
             out.append(Quantity(title, "%", name, lacking))
         else:
-            offsets = split if isinstance(split, Split) else None
-            unseen = 0.0 if dark is None else unseen_offsets([dark])
-            outcome, note = _prnu(flat, offsets, unseen, c, part, black)
+            outcome, note = found[part]
             out.append(Quantity(title, "%", name, outcome, note if part == "total" else ""))
     return out
 
 
 def _prnu(
-    flat: FrameStatistics, dark: Split | None, unseen: float, c: int, part: str, black: PerChannel
-) -> tuple[Outcome, str]:
+    flat: FrameStatistics, dark: DarkMap | None, unseen: float, c: int, black: PerChannel
+) -> dict[str, tuple[Outcome, str]]:
+    """The relative sensitivities by parts, with a note. dark: what to take out pixel by pixel; unseen:
+    variance of offsets that no dark shows, DN^2."""
     parts = temporal_parts(flat, c, relative=True)
     level = flat.frame_means[:, c].mean() - black[c]
     unsteady = np.sqrt(parts.row_mean) > _UNSTEADY
-    if unsteady and part == "row":
-        return NotMeasurable(
-            "the light flickers between rows: use direct-current light, or whole mains periods"
-        ), ""
-    gains = (site(flat.mean, c) - black[c]) / level
+    signal = site(flat.mean, c) - black[c]
+    _, keep = robust_mean_square(pixel_variance(flat, c) / np.maximum(signal, 1), flat.dof)
+    keep &= below_rail(flat, c)
+    if dark is not None:
+        signal, keep = signal - site(dark.offsets, c), keep & site(dark.keep, c)
+        parts = _beside_dark(parts, dark, c, level)
+    gains = signal / level
     gains = gains - shading(gains)
     if unsteady:
         gains = gains - gains.mean(1, keepdims=True)
-    _, keep = robust_mean_square(
-        pixel_variance(flat, c) / np.maximum(site(flat.mean, c) - black[c], 1), flat.dof
-    )
-    split = spatial_split(gains, keep & below_rail(flat, c), parts)
-    found: Estimate = getattr(split, part)
-    if unsteady and part == "total":
-        found = total_of(split.column, split.pixel)
-    if dark is not None:
-        offset: Estimate = getattr(dark, part)
-        found = found.shifted(-max(offset.value, 0.0) / level**2)
-    found = found.of_which(unseen / level**2)
+    split = spatial_split(gains, keep, parts)
+    found = split._asdict()
+    if unsteady:
+        found["total"] = total_of(split.column, split.pixel)
     note = f"at {level:.0f} DN, shading taken out" + (
         "; rows left out: the light flickers" if unsteady else ""
     )
-    return root(found).scaled(100.0), note
+    out: dict[str, tuple[Outcome, str]] = {
+        part: (root(estimate.of_which(unseen / level**2)).scaled(100.0), note)
+        for part, estimate in found.items()
+    }
+    if unsteady:
+        lacking = "the light flickers between rows: use direct-current light, or whole mains periods"
+        out["row"] = NotMeasurable(lacking), ""
+    return out
+
+
+def _beside_dark(parts: TemporalParts, dark: DarkMap, c: int, level: float) -> TemporalParts:
+    """The temporal variances of a flat with those that the average of the dark holds."""
+    pixel, row, column = parts.pixel, parts.row_mean, parts.column_mean
+    for s, weight in dark.darks:
+        own, share = temporal_parts(s, c), weight**2 / level**2 * parts.frames / s.recording.count
+        pixel += share * own.pixel
+        row += share * own.row_mean
+        column += share * own.column_mean
+    return dataclasses.replace(parts, pixel=pixel, row_mean=row, column_mean=column)

@@ -16,7 +16,7 @@ import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, reference_dark
-from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
 from cannoise_jax.physics.transfer.frames import (
     FrameStatistics,
@@ -25,6 +25,7 @@ from cannoise_jax.physics.transfer.frames import (
     pixel_variance,
     with_all_sites,
 )
+from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.patterns import pattern_quantities
 from cannoise_jax.physics.transfer.quantities import (
     DIMMER,
@@ -148,10 +149,9 @@ def _channel_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
     dark: FrameStatistics | None, black: Black,
 ) -> list[Quantity]:  # fmt: skip
-    flats = [s for s in statistics if s.recording.kind == "flat"]
     return [
-        *noise_quantities(name, c, line, lit_of(statistics), dark, _code_step(statistics), black),
-        *pattern_quantities(name, c, line, flats, dark, black.level),
+        *noise_quantities(name, c, line, statistics, dark, _code_step(statistics), black),
+        *pattern_quantities(name, c, line, statistics, dark, black.level),
         *dark_current_quantities(name, c, line, statistics),
         *saturation_quantities(name, c, line, statistics, black.level),
     ]
@@ -188,9 +188,11 @@ def _levels(
     lit: list[FrameStatistics], dark: FrameStatistics | None, black: PerChannel, step: float, c: int
 ) -> list[ChannelMaps]:
     levels = []
+    full = full_signal(lit, c)
     within = [
         s for s in lit
         if s.variance is not None and s.level[c] < LINEAR * (s.recording.white_level - black[c])
+        and below_full(s, full, black[c], c)
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
@@ -204,7 +206,10 @@ def _levels(
         usable, variance = ~site(dark.clipped, c), pixel_variance(dark, c)
         if quiet := noise_below_a_code(dark, step, c):
             # Rounding adds step^2 / 12 to flats, and something else to noise of less than a code.
-            variance = variance + (quiet.read.value**2 + step**2 / 12 - quiet.square)
+            own = quiet.read.value**2 + step**2 / 12
+            variance = variance + (own - quiet.square)
+            if hidden_in_a_code(dark, step, c):  # most pixels are at a code where values pile up
+                usable, variance = np.ones(usable.shape, bool), np.full(variance.shape, own)
         levels.append(ChannelMaps(zero, variance, usable, dark.recording.count, dark.dof, True))
     return levels
 
@@ -226,7 +231,13 @@ def _line(
         return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, step, c) else UNSURE)
     if line.dropped > SET_ASIDE and any(s.recording.kind == "scene" for s in lit):
         return NotMeasurable(f"{100 * line.dropped:.0f} % of pixels change by more than noise: {STILL}")
-    return line
+    quiet = None if dark is None else noise_below_a_code(dark, step, c)
+    if quiet is None or quiet.read.ci90[0] > 0:
+        return line
+    # Of the darks' variance only the most that it can be is known.
+    brightest = max(float(np.median(level.signal)) for level in levels)
+    doubt = 0.5 * quiet.read.ci90[1] ** 2 / brightest
+    return replace(line, slope=normal_estimate(line.slope.value, float(np.hypot(line.slope.stderr, doubt))))
 
 
 def _baseline(

@@ -25,6 +25,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
     hidden_in_a_code,
@@ -34,6 +35,7 @@ from cannoise_jax.physics.transfer.quiet import (
     unchanging,
 )
 from cannoise_jax.physics.transfer.rails import is_cut_off
+from cannoise_jax.physics.transfer.several_gains import uneven_gain
 from cannoise_jax.physics.transfer.straight import bends
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
@@ -67,8 +69,8 @@ class Quantity:
 
 
 def noise_quantities(
-    name: str, c: int, line: Line | NotMeasurable, lit: list, dark: FrameStatistics | None, step: float,
-    black: Black,
+    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
+    dark: FrameStatistics | None, step: float, black: Black,
 ) -> list[Quantity]:  # fmt: skip
     """Black level, gain, and temporal noise in the dark."""
     out: list[Quantity] = []
@@ -84,7 +86,8 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        note = "; ".join(filter(None, (set_aside(line), bends(lit, black.level, c))))
+        odd = bends(statistics, black.level, c) or uneven_gain(statistics, c)
+        note = "; ".join(filter(None, (set_aside(line), odd)))
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     sigma = _read_noise(line, dark, step, c)
@@ -197,17 +200,17 @@ def dark_current_quantities(
 def saturation_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics], black: PerChannel
 ) -> list[Quantity]:
-    """The level at which codes pile up, above black."""
+    """The level at which codes pile up, or else pixels are full, above black."""
     tops = [s.high[c] for s in statistics if np.isfinite(s.high[c])]
-    if not tops:
+    full, half = full_signal(statistics, c), max([s.code_step for s in statistics], default=1.0) / 2
+    end, said = (max(tops), "codes pile up") if tops else (full, "the noise of the flats collapses")
+    if not np.isfinite(end):
         missing = NotMeasurable("no pixel reached its end: record a flat that saturates")
         return [Quantity("saturation level", unit, name, missing) for unit in ("DN", "e-")]
-    value = max(tops) - black[c]
-    step = max([s.code_step for s in statistics], default=1.0)
-    outcome = Estimate(value, step / np.sqrt(12), (value - step / 2, value + step / 2))
-    note = f"codes pile up at {max(tops):.0f} DN"
+    value = end - black[c]
+    outcome = Estimate(value, half / np.sqrt(3), (value - half, value + half))
     return [
-        Quantity("saturation level", "DN", name, outcome, note),
+        Quantity("saturation level", "DN", name, outcome, f"{said} at {end:.0f} DN"),
         Quantity("saturation level", "e-", name, in_electrons(outcome, line)),
     ]
 

@@ -53,10 +53,11 @@ class QuietNoise(NamedTuple):
 def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise | None:
     """The noise of darks that are quieter than about a code, None of others: what rounds to their variance at
     the levels of these pixels; that variance less step^2 / 12 is something else."""
-    if dark.variance is None or is_cut_off(dark, c):
+    hidden = hidden_in_a_code(dark, step, c)
+    if dark.variance is None or (is_cut_off(dark, c) and not hidden):
         return None
     square, stderr = square_below_a_code(pixel_variance(dark, c), dark.dof, step)
-    if not 0 < square < (COARSE**2 + 1 / 12) * step**2:
+    if not hidden and not 0 < square < (COARSE**2 + 1 / 12) * step**2:
         return None
     if (top := _most_at_two_codes(dark, step, c)) is not None:
         return QuietNoise(Estimate(0.5 * top, top / np.sqrt(12), (0.0, top)), square)
@@ -69,7 +70,7 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
 
 
 def _most_at_two_codes(dark: FrameStatistics, step: float, c: int) -> float | None:
-    """The most that the noise of darks at two neighbouring codes can be, DN, None of others. Such darks tell
+    """The most that the noise of darks at one code or two neighbours can be, DN, None of others. They tell
     the share of the upper code alone: of level l and noise s only (l - edge) / s, of any s up to where a
     third code shows."""
     counts = code_histograms(dark.recording.frames)
@@ -80,11 +81,13 @@ def _most_at_two_codes(dark: FrameStatistics, step: float, c: int) -> float | No
     third, fourth = (int(codes[at - k] + codes[at + 1 + k]) for k in (1, 2))
     number = int(counts.sum())
     others = number - lower - upper
-    if not lower or not upper or others > _OTHERS * number or third > max(_TOLD, 3 * fourth):
+    if others > _OTHERS * number or third > max(_TOLD, 3 * fourth):
         return None
+    seen = -float(special.ndtri((third + _UNSEEN * (1 + np.sqrt(third))) / number))
+    if not lower or not upper:  # the level lies half a code from either edge at best
+        return 0.5 * step / seen
     # The edge between both lies `away` deviations from the level; the next, a code further, is not reached.
     away = abs(float(special.ndtri(upper / (lower + upper))))
-    seen = -float(special.ndtri((third + _UNSEEN * (1 + np.sqrt(third))) / number))
     return step / (seen + away)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.black import reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance, pixel_variance
+from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.rails import LINEAR, below_rail
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
@@ -22,6 +23,8 @@ _SIGMAS = 6.0
 """Standard errors by which they have to differ beyond that."""
 _SYSTEMATIC = 0.02
 """Relative error of a gain besides that of its noise."""
+_UNEVEN = 0.05
+"""Logarithm of the ratio of gains from which their difference is worth saying."""
 _SAME_S = 1.05
 """Ratio of exposures up to which a dark is as long as a flat."""
 _ENOUGH = 0.05
@@ -70,6 +73,30 @@ def several_gains(statistics: Sequence[FrameStatistics]) -> str:
     )
 
 
+def uneven_gain(statistics: Sequence[FrameStatistics], c: int) -> str:
+    """Between which gains the flats of one channel lie, each by itself, where no straight line of photon
+    transfer is through them; empty where one is. Full flats do not count."""
+    dark, lit = reference_dark(statistics), [s for s in statistics if s.recording.kind == "flat"]
+    if dark is None:
+        return ""
+    full, black = full_signal(lit, c), float(dark.frame_means[:, c].mean())
+    flats = [s for s in lit if s.variance is not None and below_full(s, full, black, c)]
+    seen = [
+        g for s in flats if (g := _gain(s, _dark_of(s, statistics, dark), (c,))) is not None and g.straight
+    ]
+    if len(seen) < 2:
+        return ""
+    low, high = (pick(seen, key=lambda g: g.value) for pick in (min, max))
+    room = _SIGMAS * float(np.hypot(low.error, high.error))
+    if np.log(high.value / low.value) < max(room, _UNEVEN):
+        return ""
+    return (
+        f"flats of {low.signal:.0f} DN show {low.value:.3g} DN/e-, of {high.signal:.0f} DN {high.value:.3g}: "
+        "not one straight line, so that the gain is neither (a response that bends, two gains in one frame, "
+        "light that changes)"
+    )
+
+
 def _steady(seen: Sequence[_Gain]) -> bool:
     """Whether the gains of three flats or more rise, or fall, from each signal to the next."""
     gains = np.array([g.value for g in sorted(seen, key=lambda g: g.signal)])
@@ -98,12 +125,12 @@ def _dark_of(
     return max(alike, key=lambda s: s.recording.count, default=reference)
 
 
-def _gain(flat: FrameStatistics, dark: FrameStatistics) -> _Gain | None:
+def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] = range(4)) -> _Gain | None:
     """Variance over signal, both less those of the dark, of the median pixel; None for flats without light,
     or of too few pixels."""
     gains, signals, errors = [], [], []
     straight = True
-    for c in range(4):
+    for c in channels:
         usable = below_rail(flat, c)
         if usable.mean() < _ENOUGH:
             return None
@@ -121,5 +148,5 @@ def _gain(flat: FrameStatistics, dark: FrameStatistics) -> _Gain | None:
         # The median of a mean square is worth 0.6 of the mean.
         errors.append(np.sqrt(2 / (0.6 * usable.sum() * flat.dof)) * (1 + read / shot))
         signals.append(signal)
-    error = float(np.hypot(np.mean(errors) / 2, _SYSTEMATIC))
+    error = float(np.hypot(np.mean(errors) / np.sqrt(len(errors)), _SYSTEMATIC))
     return _Gain(flat, float(np.mean(gains)), error, min(signals), straight)

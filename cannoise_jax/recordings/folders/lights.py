@@ -16,6 +16,8 @@ from cannoise_jax.recordings.folders.shots import Shot
 JUMP = 0.1
 """Levels above black that lie further apart than this share are of two lights. Lamps flicker by less, and a
 sky that changes so much from one frame to the next gives no repeats."""
+_STAIRS = 3.0
+"""Times the spread of the levels of one light by which those of the next have to lie apart."""
 DRIFT = 3.0
 """Times the dimmest level, up to which frames that all differ are of a light that drifts, as a sky at dusk:
 scaled to one level they still show their noise."""
@@ -41,10 +43,28 @@ def by_light(shots: Sequence[Shot], black: float) -> list[list[Shot]]:
         if _jumps(levels[dim], levels[bright], single[bright]):
             parts.append([])
         parts[-1].append(bright)
+    parts = [finer for part in parts for finer in _steps(part, levels, single[part[0]].step)]
     drifts = levels[order[-1]] < DRIFT * levels[order[0]]
     if drifts and not any(sum(single[i].frames for i in part) > 1 for part in parts):
         return [list(shots)]
     return [_together([single[i] for i in sorted(part)]) for part in parts]
+
+
+def _steps(part: list[int], levels: Sequence[float], step: float) -> list[list[int]]:
+    """Numbers of shots, by level, parted further where they are a staircase of close steps: three lights or
+    more, most of them of two shots or more taken one after the other, apart by several times what shots of
+    one light differ."""
+    gaps = np.diff([levels[n] for n in part])
+    order = np.argsort(-gaps)
+    for cuts in range(2, len(part) // 2 + 1):
+        apart, within = gaps[order[cuts - 1]], gaps[order[cuts]] if cuts < len(gaps) else 0.0
+        if apart <= _STAIRS * max(within, step):
+            continue
+        stairs = [list(p) for p in np.split(np.array(part), np.sort(order[:cuts]) + 1)]
+        in_turn = all(max(stair) - min(stair) == len(stair) - 1 for stair in stairs)
+        if in_turn and np.median([len(stair) for stair in stairs]) >= 2:
+            return stairs
+    return [part]
 
 
 def _jumps(dim: float, bright: float, shot: Shot) -> bool:

@@ -7,13 +7,12 @@ import shutil
 
 import numpy as np
 import pytest
-import tifffile
 from astropy.io import fits
 
 from cannoise_jax import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.folders.plan import check, plan_folder, text
-from cannoise_jax.recordings.folders.store import Options, capture_of, recording_of, write_plan
+from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
@@ -136,51 +135,6 @@ def test_filters_are_recordings_of_their_own(tmp_path):
         shot(tmp_path / f"flat_r{n}.fits", "flat", IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100",
              FILTER="R")  # fmt: skip
     assert labels(plan_folder(tmp_path)) == {"flat_2s_Ha-7nm": 2, "flat_2s_R": 2, "dark_60s": 2, "bias": 2}
-
-
-def test_flats_of_one_exposure_under_several_lights_are_recordings_of_their_own(tmp_path):
-    night(tmp_path)
-    for electrons in (150, 900, 4000.0 * 1.05, 16000):
-        for n in (1, 2):
-            shot(tmp_path / f"flat_{electrons:.0f}_{n}.fits", "flat", electrons=electrons * (1 + 0.02 * n),
-                 IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100")  # fmt: skip
-    # The two of the night have 4000 electrons: between the lamps' 4200 and them lies less than a tenth.
-    made = labels(plan_folder(tmp_path))
-    assert sorted(count for name, count in made.items() if name.startswith("flat_2s")) == [2, 2, 2, 4]
-
-
-def test_flats_of_a_sky_that_changes_from_frame_to_frame_stay_together(tmp_path):
-    night(tmp_path)
-    for n in range(5):
-        shot(tmp_path / f"flat_b{n}.fits", "flat", electrons=4000 * 1.3**n, FILTER="B",
-             IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme 100")  # fmt: skip
-    assert labels(plan_folder(tmp_path))["flat_2s_B"] == 5
-
-
-def pages(path, levels, seed=0):
-    """A stack of one page for each number of electrons, 2 DN/e- above 1000 DN."""
-    rng = np.random.default_rng(seed)
-    light = np.asarray(levels, float)[:, None, None] + np.zeros((len(levels), 24, 32))
-    values = np.rint(1000 + 2 * rng.poisson(light) + rng.normal(0, 4, light.shape)).astype(np.uint16)
-    tifffile.imwrite(path, values, photometric="minisblack")
-
-
-def test_pages_of_several_lights_are_recordings_of_their_own(tmp_path):
-    pages(tmp_path / "flat_series.tif", (500, 500, 4000, 4000, 4000))
-    pages(tmp_path / "flat_channels.tif", (1000, 2000) * 3, seed=1)
-    pages(tmp_path / "dark.tif", (0,) * 4, seed=2)
-    plan = plan_folder(tmp_path, {"camera": "scope"})
-    lit = {g.label: (g.frames, [s.title for s in g.shots]) for g in plan.sets[0].groups if g.kind == "flat"}
-    assert sorted(lit.values()) == [
-        (2, ["flat_series.tif (pages 1, 2)"]),
-        (3, ["flat_channels.tif (pages 1, 3, 5)"]),
-        (3, ["flat_channels.tif (pages 2, 4, 6)"]),
-        (3, ["flat_series.tif (pages 3, 4, 5)"]),
-    ]
-    for group in (g for g in plan.sets[0].groups if g.kind == "flat"):
-        frames = recording_of(group, plan.sets[0], plan.overrides).frames[:]
-        assert frames.shape[0] == group.frames
-        assert np.ptp(np.median(frames, (1, 2))) < 0.1 * np.median(frames)
 
 
 def test_numbered_offsets_are_biases_and_settings_are_none(tmp_path):

@@ -147,7 +147,7 @@ def _above_healthy(
     low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
     sigma = float(high - low) / 1.349
     if coarse(long):  # means of pixels jump by codes
-        sigma = max(sigma, 0.5 * long.code_step / float(np.mean(baseline.gain)))
+        sigma = max(sigma, 0.5 * max(long.code_step, 1.0) / float(np.mean(baseline.gain)))
     return charge - middle, sigma
 
 

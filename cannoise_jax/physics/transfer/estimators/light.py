@@ -24,6 +24,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import Recording
@@ -102,7 +103,10 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
         light = np.array([_exposure(s.recording) for s in flats], np.float64)
         signal = np.array([s.frame_means[:, c].mean() for s in flats]) - black
         error = np.array([mean_error(s, c) for s in flats])
-        use = signal < 0.95 * (white - black)
+        full = full_signal(flats, c)
+        use = (signal < 0.95 * (white - black)) & [
+            below_full(s, full, b, c) for s, b in zip(flats, black, strict=True)
+        ]
         if use.sum() < 3:
             continue
         # signal = g x - a x^2 with loss = a (W - b) / g^2.
@@ -151,7 +155,8 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         )
     weight = 1 / np.square([e for _, e in found])
     value = float(np.sum(weight * [v for v, _ in found]) / weight.sum())
-    return {"full_well_e": normal_estimate(value, float(weight.sum() ** -0.5))}
+    relative = float(np.linalg.norm(np.divide(baseline.gain_stderr, baseline.gain)) / 4)
+    return {"full_well_e": normal_estimate(value, float(np.hypot(weight.sum() ** -0.5, relative * value)))}
 
 
 def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:

@@ -18,6 +18,7 @@ from cannoise_jax.physics.transfer.estimate import (
     root,
     variance_difference,
 )
+from cannoise_jax.physics.transfer.estimators.dark_map import HOT, DarkMap, dark_map
 from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
@@ -34,8 +35,6 @@ from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_lo
 from cannoise_jax.recordings.packing import green_sites, site
 from cannoise_jax.recordings.recording import DARK
 
-_HOT = 6.0
-"""Robust standard deviations: of a normal law one pixel in 5e8 lies as far out."""
 _FEWEST = 16
 """Pixels of a channel that say anything of a spread over pixels."""
 _NARROWEST = 8
@@ -67,25 +66,29 @@ def offset_pattern(dark: FrameStatistics) -> Pattern:
     variance, dof = pooled_variance(dark)
     keep = steady_pixels(dark)
     offsets, _ = _split(dark.mean, keep)
-    keep &= np.abs(offsets) < _HOT * robust_std(offsets[keep], 0)
+    keep &= np.abs(offsets) < HOT * robust_std(offsets[keep], 0)
     pixels, columns = _split(dark.mean, keep)
     return Pattern(pixels, columns, keep, variance / dark.recording.count, dof)
 
 
-def response_pattern(flat: FrameStatistics) -> Pattern:
-    """The fixed relative sensitivities of a flat; smooth shading is taken out."""
+def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
+    """The fixed relative sensitivities of a flat less its dark; smooth shading is taken out."""
     relative = np.empty(flat.mean.shape)
-    keep = steady_pixels(flat)
+    keep = steady_pixels(flat) if dark is None else steady_pixels(flat) & dark.keep
     noise, dof = 0.0, 0.0
     for c in range(4):
         level = flat.level[c]
-        gains = (site(flat.mean, c) - flat.recording.black_level[c]) / level
+        signal = site(flat.mean, c) - flat.recording.black_level[c]
+        if dark is not None:
+            signal = signal - site(dark.offsets, c)
+        gains = signal / level
         site(relative, c)[...] = gains - shading(gains)
         variance = pixel_variance(flat, c)[site(keep, c)]
-        noise += float(variance.mean()) / level**2 / 4
+        left = float(variance.mean()) / flat.recording.count + (0.0 if dark is None else dark.noise(c))
+        noise += left / level**2 / 4
         dof += variance.size * flat.dof
     pixels, columns = _split(relative, keep)
-    return Pattern(pixels, columns, keep, noise / flat.recording.count, dof, SHADING_DEGREE)
+    return Pattern(pixels, columns, keep, noise, dof, SHADING_DEGREE)
 
 
 def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -99,29 +102,29 @@ def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
 
 
 def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """sigma of the pixels' relative sensitivity, from a flat; the fixed offsets of the dark, where there is
-    one, are taken out of it."""
-    flat, dark = brightest_flat(statistics), darkest(statistics)
+    """sigma of the pixels' relative sensitivity, from a flat less what the darks show at its exposure."""
+    flat = brightest_flat(statistics)
     if flat is None:
         return REPEATED_FLATS
-    offsets, relative = 0.0, float(np.mean(1 / np.square(flat.level)))
-    if dark is not None:
-        offsets = _pixel_part(offset_pattern(dark)).value * relative
-    unseen = unseen_offsets([s for s in statistics if s.recording.kind in DARK]) * relative
-    return {"sigma": root(_pixel_part(response_pattern(flat), max(offsets, 0.0)).of_which(unseen))}
+    pixels = _pixel_part(response_pattern(flat, dark_map(statistics, flat)))
+    return {"sigma": root(pixels.of_which(_unseen(statistics, flat)))}
 
 
 def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma of the columns' relative gain, from a flat: variance of column means less the pixels' share."""
-    flat, dark = brightest_flat(statistics), darkest(statistics)
+    flat = brightest_flat(statistics)
     if flat is None:
         return REPEATED_FLATS
     if flat.recording.size[1] < _COLUMNS:
         return NotMeasurable(f"record frames of at least {_COLUMNS} columns")
-    offsets = 0.0
-    if dark is not None:
-        offsets = _column_part(offset_pattern(dark)).value / float(np.mean(flat.level)) ** 2
-    return {"sigma": root(_column_part(response_pattern(flat), max(offsets, 0.0)))}
+    columns = _column_part(response_pattern(flat, dark_map(statistics, flat)))
+    return {"sigma": root(columns.of_which(_unseen(statistics, flat)))}
+
+
+def _unseen(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> float:
+    """Relative variance of offsets in a flat that no dark shows."""
+    unseen = unseen_offsets([s for s in statistics if s.recording.kind in DARK])
+    return unseen * float(np.mean(1 / np.square(flat.level)))
 
 
 def pixel_read_noise_map(
@@ -211,15 +214,21 @@ def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Est
     if not greens:
         return NotMeasurable("the sensor has no colours, so no two greens", answered=True)
     first, second = greens
-    # Lamp drift hits both greens alike, so the difference of logs is taken frame by frame.
     black = np.asarray(flat.recording.black_level)
-    levels = flat.frame_means - black
-    logs = np.log(levels[:, first] / levels[:, second])
+    signal = np.empty(flat.mean.shape)
+    for c in range(4):
+        site(signal, c)[...] = site(flat.mean, c) - black[c]
+    # Against the four of the other green around each, so that light that leans does not tell them apart.
+    around = (signal[:-2, :-2] + signal[:-2, 2:] + signal[2:, :-2] + signal[2:, 2:]) / 4
+    own, other = np.full(signal.shape, np.nan), np.full(signal.shape, np.nan)
+    own[1:-1, 1:-1], other[1:-1, 1:-1] = signal[1:-1, 1:-1], around
+    ratios = [float(np.nanmean(site(own, c)) / np.nanmean(site(other, c))) for c in (first, second)]
+    ratio = np.log(ratios[0] / ratios[1]) / 2
     spread = 0.0
     for c in (first, second):
         gains = (site(flat.mean, c) - black[c]) / flat.level[c]
         spread += float(np.var(gains - shading(gains))) / gains.size
-    return {"sigma": normal_estimate(float(np.tanh(logs.mean() / 2)), float(np.sqrt(spread)) / 2)}
+    return {"sigma": normal_estimate(float(np.tanh(ratio / 2)), float(np.sqrt(spread)) / 2)}
 
 
 def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray]:
@@ -237,17 +246,17 @@ def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> t
     return pixels, columns
 
 
-def _pixel_part(pattern: Pattern, other: float = 0.0) -> Estimate:
-    """Variance of the pixels' own fixed pattern; other: known variance that is no part of it."""
+def _pixel_part(pattern: Pattern) -> Estimate:
+    """Variance of the pixels' own fixed pattern."""
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
     count = max(inside.size - 2 * (height + width) + 4, 1)
     square = float(np.sum(inside**2)) / count
-    return variance_difference(square, heavy_dof(inside, count), pattern.noise + other, pattern.noise_dof)
+    return variance_difference(square, heavy_dof(inside, count), pattern.noise, pattern.noise_dof)
 
 
-def _column_part(pattern: Pattern, other: float = 0.0) -> Estimate:
-    """Variance of the fixed pattern of columns, both row parities of a column together; other: as above."""
+def _column_part(pattern: Pattern) -> Estimate:
+    """Variance of the fixed pattern of columns, both row parities of a column together."""
     means = pattern.columns.mean(0)
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
@@ -255,4 +264,4 @@ def _column_part(pattern: Pattern, other: float = 0.0) -> Estimate:
     # Channel means, and the smooth shading of a flat, have been taken out of both sets of columns.
     count = width - 2 * (pattern.smooth + 1)
     dof = max(heavy_dof(means, count) / correlation_loss(means[None]), 2.0)
-    return variance_difference(float(np.sum(means**2)) / count, dof, share + other, inside.size)
+    return variance_difference(float(np.sum(means**2)) / count, dof, share, inside.size)

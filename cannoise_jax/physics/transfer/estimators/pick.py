@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, pixel_variance
+from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quiet import BELOW_A_CODE, unchanging
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
@@ -55,10 +56,12 @@ def darks_by_exposure(statistics: Sequence[FrameStatistics]) -> list[FrameStatis
 
 
 def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
-    """The brightest repeated flat of which hardly a pixel is clipped."""
+    """The brightest repeated flat of which hardly a pixel is clipped or full."""
+    full = [full_signal(statistics, c) for c in range(4)]
     flats = [
         s for s in statistics
         if s.recording.kind == "flat" and s.variance is not None and s.clipped.mean() < 1e-3
+        and all(below_full(s, full[c], black_of(s.recording, c), c) for c in range(4))
     ]  # fmt: skip
     return max(flats, key=lambda s: float(np.mean(s.level)), default=None)
 

@@ -1,0 +1,115 @@
+"""PRNU and gain beside hot pixels, uneven dark current, pixels that are full and light that leans"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
+from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.full_well import full_signal
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
+from cannoise_jax.recordings.recording import Recording
+
+SIZE, GAIN, READ_E, BLACK, PRNU = (64, 96), 0.5, 4.0, 100.0, 0.008
+
+
+class Camera:
+    """A camera in plain NumPy. rates: dark current of every pixel, e-/s; full: charge at which pixels end."""
+
+    def __init__(self, seed, rates=0.0, full=np.inf, cfa="MONO", curve=lambda x: x):
+        self.rng = np.random.default_rng(seed)
+        self.response = 1 + PRNU * self.rng.standard_normal(SIZE)
+        self.rates, self.full, self.cfa, self.curve = rates, full, cfa, curve
+
+    def taken(self, kind, light, seconds, frames=8):
+        charge = self.rng.poisson(light * self.response + self.rates * seconds, (frames, *SIZE))
+        volts = self.curve(np.minimum(charge, self.full)) + READ_E * self.rng.standard_normal((frames, *SIZE))
+        codes = np.clip(np.rint(BLACK + GAIN * volts), 0, 4095).astype(np.uint16)
+        recording = Recording(codes, self.cfa, (BLACK,) * 4, 4095.0, "made", kind, exposure_s=seconds)
+        return frame_statistics(recording)
+
+
+def prnu_of(statistics):
+    transfer = transfer_at(statistics)
+    (table,) = of_all_pixels(transfer).outcomes("PRNU1288")
+    found = MECHANISMS["prnu"].estimator(transfer.statistics, transfer.baseline)["sigma"]
+    return table.value / 100, found.value
+
+
+@pytest.mark.parametrize("darks", [(4.0,), (1.0, 20.0), (1.0, 4.0, 20.0)])
+def test_hot_pixels_and_uneven_dark_current_are_no_prnu(darks):
+    rng = np.random.default_rng(1)
+    rates = 30 * np.exp(0.3 * rng.standard_normal(SIZE)) + rng.exponential(60, SIZE) * (
+        rng.random(SIZE) < 0.02
+    )
+    camera = Camera(2, rates)
+    statistics = [camera.taken("flat", 3000.0, 4.0)] + [camera.taken("dark", 0.0, t) for t in darks]
+    for found in prnu_of(statistics):
+        assert found == pytest.approx(camera.response.std(), rel=0.06)
+
+
+def test_a_dark_between_two_exposures_is_made_of_both():
+    rates = np.random.default_rng(3).uniform(0, 40, SIZE)
+    camera = Camera(4, rates)
+    flat, *darks = (
+        camera.taken("flat", 2000.0, 10.0),
+        camera.taken("bias", 0, 0.0),
+        camera.taken("dark", 0, 30.0),
+    )
+    found = dark_map([flat, *darks], flat)
+    assert [round(w, 3) for _, w in found.darks] == [0.667, 0.333]
+    truth = GAIN * 10 * (rates - rates.mean())
+    left = (found.offsets - truth)[found.keep]
+    assert left.std() < 3 * np.sqrt(np.mean([found.noise(c) for c in range(4)]))
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.02, 0.05])
+def test_pixels_that_are_full_below_the_highest_code_are_told_by_their_noise(spread):
+    full = 5000 * (1 + spread * np.random.default_rng(5).standard_normal(SIZE))
+    camera = Camera(6, full=full)
+    times = (0.1, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
+    statistics = [camera.taken("flat", 1000.0 * t, t) for t in times] + [
+        camera.taken("dark", 0.0, t) for t in (0.1, 2.0, 8.0)
+    ]
+    assert full_signal(statistics, 0) == pytest.approx(BLACK + GAIN * 5000, rel=0.01)
+    for found in prnu_of(statistics):
+        assert found == pytest.approx(PRNU, rel=0.06)
+    transfer = transfer_at(statistics)
+    (end,) = of_all_pixels(transfer).outcomes("saturation level", "DN")
+    assert isinstance(end, Estimate) and end.value == pytest.approx(GAIN * 5000, rel=0.01)
+    bent = MECHANISMS["nonlinearity"].estimator(transfer.statistics, transfer.baseline)
+    assert not isinstance(bent, NotMeasurable) and abs(bent["loss"].value) < 0.005
+    full_well = MECHANISMS["saturation"].estimator(transfer.statistics, transfer.baseline)["full_well_e"]
+    assert full_well.ci90[0] < 5000 * 1.005 and full_well.ci90[1] > 5000 * 0.995
+
+
+def test_no_flat_is_full_where_the_response_bends():
+    camera = Camera(7, curve=lambda x: x - 0.4 * x**2 / 8000)
+    flats = [camera.taken("flat", light, 1.0) for light in (500.0, 2000.0, 4000.0, 7500.0)]
+    assert full_signal(flats, 0) == float("inf")
+
+
+def test_light_that_leans_is_no_difference_of_the_greens():
+    camera = Camera(8, cfa="RGGB")
+    lean = np.add.outer(np.linspace(0.7, 1.3, SIZE[0]), np.linspace(-0.3, 0.3, SIZE[1]))
+    dark = camera.taken("dark", 0.0, 1.0)
+    for unlike in (0.0, 0.01):
+        greens = np.ones(SIZE)
+        greens[::2, 1::2] += unlike  # twice sigma apart, beside red
+        statistics = [camera.taken("flat", 2500 * lean * greens, 1.0), dark]
+        found = MECHANISMS["green_imbalance"].estimator(statistics, None)["sigma"]
+        assert found.value == pytest.approx(unlike / 2, abs=4e-4) and found.significant == bool(unlike)
+
+
+def test_flats_through_which_no_line_goes_are_said():
+    """Two gains in one frame, as sensors of high dynamic range have: above a level the noise is another."""
+    rng = np.random.default_rng(9)
+    plain, odd = Camera(9), Camera(10, curve=lambda x: x + 30 * (x > 1500) * rng.standard_normal(x.shape))
+    for camera, said in ((plain, False), (odd, True)):
+        flats = [camera.taken("flat", light, 1.0) for light in (800.0, 2000.0, 4000.0)]
+        shown = of_all_pixels(transfer_at([*flats, camera.taken("dark", 0.0, 1.0)]))
+        (note,) = [q.note for q in shown.quantities if q.name == "system gain"]
+        assert ("not one straight line" in note) == said
