@@ -38,6 +38,8 @@ not dark charge that grows."""
 _FEWEST = 3
 _MOST_APART = 0.25
 """Share of the frames up to which those of another noise are left out and the others surely the rule."""
+_ABOVE = 3.0
+"""Noises by which louder darks have to be brighter for light to be the likely reason."""
 _MOST_NUMBERS = 4
 
 
@@ -55,13 +57,15 @@ class Apart(NamedTuple):
     """Frames of another temporal noise than most of their recording.
 
     numbers: which, from 0. others: those of one noise. ratio: their noise over that of the others (standard
-    deviations), the furthest from one. few: whether the others are surely the rule.
+    deviations), the furthest from one. few: whether the others are surely the rule. lit: whether they are
+    darks that are brighter too.
     """
 
     numbers: tuple[int, ...]
     others: tuple[int, ...]
     ratio: float
     few: bool
+    lit: bool
 
 
 def apart(recording: Recording) -> Apart | None:
@@ -73,6 +77,7 @@ def apart(recording: Recording) -> Apart | None:
     centre = float(np.median(variances))
     if centre <= 0:
         return None
+    seen = signal
     if recording.kind == "bias" or (recording.kind == "dark" and _in_two(signal)):
         signal = np.zeros_like(signal)
     coarse = _CODES * _step(recording) ** 2
@@ -87,7 +92,9 @@ def apart(recording: Recording) -> Apart | None:
     ratios = np.sqrt(np.maximum(variances[odd], 0.0) / np.median(variances[others]))
     furthest = int(np.argmax(np.abs(np.log(np.maximum(ratios, 1e-3)))))
     few = len(odd) <= _MOST_APART * len(variances)
-    return Apart(tuple(odd.tolist()), tuple(others.tolist()), float(ratios[furthest]), few)
+    above = float(np.median(seen[odd]) - np.median(seen[others]))
+    lit = recording.kind in DARK and above > _ABOVE * np.sqrt(centre) and ratios[furthest] > 1
+    return Apart(tuple(odd.tolist()), tuple(others.tolist()), float(ratios[furthest]), few, lit)
 
 
 def words(recording: Recording, found: Apart, number: Sequence[int]) -> str:
@@ -95,14 +102,15 @@ def words(recording: Recording, found: Apart, number: Sequence[int]) -> str:
     the file counts them, from 0."""
     odd, others = found.numbers, found.others
     names = _short(recording.sources) if len(recording.sources) == recording.count else ()
-    is_average = " an average, or" if found.ratio < 1 else ""
+    reason = " light reached them (they are brighter too), or" if found.lit else ""
+    reason = " an average, or" if found.ratio < 1 else reason
     which = numbered([number[k] + 1 for k in odd])
     which += f" ({names[odd[0]]}{f' and {len(odd) - 1} more' if len(odd) > 1 else ''})" if names else ""
     beside = f" ({names[others[0]]} ...)" if names else ""
     has = "has" if len(odd) == 1 else "have"
     return (
         f"{recording.path or recording.camera}: {which} {has} {found.ratio:.2g} times the temporal noise "
-        f"of the other {len(others)}{beside}:{is_average} another gain setting"
+        f"of the other {len(others)}{beside}:{reason} another gain setting"
     )
 
 

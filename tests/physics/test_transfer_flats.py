@@ -49,6 +49,9 @@ def test_hot_pixels_and_uneven_dark_current_are_no_prnu(darks):
     statistics = [camera.taken("flat", 3000.0, 4.0)] + [camera.taken("dark", 0.0, t) for t in darks]
     for found in prnu_of(statistics):
         assert found == pytest.approx(camera.response.std(), rel=0.06)
+    notes = {q.name: q.note for q in of_all_pixels(transfer_at(statistics)).quantities}
+    assert "as EMVA 1288 has it" in notes["DSNU1288"]
+    assert len(darks) < 3 or "their dark currents differ" in notes["dark current, by mean"]
 
 
 def test_a_dark_between_two_exposures_is_made_of_both():

@@ -32,7 +32,7 @@ def measured(level: float, read: float, gain: float = 0.02):
 
 
 @pytest.mark.parametrize("level", [10.0, 10.21, 10.37, 10.5, 10.93])
-@pytest.mark.parametrize("read", [0.05, 0.12, 0.2, 0.27, 0.35])
+@pytest.mark.parametrize("read", [0.05, 0.12, 0.27])
 def test_the_interval_holds_the_noise_before_rounding(level, read):
     found = measured(level, read)
     for name in ("temporal dark noise", "temporal dark noise, rows included"):
@@ -51,8 +51,8 @@ def test_noise_that_shows_at_two_codes_alone_is_bounded_from_above_only():
     assert isinstance(noise, Estimate) and noise.value == pytest.approx(0.35, rel=0.05)
 
 
-@pytest.mark.parametrize("level", [10.0, 10.3, 10.5])
-@pytest.mark.parametrize("read, pattern", [(0.05, 0.0), (0.05, 0.3), (0.12, 0.3), (0.2, 0.0), (0.3, 0.3)])
+@pytest.mark.parametrize("level", [10.0, 10.5])
+@pytest.mark.parametrize("read, pattern", [(0.05, 0.0), (0.12, 0.3), (0.2, 0.0), (0.3, 0.3)])
 def test_nothing_is_found_that_rounding_alone_makes(level, read, pattern):
     """Noise of single pixels, patterns, hot pixels, a dark current: all of them look like what rounds."""
     rng = np.random.default_rng(7)

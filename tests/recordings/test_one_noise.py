@@ -42,6 +42,13 @@ def test_a_file_is_named_where_every_frame_has_one():
     assert "frame 2 (1.fits) has 3." in lines[1] and "of the other 4 (2.fits ...)" in lines[1]
 
 
+def test_darks_that_light_reached_are_named_as_what_they_are():
+    own = frames(0, 8)
+    own[1::2] = frames(1, 4, electrons=400.0)
+    with pytest.raises(BadInput, match=r"light reached them \(they are brighter too\), or another gain"):
+        usable(CaptureSet("c", (recording(own),)))
+
+
 @pytest.mark.parametrize(("low", "high"), [(4, 4), (2, 4), (1, 2)])
 def test_two_gain_settings_of_which_none_is_the_rule_are_refused(low, high):
     both = np.concatenate([frames(0, low, gain=0.4), frames(1, high, gain=1.6)])

@@ -18,7 +18,7 @@ from cannoise_jax.physics.core.rounding import mean_bias, variance_bias
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
-from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.fit import median_quotient, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.quiet import dither
 from cannoise_jax.recordings.packing import site
@@ -27,6 +27,8 @@ RECORD = (
     "record darks at three or more exposure times, the longest some tens of seconds, 2 frames each or more"
 )
 _HOT = 6.0  # robust standard deviations above the median of the longest dark
+_UNLIKE = 3.0
+"""Times the pattern of the shortest dark from which that of the longest is the spread of dark currents."""
 _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
 
 
@@ -72,6 +74,25 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
         error = np.hypot(error, step**2 * variance_bias(seen))
         rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
     return Series(*np.array(rows, np.float64).T)
+
+
+def unlike_charge(darks: Sequence[FrameStatistics], channel: int) -> str:
+    """How the fixed pattern of a channel's ordinary pixels grows from the shortest dark to the longest, where
+    their dark currents differ; empty where they do not."""
+    known = [s for s in darks if s.variance is not None and s.recording.exposure_s is not None]
+    ends = [pick(known, key=lambda s: s.recording.exposure_s or 0.0) for pick in (min, max)]
+    patterns = []
+    for s in ends:
+        noise = float(np.median(pixel_variance(s, channel))) / median_quotient(s.dof) / s.recording.count
+        mean = site(s.mean, channel)
+        patterns.append(max(robust_std(mean, float(np.median(mean))) ** 2 - noise, noise) ** 0.5)
+    if patterns[1] < _UNLIKE * patterns[0]:
+        return ""
+    said = [f"{p:.3g} DN at {s.recording.exposure_s:g} s" for p, s in zip(patterns, ends, strict=True)]
+    return (
+        f"the fixed pattern of ordinary pixels grows from {said[0]} to {said[1]}: their dark currents "
+        "differ, which the camera model has of hot pixels alone"
+    )
 
 
 def _second(seconds: Collection[float | None]) -> str:

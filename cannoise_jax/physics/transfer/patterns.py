@@ -40,6 +40,8 @@ from cannoise_jax.physics.transfer.unlit import UNLIT
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel
 
+_OTHER = 1.2
+"""Times the pattern without hot and loud pixels from which that of all is said beside it."""
 _UNSTEADY = 0.01
 """Relative temporal modulation of rows above which fixed row patterns of a flat are hidden."""
 
@@ -69,6 +71,16 @@ def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
     return spatial_split(site(dark.mean, c), keep, temporal_parts(dark, c))
 
 
+def _left_out(dark: FrameStatistics, sigma: float, c: int) -> str:
+    """What the pattern of all pixels is, where hot and loud ones that are left out make another of it."""
+    pixels = ~site(dark.clipped, c)
+    noise = float(pixel_variance(dark, c)[pixels].mean()) / dark.recording.count
+    whole = float(np.sqrt(max(site(dark.mean, c)[pixels].var() - noise, 0.0)))
+    if whole < _OTHER * sigma:
+        return ""
+    return f"without pixels that are hot or far noisier; {whole:.3g} DN with them, as EMVA 1288 has it"
+
+
 def pattern_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
     dark: FrameStatistics | None, black: PerChannel,
@@ -86,7 +98,8 @@ def pattern_quantities(
             out.append(Quantity(title, "DN", name, split))
             continue
         sigma = root(getattr(split, part))
-        out.append(Quantity(title, "DN", name, sigma))
+        note = _left_out(dark, sigma.value, c) if part == "total" and dark is not None else ""
+        out.append(Quantity(title, "DN", name, sigma, note))
         if part == "total":
             out.append(Quantity(title, "e-", name, in_electrons(sigma, line)))
     flats = [s for s in statistics if s.recording.kind == "flat"]

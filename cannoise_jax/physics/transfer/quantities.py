@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.black import Black
-from cannoise_jax.physics.transfer.dark import dark_currents, dark_series
+from cannoise_jax.physics.transfer.dark import dark_currents, dark_series, unlike_charge
 from cannoise_jax.physics.transfer.estimate import (
     Z90,
     Estimate,
@@ -191,6 +191,7 @@ def dark_current_quantities(
         return [Quantity(title, "e-/s", name, series) for title in names]
     assert isinstance(line, Line)
     by_mean, by_variance, _, note = dark_currents(series, line.slope.stderr / line.slope.value)
+    note = "; ".join(filter(None, (note, unlike_charge(darks, c))))
     return [
         Quantity(names[0], "e-/s", name, by_mean, note),
         Quantity(names[1], "e-/s", name, by_variance),
