@@ -15,6 +15,8 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 _COLLAPSED = 0.25
 """Variance of a full flat over that of a dimmer one, at most: shot noise grows with the signal, and of a
 response that lacks 40 % at its end a third is left."""
+_ENOUGH = 1 << 14
+"""Pixels whose median variance is known to 2 %."""
 NEARLY = 0.9
 """Share of the full signal up to which hardly a pixel is full: full wells spread by a few per cent."""
 
@@ -23,12 +25,17 @@ def full_signal(lit: Sequence[FrameStatistics], c: int) -> float:
     """Mean of the fullest flat of one channel, DN; infinite where none is full."""
     flats = [s for s in lit if s.recording.kind == "flat" and s.variance is not None]
     means = np.array([float(s.frame_means[:, c].mean()) for s in flats])
-    noises = np.array([float(np.median(pixel_variance(s, c))) for s in flats])
+    noises = np.array([_noise(s, c) for s in flats])
     full = [
         bool((noises[means < mean] > noise / _COLLAPSED).any())
         for mean, noise in zip(means, noises, strict=True)
     ]
     return float(means[full].max()) if any(full) else float("inf")
+
+
+def _noise(s: FrameStatistics, c: int) -> float:
+    variance = pixel_variance(s, c).ravel()
+    return float(np.median(variance[:: max(variance.size // _ENOUGH, 1)]))
 
 
 def below_full(s: FrameStatistics, full: float, black: float, c: int) -> bool:
