@@ -50,8 +50,17 @@ def test_hot_pixels_and_uneven_dark_current_are_no_prnu(darks):
     for found in prnu_of(statistics):
         assert found == pytest.approx(camera.response.std(), rel=0.06)
     notes = {q.name: q.note for q in of_all_pixels(transfer_at(statistics)).quantities}
-    assert "as EMVA 1288 has it" in notes["DSNU1288"]
     assert len(darks) < 3 or "their dark currents differ" in notes["dark current, by mean"]
+
+
+def test_the_pattern_with_hot_pixels_is_said_beside_that_without():
+    rng = np.random.default_rng(11)
+    camera = Camera(12, rng.exponential(60, SIZE) * (rng.random(SIZE) < 0.02))
+    dark = camera.taken("dark", 0.0, 4.0)
+    shown = of_all_pixels(transfer_at([camera.taken("flat", 3000.0, 4.0), dark]))
+    (note,) = [q.note for q in shown.quantities if q.name == "DSNU1288" and q.unit == "DN"]
+    said = float(note.split("; ")[1].split(" DN with them")[0])
+    assert said == pytest.approx(dark.mean.std(), rel=0.02)
 
 
 def test_a_dark_between_two_exposures_is_made_of_both():
