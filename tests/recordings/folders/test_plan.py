@@ -385,7 +385,7 @@ def test_files_of_one_value_are_left_out_and_said(tmp_path):
 
 def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_path):
     folder = night(tmp_path / "in")
-    for name, seconds in (("a", {"EXPTIME": "1,5"}), ("b\n", {"EXPTIME": 2.0, "EXPOSURE": 20.0})):
+    for name, seconds in (("a", {"EXPTIME": "1,500"}), ("b\n", {"EXPTIME": 2.0, "EXPOSURE": 20.0})):
         shot(folder / f"dark_{name}.fits", "dark", IMAGETYP="Dark", INSTRUME="Acme 100", **seconds)
     (folder / "night before").symlink_to(tmp_path)  # and back in here
     (folder / "darks of June").symlink_to(tmp_path / "gone")
@@ -393,7 +393,7 @@ def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_pa
     plan = plan_folder(folder)
     assert "darks of June: not read, a link to nothing" in notes(plan)
     assert "not read: 1 .bz2 (unpack them)" in notes(plan)
-    assert "dark_a.fits: EXPTIME '1,5': no time: not used" in notes(plan)
+    assert "dark_a.fits: EXPTIME '1,500': no time: not used" in notes(plan)
     assert "EXPTIME 2 s and EXPOSURE 20 s contradict: EXPTIME 2 s is used" in notes(plan)
     assert "night before: not read, links to folders are not followed" in notes(plan)
     assert "dark_b .fits" in text(plan) and len(plan.shots) == 8
