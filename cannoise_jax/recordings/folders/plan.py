@@ -15,7 +15,7 @@ from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_
 from cannoise_jax.recordings.folders.lacks import NO_LIGHT, lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.names import listed
-from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan, unmatched
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
@@ -64,8 +64,10 @@ def plan_folder(
     Raises BadInput where the folder holds nothing that can be read.
     """
     overrides = {k: v for k, v in (overrides or {}).items() if v is not None}
+    leave_out = tuple(leave_out)
     found = scan(folder, leave_out, tell, overrides)
     notes, problems = _notes(found), _failures(found)
+    notes += [f"--leave-out {p}: no file of such a name" for p in unmatched(folder, leave_out)]
     stated: set[str] = set()
     for pattern, kind in assign:
         fitting = {s.name for s in found.shots if matches(s.name, pattern)}

@@ -153,6 +153,15 @@ def matches(name: str, pattern: str) -> bool:
     return fnmatch(name, pattern) or any(fnmatch(part, pattern) for part in parts)
 
 
+def unmatched(folder: Path, patterns: Iterable[str]) -> list[str]:
+    """The patterns that fit nothing below a folder."""
+    left = list(patterns)
+    for root, folders, names in os.walk(folder) if left else ():
+        found = [(Path(root) / n).relative_to(folder).as_posix() for n in (*folders, *names)]
+        left = [p for p in left if not any(matches(name, p) for name in found)]
+    return left
+
+
 def _files(
     folder: Path, leave_out: tuple[str, ...], unread: dict[str, int], links: list[str], lost: list[str]
 ) -> Iterator[Path]:
