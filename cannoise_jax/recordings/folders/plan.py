@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings.folders.exposures import judged_exposures
+from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import NO_LIGHT, lacks
@@ -80,6 +80,8 @@ def plan_folder(
     if "exposure_s" not in overrides:
         usable, doubtful = judged_exposures(usable, kinds)
         notes += doubtful
+    elif overrides["exposure_s"] == 0:
+        problems += exposed(kinds)
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
     camera = next(iter(named)) if len(named) == 1 else folder_name(Path(folder))
     if usable and not named and "camera" not in overrides:
