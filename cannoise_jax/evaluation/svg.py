@@ -55,11 +55,11 @@ def plot(series: Sequence[Series], x_label: str, y_label: str, *, log_x=False, l
         else:
             parts += [f'<circle class="dot {style}" cx="{x:.1f}" cy="{y:.1f}" r="3"/>' for x, y in at]
     labelled = list({s.label: s for s in kept if s.label}.values())
-    left, top = _free_corner(kept, paths, [s.label for s in labelled], left)
+    edge, top = _free_corner(kept, paths, [s.label for s in labelled], left)
     for n, s in enumerate(labelled):
         y = top + 12 + _LINE * n
-        parts.append(f'<rect class="key c{s.colour}" x="{left + 8}" y="{y - 7}" width="12" height="4"/>')
-        parts.append(f'<text class="legend" x="{left + 25}" y="{y - 1}">{escape(s.label)}</text>')
+        parts.append(f'<rect class="key c{s.colour}" x="{edge + 8}" y="{y - 7}" width="12" height="4"/>')
+        parts.append(f'<text class="legend" x="{edge + 25}" y="{y - 1}">{escape(s.label)}</text>')
     return "\n".join([*parts, "</svg>"])
 
 

@@ -41,8 +41,8 @@ def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
         values[name] = value
         said += [words] if words else []
     cfa, light = {**values, **overrides}.get("cfa"), _light(loose)
-    if cfa is not None and light is not None and (words := greens_apart(light, cfa)):
-        said.append(words)
+    if cfa is not None and light is not None and (wrong := greens_apart(light, cfa)):
+        said.append(wrong)
     black, white = ({**values, **overrides}.get(n) for n in ("black_level", "white_level"))
     if overrides.get("black_level") is not None and min(per_channel(overrides["black_level"])) < 0:
         missing.append(
