@@ -23,6 +23,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
+from cannoise_jax.recordings.fits_cards import plain_cards
 from cannoise_jax.recordings.fits_chain import MOST_UNITS, check_headers
 from cannoise_jax.recordings.fits_header import about_of, known_of, section
 from cannoise_jax.recordings.fits_mosaic import assembled
@@ -83,7 +84,7 @@ def open_fits(path: str | Path) -> Opened:
         hdu = file[number]
         header = hdu.header.copy()
         if number:  # the camera is often named in the primary header alone
-            header = fits.Header({**_plain(file[0].header), **_plain(header)})
+            header = fits.Header(list({**plain_cards(file[0].header), **plain_cards(header)}.values()))
         shape = hdu.shape if len(hdu.shape) == 3 else (1, *hdu.shape)
         if len(shape) != 3:
             raise BadInput(f"{path}: image has shape {hdu.shape}: expected one mosaic or a cube of them")
@@ -106,10 +107,6 @@ def open_fits(path: str | Path) -> Opened:
         about["bits"] = 8
     read = partial(_read, str(path), number, len(hdu.shape), upside_down, kept)
     return Opened(LazyArray(read, shape, np.dtype(np.uint16)), known, about)
-
-
-def _plain(header: fits.Header) -> dict[str, Any]:
-    return {k: v for k, v in header.items() if k and k not in ("COMMENT", "HISTORY", "END")}
 
 
 @contextlib.contextmanager

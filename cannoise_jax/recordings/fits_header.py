@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from cannoise_jax.recordings.fits_cards import EXPOSURES, exposures_in, number_in, text_in
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 from cannoise_jax.recordings.packing import to_shifted_cfa
 from cannoise_jax.recordings.recording import COLDEST_C
@@ -23,7 +24,6 @@ _NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
 _KINDS = (("bias", "bias"), ("zero", "bias"), ("offset", "bias"), ("dark", "dark"), ("flat", "flat"))
 _SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
 _ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
-_EXPOSURE = ("EXPTIME", "EXPOSURE", "EXP_TIME")
 _EGAIN = ("EGAIN", "E-GAIN")
 _COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
 
@@ -43,9 +43,9 @@ _NO_COLOURS = ("", "MONO", "NONE", "MONOCHROME", "GRAY", "GREY", "GRAYSCALE", "G
 
 def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a recording that a header states."""
-    pattern = _text(header, "BAYERPAT", "COLORTYP").upper()
+    pattern = text_in(header, "BAYERPAT", "COLORTYP").upper()
     shift = _whole(header, "YBAYROFF"), _whole(header, "XBAYROFF")
-    camera = _text(header, "INSTRUME", "CAMERA", "DETNAM") or None
+    camera = text_in(header, "INSTRUME", "CAMERA", "DETNAM") or None
     # What is neither a cell of 2x2 nor a word for none is handed on, to be refused by what it says.
     cfa = None if pattern in _NO_COLOURS else pattern
     if cfa is not None and len(cfa) == 4:
@@ -55,18 +55,18 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
     ):
         cfa = "MONO"
     decibels = gain_db(header, camera)
-    iso = _number(header, _ISO, 1)
-    image_type = _text(header, "IMAGETYP", "FRAME", "OBSTYPE")
+    iso = number_in(header, _ISO, 1)
+    image_type = text_in(header, "IMAGETYP", "FRAME", "OBSTYPE")
     return {
         "cfa": cfa,
-        "white_level": _number(header, ("SATURATE", "SATLEVEL"), 1),
+        "white_level": number_in(header, ("SATURATE", "SATLEVEL"), 1),
         "camera": camera,
         "kind": kind_of(image_type) if image_type else None,
         "iso": 100 * 10 ** (decibels / 20) if iso is None and decibels is not None else iso,
         "gain_db": decibels if iso is None else None,
         "egain": _egain(header, decibels is not None or iso is not None),
-        "exposure_s": _number(header, _EXPOSURE, 0),
-        "temperature_c": _number(
+        "exposure_s": next(iter(exposures_in(header).values()), None),
+        "temperature_c": number_in(
             header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), COLDEST_C
         ),
     }
@@ -74,35 +74,35 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
 
 def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
     """What a header states beside the fields of a recording, see `opened.Opened`."""
-    camera = _text(header, "INSTRUME", "CAMERA", "DETNAM") or None
-    scaled = gain_db(header, camera) is not None or _number(header, _ISO, 1) is not None
-    gain = _number(header, ("GAIN",), 0)
-    if _number(header, _EGAIN, 1e-6) is None and _egain(header, scaled) is not None:
+    camera = text_in(header, "INSTRUME", "CAMERA", "DETNAM") or None
+    scaled = gain_db(header, camera) is not None or number_in(header, _ISO, 1) is not None
+    gain = number_in(header, ("GAIN",), 0)
+    if number_in(header, _EGAIN, 1e-6) is None and _egain(header, scaled) is not None:
         gain = None
-    frames = _number(header, _COMBINED, 2)
-    image_type = _text(header, "IMAGETYP", "FRAME", "OBSTYPE")
+    frames = number_in(header, _COMBINED, 2)
+    image_type = text_in(header, "IMAGETYP", "FRAME", "OBSTYPE")
     words = next((w for w in ("master", "stacked", "combined", "super") if w in image_type.lower()), None)
-    binning = tuple(_number(header, (f"{a}BINNING", f"CCD{a}BIN"), 1) or 1.0 for a in "XY")
-    origin = tuple(_number(header, (f"{a}ORGSUBF",), 0) or 0.0 for a in "XY")
-    name = _text(header, "FILTER")
+    binning = tuple(number_in(header, (f"{a}BINNING", f"CCD{a}BIN"), 1) or 1.0 for a in "XY")
+    origin = tuple(number_in(header, (f"{a}ORGSUBF",), 0) or 0.0 for a in "XY")
+    name = text_in(header, "FILTER")
     return {
         "doubt": _doubt(header),
         "image_type": image_type or None,
         "filter": name if name.lower() not in _NOT_STATED else None,
         "binning": None if binning == (1, 1) else binning,
         "origin": None if origin == (0, 0) else origin,
-        "offset": _number(header, ("OFFSET", "BLKLEVEL"), 0),
-        "mode": _text(header, "READOUTM", "RDMODE") or None,
+        "offset": number_in(header, ("OFFSET", "BLKLEVEL"), 0),
+        "mode": text_in(header, "READOUTM", "RDMODE") or None,
         "gain_setting": None if scaled else gain,
-        "set_temperature_c": _number(header, ("SET-TEMP",), COLDEST_C),
+        "set_temperature_c": number_in(header, ("SET-TEMP",), COLDEST_C),
         "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
     }
 
 
 def _doubt(header: Mapping[str, Any]) -> str | None:
     """What a header says of the exposure that cannot be meant."""
-    stated = {name: header[name] for name in _EXPOSURE if _text(header, name)}
-    good = {name: value for name in stated if (value := _number(header, (name,), 0)) is not None}
+    stated = {name: header[name] for name in EXPOSURES if text_in(header, name)}
+    good = exposures_in(header)
     if stated and not good:
         return ", ".join(f"{name} {value!r}" for name, value in stated.items()) + ": no time: not used"
     if good and max(good.values()) - min(good.values()) > max(1.0, 0.01 * max(good.values())):
@@ -113,17 +113,17 @@ def _doubt(header: Mapping[str, Any]) -> str | None:
 
 def gain_db(header: Mapping[str, Any], camera: str | None) -> float | None:
     """GAIN in dB, for cameras that count it in 0.1 dB."""
-    tenths = _number(header, ("GAIN",), 0)
-    if tenths is None or not _TENTH_DB.search(f"{camera} {_text(header, 'SWCREATE')}" if camera else ""):
+    tenths = number_in(header, ("GAIN",), 0)
+    if tenths is None or not _TENTH_DB.search(f"{camera} {text_in(header, 'SWCREATE')}" if camera else ""):
         return None
     return tenths / 10
 
 
 def _egain(header: Mapping[str, Any], scaled: bool) -> float | None:
     """e-/DN as stated. GAIN is that where it has a fraction and no scale of its own."""
-    gain = _number(header, ("GAIN",), 0)
+    gain = number_in(header, ("GAIN",), 0)
     fraction = gain if gain is not None and not scaled and gain != round(gain) else None
-    return _number(header, _EGAIN, 1e-6) or fraction
+    return number_in(header, _EGAIN, 1e-6) or fraction
 
 
 def section(text: Any) -> tuple[slice, slice, bool, bool] | None:
@@ -137,25 +137,6 @@ def section(text: Any) -> tuple[slice, slice, bool, bool] | None:
     return slice(min(y1, y2) - 1, max(y1, y2)), slice(min(x1, x2) - 1, max(x1, x2)), y2 < y1, x2 < x1
 
 
-def _text(header: Mapping[str, Any], *names: str) -> str:
-    return next((t for name in names if (t := str(header.get(name, "") or "").strip())), "")
-
-
 def _whole(header: Mapping[str, Any], name: str) -> int:
-    value = _number(header, (name,), -math.inf)
+    value = number_in(header, (name,), -math.inf)
     return 0 if value is None else int(value)
-
-
-def _number(header: Mapping[str, Any], names: tuple[str, ...], least: float) -> float | None:
-    """The first of these keywords that holds a number from `least` up; programs also write 'n/a' or -1."""
-    for name in names:
-        value = header.get(name, math.nan)
-        if isinstance(value, bool):
-            continue
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            continue
-        if least <= number < math.inf:
-            return number
-    return None

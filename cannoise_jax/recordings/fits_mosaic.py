@@ -11,6 +11,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyWarning
 
+from cannoise_jax.recordings.fits_cards import plain_cards
 from cannoise_jax.recordings.fits_header import about_of, known_of, section
 from cannoise_jax.recordings.fits_words import reading_fits
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
@@ -49,9 +50,8 @@ def assembled(path: str | Path, file: fits.HDUList, numbers: list[int]) -> Opene
     parts = [p._replace(place=(_moved(p.place[0], top), _moved(p.place[1], left))) for p in parts]
     whole = _frame(file, parts, (height, width))
     whole_numbers(path, whole)
-    header = fits.Header(
-        {k: v for n in (0, numbers[0]) for k, v in file[n].header.items() if k not in _SKIPPED}
-    )
+    cards = plain_cards(file[0].header) | plain_cards(file[numbers[0]].header)
+    header = fits.Header([card for name, card in cards.items() if name not in _SKIPPED])
     known, about = known_of(header), about_of(header)
     overscans = [o for n in numbers if (o := _overscan(file[n])) is not None]
     if len(overscans) == len(numbers):
@@ -64,7 +64,7 @@ def assembled(path: str | Path, file: fits.HDUList, numbers: list[int]) -> Opene
     return Opened(LazyArray(read, shape, np.dtype(np.uint16)), known, about)
 
 
-_SKIPPED = ("", "COMMENT", "HISTORY", "END", "BIASSEC", "TRIMSEC", "DATASEC", "DETSEC")
+_SKIPPED = ("BIASSEC", "TRIMSEC", "DATASEC", "DETSEC")
 
 
 def read_assembled(path: str, parts: tuple[_Part, ...], size: tuple[int, int], number: int) -> np.ndarray:

@@ -30,6 +30,7 @@ from cannoise_jax.recordings.stated_values import (
     LONGEST,
     camera_of,
     channels_of,
+    check_exposes,
     code_step_of,
     count_of,
     exposure_of,
@@ -97,6 +98,7 @@ def make_recording(
     stated = {k: v for k, v in stated.items() if v is not None}
     _check_frames(path, frames)
     _check_stated(path, stated)
+    check_exposes(path, stated.get("kind"), overrides.get("exposure_s"))
     cfa = pattern_of(path, stated["cfa"])
     if cfa != "MONO" and (frames.shape[1] % 2 or frames.shape[2] % 2):
         raise BadInput(
@@ -155,14 +157,15 @@ def folder_name(folder: Path) -> str:
 def checked(recording: Recording) -> Recording:
     """A recording that was put together in Python, held to the rules for files; pixels are not read.
 
-    One black level, and one `shot` or `read`, become four. Raises BadInput.
+    One black level, and one `shot` or `read`, become four, and a colour order in small letters a plain one.
+    Raises BadInput.
     """
     known = {name: getattr(recording, name) for name in (*FIELDS, "clean")}
     check_fields(recording)
     sound = make_recording(recording.path or recording.camera, recording.frames, known, {}, scan=False)
-    four = {name: getattr(sound, name) for name in ("black_level", "shot", "read")}
-    same = all(getattr(recording, name) == value for name, value in four.items())
-    return recording if same else dataclasses.replace(recording, **four)
+    plain = {name: getattr(sound, name) for name in ("cfa", "black_level", "shot", "read")}
+    same = all(getattr(recording, name) == value for name, value in plain.items())
+    return recording if same else dataclasses.replace(recording, **plain)
 
 
 def check_fields(recording: Recording) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from cannoise_jax.recordings.recording import CFA_PATTERNS, PerChannel
+from cannoise_jax.recordings.recording import CFA_PATTERNS, PerChannel, in_one_line
 
 PACKED_CHANNELS = ("R", "Gr", "Gb", "B")
 SITES = tuple(np.s_[c // 2 :: 2, c % 2 :: 2] for c in range(4))
@@ -32,7 +32,11 @@ def site(mosaic: Shaped[Any, "... H W"], channel: int) -> Shaped[Any, "... h w"]
 
 
 def green_sites(cfa: str) -> tuple[int, int] | None:
-    """Mosaic sites (0 to 3) of the green beside red and of the green beside blue; None without colours."""
+    """Mosaic sites (0 to 3) of the green beside red and of the green beside blue; None without colours.
+
+    Raises ValueError for an unknown CFA.
+    """
+    _cell_steps(cfa)
     if cfa == "MONO":
         return None
     red = cfa.index("R")
@@ -95,6 +99,6 @@ def to_shifted_cfa(cfa: str, rows: int, columns: int) -> str:
 
 
 def _cell_steps(cfa: str) -> tuple[int, int]:
-    if cfa not in _CELL_STEPS:
-        raise ValueError(f"unknown CFA {cfa!r}: use one of {', '.join(CFA_PATTERNS)}")
+    if not isinstance(cfa, str) or cfa not in _CELL_STEPS:
+        raise ValueError(f"unknown CFA {in_one_line(cfa)}: use one of {', '.join(CFA_PATTERNS)}")
     return _CELL_STEPS[cfa]

@@ -7,6 +7,7 @@ Values are normalised as (DN - black) / (white - black): 0 is the black level, 1
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -36,6 +37,11 @@ PerChannel = tuple[float, float, float, float]
 
 _LONGEST_LINE = 880
 """Characters of a message: some name every mechanism that there is."""
+
+
+def in_one_line(value: object) -> str:
+    """A value as messages quote it: shortened, and without the line breaks of arrays."""
+    return " ".join(reprlib.repr(value).split())
 
 
 class BadInput(ValueError):

@@ -12,6 +12,7 @@ import numpy as np
 from cannoise_jax.recordings.recording import (
     CFA_PATTERNS,
     LEAST,
+    LIT,
     LONGEST_S,
     SHORTEST_S,
     BadInput,
@@ -157,6 +158,12 @@ def exposure_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:
     if seconds is not None and 0 < seconds < SHORTEST_S:
         raise BadInput(f"{path}: exposure_s is {seconds:g}: expected at least {SHORTEST_S:g}, or 0 of a bias")
     return seconds
+
+
+def check_exposes(path: str | Path, kind: Any, seconds: Any) -> None:
+    """Raises BadInput where a caller states that light fell on a sensor for no time."""
+    if kind in LIT and seconds == 0:
+        raise BadInput(f"{path}: --exposure 0 of a {kind}: light needs time: state it, or --kind bias")
 
 
 def code_step_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:

@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from cannoise_jax.discovery.proof.prove import Proof
-from cannoise_jax.discovery.report.page import place, verdict
+from cannoise_jax.discovery.report.page import number, place, verdict
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
@@ -128,3 +128,21 @@ def test_places_are_short_and_a_slope_is_at_no_one_frequency():
     assert place({"axis": "frequency", "period_px": None, "direction": "row"}).startswith("by spatial")
     assert place({"axis": "frequency", "period_px": 18.45, "direction": "row"}).startswith("at one spatial")
     assert place({"axis": "row", "index": list(range(9))}).endswith("6, 7, …)")
+
+
+def test_places_among_signals_are_said_in_words():
+    at = {"axis": "signal", "range": [3000.69, 3000.69], "sign": 1.0}
+    assert place(at) == (
+        "over the range of signals (most at a signal of 3,000 DN; more noise there than a straight line has)"
+    )
+    for whole in ([0.0, 1.0], [0.0, 0.0], None):
+        assert place({"axis": "signal", "range": whole}) == "over the range of signals"
+    assert place({"axis": "signal", "range": [0.0, 0.62]}).endswith("(up to 62 % of the range)")
+    assert place({"axis": "signal", "range": [40.0, 912.0]}).endswith("(signals of 40 to 912 DN)")
+
+
+def test_the_ends_of_an_interval_do_not_print_alike():
+    assert number([0.0021291, 0.0021294]) == "0.0021291 to 0.0021294" and number([1.0, 2.0]) == "1 to 2"
+    proof = Proof(None, 66582.7, 6e4, 7e4, 10**6)
+    assert "(90 %: 2.0096 to 2.0104 DN)" in said_of(finding("row_noise", 2.01, 0.0004), proof)
+    assert "90 %" not in said_of(finding("row_noise", 2.01, 1e-15), proof)

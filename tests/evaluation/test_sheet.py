@@ -191,6 +191,27 @@ def test_every_number_of_an_axis_lies_within_the_figure():
         assert all(3.7 * len(text) <= float(x) <= width - 3.7 * len(text) for x, text in along)
 
 
+def upward(svg):
+    """Numbers of the upright axis: their right end, place and text."""
+    found = re.findall(r'class="tick" x="([\d.]+)" y="([\d.]+)" text-anchor="end">([^<]+)<', svg)
+    return [(float(x), float(y), text) for x, y, text in found]
+
+
+@pytest.mark.parametrize("low, high", [(0.05, 0.058), (0.31, 0.46), (0.7, 1.2), (2.01, 2.02), (1.0, 1e4)])
+def test_a_logarithmic_axis_has_numbers_whatever_its_range(low, high):
+    svg = plot([Series("", [1.0, 10.0], [low, high], line=True)], "x", "y", log_x=True, log_y=True)
+    assert len(upward(svg)) >= 2
+    assert len({text for _, _, text in upward(svg)}) == len(upward(svg))
+
+
+@pytest.mark.parametrize("low, high", [(100.0, 100.013), (1e4, 1e4 + 0.01), (0.0, 3000.0), (5e5, 5e5 + 3)])
+def test_the_title_of_an_axis_lies_beside_its_numbers_and_they_differ(low, high):
+    svg = plot([Series("", [0.0, 8.0], [low, high])], "x", "y")
+    ticks = upward(svg)
+    assert all(x - 7 * len(text) >= 18 for x, _, text in ticks)
+    assert len({text for _, _, text in ticks}) == len(ticks) >= 2
+
+
 @pytest.mark.parametrize("falling, side", [(False, "left"), (True, "right")])
 def test_the_legend_lies_where_the_data_do_not(falling, side):
     y = np.linspace(1, 10, 30)[:: -1 if falling else 1]

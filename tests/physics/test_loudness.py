@@ -1,5 +1,7 @@
 """Loud values are put down to what makes them: heavy tails, noisy pixels, telegraph pixels, or several."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -7,8 +9,9 @@ import pytest
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimate import NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
+from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms
 from cannoise_jax.recordings.recording import Recording, per_channel
@@ -83,3 +86,20 @@ def test_tails_alike_in_all_pixels_are_no_spread_of_their_noise():
         assert not any(isinstance(f, NotMeasurable) for f in found)
         held = sum(f["spread"].ci90[0] <= true <= f["spread"].ci90[1] for f in found)
         assert held >= 8, [f["spread"] for f in found]
+
+
+def test_the_shape_of_the_noise_does_not_depend_on_the_levels_of_frames():
+    rng = np.random.default_rng(0)
+    codes = np.rint(BLACK + 6 * rng.standard_normal((8, 64, 96)))
+    codes[0] += 40
+    taken = Recording(codes.astype(np.uint16), "MONO", per_channel(BLACK), WHITE, kind="dark", exposure_s=1.0)
+    found = heavy_tails([frame_statistics(taken)])["tukey_lambda"]
+    assert found.ci90[1] - found.ci90[0] < 0.05 and found.value == pytest.approx(0.135, abs=0.02)
+
+
+def test_a_strength_that_is_uncertain_by_more_than_its_range_is_not_measured():
+    entry = MECHANISMS["heavy_tails"]
+    wide = {"tukey_lambda": normal_estimate(0.0, 600.0)}
+    vague = dataclasses.replace(entry.estimator, measure=lambda *a: wide)
+    (finding,) = find_mechanisms([], assumed_baseline(), [dataclasses.replace(entry, estimator=vague)])
+    assert finding.verdict == "not looked for" and "more than its whole range" in finding.estimates.record

@@ -37,6 +37,7 @@ def poisson_gaussian(**changes):
         ({"code_step": 64.0}, "code_step 64 leaves 15 codes"),
         ({"iso": 0.0}, "iso must be above 0"),
         ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
+        ({"cfa": np.array([[0, 1], [1, 2]])}, r"cfa is array\(\[\[0, 1\], \[1, 2\]\]\), not one of RGGB"),
     ],
     ids=lambda v: str(v) if isinstance(v, dict) else "",
 )

@@ -121,6 +121,11 @@ def test_what_is_no_settings_is_refused():
         MODEL.sample(KEY, FLAT, {"iso": 100})
     with pytest.raises(ValueError, match="iso must be above 0"):
         MODEL.sample(KEY, FLAT, Settings(iso=0))
+    with pytest.raises(ValueError, match="iso is None, not a finite number"):  # among `in_axes` None is one
+        MODEL.sample(KEY, FLAT, Settings(iso=None))
+    for frames in (True, None):
+        with pytest.raises(ValueError, match=f"frames must be a whole number from 1, got {frames}"):
+            Settings(frames=frames)
 
 
 def test_a_recording_is_drawn_at_its_settings_and_at_a_known_exposure():

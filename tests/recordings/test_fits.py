@@ -14,7 +14,8 @@ LEVELS = {"black_level": 100, "white_level": 65535}
 
 
 def write(path, data, compress=False, **keywords):
-    header = fits.Header({name.replace("_", "-"): value for name, value in keywords.items()})
+    header = fits.Header()
+    header.update({name.replace("_", "-"): value for name, value in keywords.items()})
     if compress:
         fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(data, header)]).writeto(path)
     else:
@@ -111,6 +112,41 @@ def test_what_is_no_raw_frame_is_refused_in_one_line(tmp_path, message):
 def test_optional_keywords_that_say_nothing_count_as_not_stated(tmp_path, keywords, known):
     recording = load_recording(write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB", **keywords), **LEVELS)
     assert (recording.temperature_c, recording.exposure_s, recording.iso) == known
+
+
+@pytest.mark.parametrize(
+    "keywords, seconds",
+    [
+        ({"EXPTIME": (1000.0, "[ms] exposure time")}, 1),
+        ({"EXPTIME": (1000.0, "[s] exposure time")}, 1000),
+        ({"EXPOSURE": (2500, "Exposure time (us)")}, 0.0025),
+        ({"EXPOSURE": (2, "[min]")}, 120),
+        ({"EXPOSURE": (4, "Exposure in milliseconds")}, 0.004),
+        ({"EXPTIME": (4, "Total exposure, millisecond resolution")}, 4),
+        ({"EXPOINUS": (20000, "Exposure time in us")}, 0.02),
+        ({"EXPOINUS": 20000}, 0.02),
+        ({"EXPTIME": "0,5"}, 0.5),
+        ({"EXPTIME": "500 ms"}, 0.5),
+        ({"EXPTIME": "1,500"}, None),  # thousands, or not
+    ],
+)
+def test_exposures_have_the_unit_that_their_card_states(tmp_path, caplog, keywords, seconds):
+    recording = load_recording(write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB", **keywords), **LEVELS)
+    assert recording.exposure_s == (seconds if seconds is None else pytest.approx(seconds))
+    assert ("no time: not used" in caplog.text) == (seconds is None)
+
+
+def test_units_are_kept_where_the_image_is_an_extension_and_exposures_are_compared_in_seconds(
+    tmp_path, caplog
+):
+    header = fits.Header()
+    header.update({"EXPTIME": (500.0, "[ms] exposure"), "EXPOSURE": 0.5, "CCD-TEMP": "-10,5"})
+    for number, first in enumerate((fits.PrimaryHDU(header=header), fits.PrimaryHDU())):
+        image = fits.ImageHDU(FRAMES, header if number else None)
+        fits.HDUList([first, image]).writeto(path := tmp_path / f"{number}.fits")
+        recording = load_recording(path, cfa="MONO", **LEVELS)
+        assert (recording.exposure_s, recording.temperature_c) == (0.5, -10.5)
+    assert "contradict" not in caplog.text
 
 
 def test_rescaled_values(tmp_path):

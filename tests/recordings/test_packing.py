@@ -3,7 +3,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cannoise_jax.recordings.packing import PACKED_CHANNELS, pack, to_mosaic_order, to_packed_order, unpack
+from cannoise_jax.recordings.packing import (
+    PACKED_CHANNELS,
+    green_sites,
+    pack,
+    to_mosaic_order,
+    to_packed_order,
+    unpack,
+)
 from cannoise_jax.recordings.recording import CFA_PATTERNS
 
 BAYER = [c for c in CFA_PATTERNS if c != "MONO"]
@@ -68,6 +75,13 @@ def test_what_cannot_be_packed_is_refused():
         pack(np.zeros((4, 7)), "MONO")
     with pytest.raises(ValueError, match="unknown CFA 'RGBG'"):
         pack(np.zeros((4, 6)), "RGBG")
+    with pytest.raises(
+        ValueError, match=r"unknown CFA array\(\[\[0, 1\], \[1, 2\]\]\): use one of RGGB, "
+    ) as caught:
+        pack(np.zeros((4, 6)), np.array([[0, 1], [1, 2]]))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match="unknown CFA 'rggb': use one of RGGB"):
+        green_sites("rggb")
     with pytest.raises(ValueError, match="4 channels"):
         unpack(np.zeros((4, 6, 3)), "RGGB")
     with pytest.raises(ValueError, match=r"cannot unpack an array of shape \(4, 6\): expected packed pixels"):

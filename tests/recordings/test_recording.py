@@ -1,6 +1,9 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
+from cannoise_jax.recordings.metadata import checked
 from cannoise_jax.recordings.recording import BadInput, Recording, mosaic_map, per_channel
 
 
@@ -31,3 +34,10 @@ def test_a_message_keeps_both_ends_of_what_a_file_holds():
     assert said.startswith("in/sensor.json: cfa is aaa") and said.endswith(
         "not one of RGGB: correct the entry"
     )
+
+
+def test_a_colour_order_in_small_letters_is_checked_as_of_files():
+    recording = Recording(np.zeros((2, 4, 6), np.uint16), "rggb", (0.0,) * 4, 255.0)
+    assert checked(recording).cfa == "RGGB"
+    with pytest.raises(BadInput, match="cfa .*expected text"):
+        checked(dataclasses.replace(recording, cfa=np.array([[0, 1], [1, 2]])))

@@ -29,11 +29,25 @@ def pair(first: float, second: float) -> tuple[str, str]:
     beside what is not."""
     tiny = max(abs(first), abs(second)) < _NOTHING
     said = [short(v) if tiny or abs(v) >= _NOTHING else "0" for v in (first, second)]
+    return _told_apart(said, (first, second))
+
+
+def ends(low: float, high: float) -> tuple[str, str]:
+    """The ends of an interval: three digits, or as many as tell them apart."""
+    return _told_apart([short(low), short(high)], (low, high))
+
+
+def is_wide(low: float | None, high: float | None) -> bool:
+    """Whether an interval has a width that its digits can show: where nothing scattered it has none."""
+    return low is not None and high is not None and ends(low, high)[0] != ends(low, high)[1]
+
+
+def _told_apart(said: list[str], values: tuple[float, float]) -> tuple[str, str]:
     digits = 4
     while said[0] == said[1] and digits <= _MOST_DIGITS:
-        said = [f"{v:,.{digits}g}" for v in (first, second)]
+        said = [f"{v:,.{digits}g}" for v in values]
         digits += 1
-    return (said[0], said[1]) if said[0] != said[1] else (short(first), short(second))
+    return (said[0], said[1]) if said[0] != said[1] else (short(values[0]), short(values[1]))
 
 
 def structure(band: int, row: Scale, column: Scale, size: tuple[int, int]) -> str | None:

@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 from cannoise_jax.discovery.compare.report import percent
-from cannoise_jax.discovery.compare.words import pair
+from cannoise_jax.discovery.compare.words import ends, is_wide, pair, short
 from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
 from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
@@ -42,7 +42,8 @@ def number(value: Any) -> str:
     if value is None:
         return "not measured"
     if isinstance(value, (list, tuple)):
-        return " to ".join(number(v) for v in value)
+        each = [number(v) for v in value]
+        return " to ".join(ends(*value) if is_wide(*value) and each[0] == each[1] else each)
     if isinstance(value, str):
         return value
     if isinstance(value, int) or 1e4 <= abs(value) < 1e9:
@@ -66,12 +67,27 @@ def place(where: dict[str, Any]) -> str:
     for name, value in where.items():
         if name == "axis" or value in (None, [], ""):
             continue
+        if where["axis"] == "signal" and name in ("range", "sign"):
+            more += _of_signals(name, value)
+            continue
         if name == "recordings":  # by their names: where they lie is in the table of recordings
             value = [Path(str(path)).name for path in value] if isinstance(value, list) else value
         more.append(f"{name.replace('_', ' ')}: {_listed(value)}")
     axis = places.place(where["axis"])
     spectrum = where["axis"] == "frequency" and not where.get("period_px")
     return (axis.over if spectrum else axis.at) + (f" ({'; '.join(more)})" if more else "")
+
+
+def _of_signals(name: str, value: Any) -> list[str]:
+    """Where among the signals: DN above black, or shares of the range, of which the whole is said already."""
+    if name == "sign":
+        return [f"{'more' if value > 0 else 'less'} noise there than a straight line has"] if value else []
+    low, high = value
+    if low == high:
+        return [f"most at a signal of {short(low)} DN"] if low > 0 else []
+    if low > 0:
+        return [f"signals of {short(low)} to {short(high)} DN"]
+    return [f"up to {100 * high:.0f} % of the range"] if high < 1 else []
 
 
 def _listed(value: Any) -> str:
@@ -220,6 +236,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         pictures=pictures,
         measures=_MEASURES,
         number=number,
+        is_wide=is_wide,
         shadows_of=sentence_of,
         sizes=sizes,
         precise=precise,

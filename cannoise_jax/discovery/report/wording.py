@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from cannoise_jax.discovery.compare.words import short
+from cannoise_jax.discovery.compare.words import ends, is_wide, short
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.card import said_against
 from cannoise_jax.discovery.search.fit import Step
@@ -35,7 +35,8 @@ def amount(values: float | Sequence[float], unit: str | None, meaning: str = "")
     each = values if isinstance(values, Sequence) else (values,)
     plain = unit in (None, "1")
     percent = plain and ("fraction" in meaning or "relative" in meaning)
-    said = " to ".join(short(100 * v if percent else v) for v in each)
+    shown = [100 * v if percent else v for v in each]
+    said = " to ".join(ends(*shown) if len(shown) == 2 else map(short, shown))
     return f"{said} %" if percent else said if plain else f"{said} {unit}"
 
 
@@ -81,7 +82,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     start += f", shared by {count} rows that are read together" if count else ""
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
-    within = f" (90 %: {amount((low, high), unit, meaning)})" if low < high else ""
+    within = f" (90 %: {amount((low, high), unit, meaning)})" if is_wide(low, high) else ""
     return f"{start}{within}{slow}{_proven(step, proof)}"
 
 

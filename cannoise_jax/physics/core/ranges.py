@@ -18,7 +18,7 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C
+from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, in_one_line
 
 HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
@@ -59,8 +59,8 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
     """The baseline: an RGB Bayer pattern or MONO, ISOs that ascend from above 0, gains above 0 by which one
     electron does not saturate, read noises from 0, black below white below 2^16, a code step from 0 (none) to
     below white, that leaves shades where it is above 1."""
-    if cfa not in CFA_PATTERNS:
-        raise ValueError(f"cfa is {cfa!r}, not one of {', '.join(CFA_PATTERNS)}")
+    if not isinstance(cfa, str) or cfa not in CFA_PATTERNS:
+        raise ValueError(f"cfa is {in_one_line(cfa)}, not one of {', '.join(CFA_PATTERNS)}")
     isos = known(iso, "iso")
     isos = isos if isos is None else np.atleast_1d(isos)
     if isos is not None and isos.min() <= 0:

@@ -51,6 +51,9 @@ class Settings:
         _check(self.iso, "iso must be above 0", lambda v: v > 0 or type(v) is int and v == 0)
         _check(self.exposure_s, "exposure_s must be 0 or more", lambda v: v >= 0)
         _check(self.temperature_c, f"temperature_c must be {COLDEST_C:g} or more", lambda v: v >= COLDEST_C)
+        # Frames are no leaf of the tree, so that JAX puts nothing of its own there.
+        if self.frames is None or isinstance(self.frames, bool):
+            raise ValueError(f"frames must be a whole number from 1, got {self.frames}")
         _check(self.frames, "frames must be a whole number from 1", lambda v: v >= 1 and v == int(v))
 
 

@@ -267,6 +267,8 @@ def _judged(
     if estimator.reported:
         return Finding(entry, estimates, "reported only", estimator.reported)
     strength = next(iter(estimates.values()))
+    if why := _beyond_range(entry, *next(iter(estimates.items()))):
+        return Finding(entry, NotMeasurable(why), "not looked for")
     if not _strong(estimator, strength):
         chance = estimator.searched and strength.significant
         said = "(of so many frequencies chance alone makes one as strong)" if chance else ""
@@ -279,6 +281,13 @@ def _judged(
     if not _matters(entry, estimator, estimates, statistics, baseline):
         return Finding(entry, estimates, "too small to matter")
     return Finding(entry, estimates, "in the model")
+
+
+def _beyond_range(entry: Measurable, name: str, strength: Estimate) -> str:
+    """Why a strength says nothing, where its error is larger than all values that it can have."""
+    span = next((p.high - p.low for p in entry.record.parameters if p.name == name), np.inf)
+    few = f"{name} is uncertain by more than its whole range: record more frames, and steadier ones"
+    return "" if strength.stderr <= span else few
 
 
 def _matters(

@@ -38,6 +38,12 @@ def judged_exposures(shots: Sequence[Shot], kinds: dict[str, str]) -> tuple[list
     return out, said + [_contradiction(names, *pair) for pair, names in apart.items()]
 
 
+def exposed(kinds: dict[str, str]) -> list[str]:
+    """What is wrong with an exposure of 0 s that the caller states of all. kinds: by name."""
+    lit = sorted(name for name, kind in kinds.items() if kind in LIT)
+    return [f"{listed(lit)}: --exposure 0, though light fell on it: leave it out, or state it"] if lit else []
+
+
 def _is_zero(shot: Shot) -> bool:
     return not shot.whole and shot.known.get("exposure_s") == 0
 

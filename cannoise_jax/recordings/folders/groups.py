@@ -126,7 +126,7 @@ def _same_black(first: tuple, second: tuple) -> bool:
 
 
 def _group(key: tuple, shots: Sequence[Shot], overrides: dict[str, Any], level: str | None) -> Group:
-    mode, kind, iso, exposure, name, cluster, _ = key
+    mode, kind, iso, exposure, name, _, _ = key
     temperatures = [t for s in shots if (t := s.known.get("temperature_c")) is not None]
     settings: dict[str, Any] = {
         "camera": mode[0],
@@ -137,12 +137,14 @@ def _group(key: tuple, shots: Sequence[Shot], overrides: dict[str, Any], level: 
         "temperature_c": round(float(np.mean(temperatures)), 2) if temperatures else None,
     }
     settings |= {n: overrides[n] for n in ("temperature_c", "exposure_s") if n in overrides}
-    label = _label(key, mode, settings["gain_db"], level)
+    # Of its own frames: others of the same cluster may be of a night that warmed.
+    own = [t for s in shots if (t := _temperature(s, overrides)) is not None]
+    label = _label(key, settings["gain_db"], level, float(np.median(own)) if own else None)
     return Group(KINDS[kind], tuple(shots), settings, mode, name, label)
 
 
-def _label(key: tuple, mode: tuple, gain_db: float | None, level: str | None) -> str:
-    _, kind, iso, exposure, name, cluster, _ = key
+def _label(key: tuple, gain_db: float | None, level: str | None, celsius: float | None) -> str:
+    mode, kind, iso, exposure, name, _, _ = key
     parts = [KINDS[kind]]
     parts += [seconds(exposure)] if exposure is not None and KINDS[kind] != "bias" else []
     parts += [level] if level else []
@@ -150,7 +152,7 @@ def _label(key: tuple, mode: tuple, gain_db: float | None, level: str | None) ->
     parts += [decibels] if decibels else [] if iso is None else [f"iso{iso:.4g}"]
     parts += [] if mode[4] is None else [f"gain{mode[4]:g}"]
     parts += [] if name is None else ["".join(c if c.isalnum() else "-" for c in name)]
-    parts += [] if cluster is None else [f"{cluster:.0f}C"]
+    parts += [] if celsius is None else [f"{round(celsius)}C"]
     return "_".join(parts)
 
 

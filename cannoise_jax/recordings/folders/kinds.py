@@ -39,13 +39,13 @@ def kinds_of(
         if header is None and words:
             taken.setdefault(f"IMAGETYP {words!r} is unknown: {shot.named} by name", []).append(shot.name)
         elif header == "scene" and shot.named not in (None, "scene"):
-            taken.setdefault(f"headed {words!r}, {shot.named} by name", []).append(shot.name)
+            taken.setdefault(f"{_stated(header, words)}, {shot.named} by name", []).append(shot.name)
             header = None
         elif {header, shot.named} == {"bias", "dark"} and not shot.known.get("exposure_s"):
             taken.setdefault("bias or dark of no exposure: bias", []).append(shot.name)
             header = "bias"
         elif header and shot.named not in (None, header) and shot.named != "scene":
-            clashes.setdefault(f"headed {words!r} but named {shot.named}", []).append(shot.name)
+            clashes.setdefault(f"{_stated(header, words)} but named {shot.named}", []).append(shot.name)
             continue
         kinds[shot.name] = header or shot.named or "scene"
     remedy = "put them in folders named bias, darks, flats or lights, or state --assign 'NAME*=KIND'"
@@ -63,6 +63,11 @@ def kinds_of(
         f"{listed(n)}: {what}: rename, or state --assign 'NAME*=KIND'" for what, n in clashes.items()
     ]
     return kinds, notes, problems
+
+
+def _stated(kind: str, words: str | None) -> str:
+    """What a file says of its kind: a header in words of its own, a side-car by ours."""
+    return f"its side-car says {kind}" if words is None else f"headed {words!r}"
 
 
 def of_other_kinds(groups: Sequence[Group], stated: set[str]) -> list[str]:

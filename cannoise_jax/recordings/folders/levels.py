@@ -9,11 +9,10 @@ import numpy as np
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
 from cannoise_jax.recordings.folders.lights import level_of
+from cannoise_jax.recordings.folders.sites import COLOURED, greens_apart, light_of
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
-_COLOURED = 0.01
-"""Sites of a mosaic under a flat differ by more than this share of their mean, of one colour by less."""
 
 
 class Levels(NamedTuple):
@@ -41,6 +40,9 @@ def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
             continue
         values[name] = value
         said += [words] if words else []
+    cfa, light = {**values, **overrides}.get("cfa"), _light(loose)
+    if cfa is not None and light is not None and (wrong := greens_apart(light, cfa)):
+        said.append(wrong)
     black, white = ({**values, **overrides}.get(n) for n in ("black_level", "white_level"))
     if overrides.get("black_level") is not None and min(per_channel(overrides["black_level"])) < 0:
         missing.append(
@@ -63,18 +65,22 @@ def _cfa(groups: Sequence[Group]) -> tuple[str | None, str]:
     stated = set(_stated(groups, "cfa"))
     if stated:
         return stated.pop(), ""
-    lit = [s.medians for g in groups if g.kind == "flat" for s in g.shots]
-    dark = [s.medians for g in groups if g.kind in DARK for s in g.shots]
-    if not lit:
+    light = _light(groups)
+    if light is None:
         return None, "the colour order: state it with --cfa (MONO for a monochrome sensor)"
-    light = np.median(lit, axis=0) - (np.median(dark, axis=0) if dark else 0.0)
-    if np.ptp(light) > _COLOURED * abs(float(np.mean(light))):
+    if np.ptp(light) > COLOURED * abs(float(np.mean(light))):
         sites = ", ".join(f"{v:.0f}" for v in light)
         return (
             None,
             f"the colour order: the flats show a mosaic (its four sites: {sites}): state it with --cfa",
         )
     return "MONO", "MONO: no header states colours, and the four sites of the flats are equally bright"
+
+
+def _light(groups: Sequence[Group]) -> Any:
+    """Light of the flats on the four sites; None without flats."""
+    lit = [s.sites for g in groups if g.kind == "flat" for s in g.shots]
+    return light_of(lit, [s.sites for g in groups if g.kind in DARK for s in g.shots]) if lit else None
 
 
 def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:

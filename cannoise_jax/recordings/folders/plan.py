@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings.folders.exposures import judged_exposures
+from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped, seconds
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import NO_LIGHT, lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.names import listed
-from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan
+from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan, unmatched
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
@@ -64,8 +64,10 @@ def plan_folder(
     Raises BadInput where the folder holds nothing that can be read.
     """
     overrides = {k: v for k, v in (overrides or {}).items() if v is not None}
+    leave_out = tuple(leave_out)
     found = scan(folder, leave_out, tell, overrides)
     notes, problems = _notes(found), _failures(found)
+    notes += [f"--leave-out {p}: no file of such a name" for p in unmatched(folder, leave_out)]
     stated: set[str] = set()
     for pattern, kind in assign:
         fitting = {s.name for s in found.shots if matches(s.name, pattern)}
@@ -78,6 +80,8 @@ def plan_folder(
     if "exposure_s" not in overrides:
         usable, doubtful = judged_exposures(usable, kinds)
         notes += doubtful
+    elif overrides["exposure_s"] == 0:
+        problems += exposed(kinds)
     named = Counter(s.known["camera"] for s in usable if "camera" in s.known)
     camera = next(iter(named)) if len(named) == 1 else folder_name(Path(folder))
     if usable and not named and "camera" not in overrides:

@@ -15,6 +15,7 @@ import numpy as np
 from cannoise_jax.recordings import sidd
 from cannoise_jax.recordings.folders.names import named_average, named_kind, named_settings
 from cannoise_jax.recordings.folders.numerals import counted
+from cannoise_jax.recordings.folders.sites import site_levels
 from cannoise_jax.recordings.load import instead_of, is_supported, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.metadata import make_recording
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
@@ -36,7 +37,7 @@ class Shot(NamedTuple):
     top: highest value. step: common spacing of the first frame's values (1: none). print: of all pixels.
     levels: median of every frame, DN; None: it holds no noise. about: see `Opened`, and of names
     named_exposure_s, and named_doubts, what is to be said of what they say. pages: the frames that are
-    meant, from 0; None: all of them.
+    meant, from 0; None: all of them. sites: of the first frame, see `site_levels`.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class Shot(NamedTuple):
     print: int
     levels: tuple[float | None, ...] = ()
     pages: tuple[int, ...] | None = None
+    sites: PerChannel = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def frames(self) -> int:
@@ -151,6 +153,15 @@ def matches(name: str, pattern: str) -> bool:
     return fnmatch(name, pattern) or any(fnmatch(part, pattern) for part in parts)
 
 
+def unmatched(folder: Path, patterns: Iterable[str]) -> list[str]:
+    """The patterns that fit nothing below a folder."""
+    left = list(patterns)
+    for root, folders, names in os.walk(folder) if left else ():
+        found = [(Path(root) / n).relative_to(folder).as_posix() for n in (*folders, *names)]
+        left = [p for p in left if not any(matches(name, p) for name in found)]
+    return left
+
+
 def _files(
     folder: Path, leave_out: tuple[str, ...], unread: dict[str, int], links: list[str], lost: list[str]
 ) -> Iterator[Path]:
@@ -224,6 +235,7 @@ def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]
     return Shot(
         *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
         *(per_channel(np.array(sites)), top, _step(first), check, tuple(middle)),
+        sites=site_levels(first),
     )
 
 

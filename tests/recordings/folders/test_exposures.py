@@ -7,6 +7,8 @@ import pytest
 
 from cannoise_jax.recordings.folders.plan import plan_folder
 from cannoise_jax.recordings.folders.store import recording_of
+from cannoise_jax.recordings.load import load_recording
+from cannoise_jax.recordings.recording import BadInput
 from tests.recordings.folders.night import labels, night, notes, shot
 
 
@@ -19,6 +21,17 @@ def test_light_takes_time_so_flats_of_no_exposure_state_none(tmp_path):
     assert "flat, dark: no exposure time in headers or names" in said
     recordings = {g.kind: recording_of(g, plan.sets[0], plan.overrides) for g in plan.sets[0].groups}
     assert recordings["flat"].exposure_s is None and recordings["bias"].exposure_s == 0
+
+
+def test_no_exposure_is_stated_of_lit_frames(tmp_path):
+    folder = night(tmp_path)
+    plan = plan_folder(folder, {"exposure_s": 0.0})
+    assert "flat_1.fits, flat_2.fits: --exposure 0, though light fell on it" in plan.problems[0]
+    assert "--exposure" not in "".join(plan_folder(folder, {"exposure_s": 0.0}, leave_out=["f*"]).problems)
+    levels = {"cfa": "MONO", "black_level": 1000, "white_level": 65535}
+    with pytest.raises(BadInput, match="flat_1.fits: --exposure 0 of a flat: light needs time"):
+        load_recording(folder / "flat_1.fits", exposure_s=0.0, **levels)
+    assert load_recording(folder / "bias_1.fits", exposure_s=0.0, **levels).exposure_s == 0
 
 
 def test_biases_and_darks_of_no_exposure_beside_timed_flats_stay(tmp_path):

@@ -1,5 +1,8 @@
 """The kind of every file: by its header, its name, its folder and its values."""
 
+import json
+
+import numpy as np
 import pytest
 
 from cannoise_jax.recordings.folders.plan import check, plan_folder
@@ -124,3 +127,14 @@ def test_biases_alone_are_told_all_that_is_missing_at_once(tmp_path):
         check(plan_folder(tmp_path))
     for what in ("colour order", "white level", "no flats"):
         assert what in str(refused.value)
+
+
+def test_kinds_that_a_side_car_states_against_the_name_are_said(tmp_path):
+    for kind, other in (("dark", "flat"), ("flat", "dark")):
+        np.save(
+            tmp_path / f"{kind}.npy", np.random.default_rng(0).poisson(900, (3, 16, 16)).astype(np.uint16)
+        )
+        (tmp_path / f"{kind}.json").write_text(json.dumps({"kind": other, "cfa": "MONO"}))
+    said = plan_folder(tmp_path).problems
+    assert "dark.npy: its side-car says flat but named dark" in said[0]
+    assert "None" not in "".join(said)

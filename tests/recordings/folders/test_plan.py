@@ -68,6 +68,14 @@ def test_two_settings_of_a_cooled_camera_that_does_not_state_them_are_said(tmp_p
     assert "temperatures from -10 to -5 C in one set" in notes(plan_folder(tmp_path))
 
 
+def test_recordings_are_called_after_their_own_temperature(tmp_path):
+    night(tmp_path, CCD_TEMP=-10.0)
+    for n in (1, 2, 3):
+        shot(tmp_path / f"dark_w{n}.fits", "dark", IMAGETYP="Dark", EXPTIME=60.0, INSTRUME="Acme 100",
+             CCD_TEMP=-10 + 0.8 * n)  # fmt: skip
+    assert set(labels(plan_folder(tmp_path))) == {"flat_2s_-10C", "bias_-10C", "dark_60s_-9C"}
+
+
 def test_temperatures_that_drift_on_and_on_are_no_one_setting(tmp_path):
     for celsius in range(20, 26):
         for n in (1, 2):
@@ -339,7 +347,7 @@ def test_files_of_one_value_are_left_out_and_said(tmp_path):
 
 def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_path):
     folder = night(tmp_path / "in")
-    for name, seconds in (("a", {"EXPTIME": "1,5"}), ("b\n", {"EXPTIME": 2.0, "EXPOSURE": 20.0})):
+    for name, seconds in (("a", {"EXPTIME": "1,500"}), ("b\n", {"EXPTIME": 2.0, "EXPOSURE": 20.0})):
         shot(folder / f"dark_{name}.fits", "dark", IMAGETYP="Dark", INSTRUME="Acme 100", **seconds)
     (folder / "night before").symlink_to(tmp_path)  # and back in here
     (folder / "darks of June").symlink_to(tmp_path / "gone")
@@ -347,7 +355,7 @@ def test_doubtful_exposures_links_and_odd_names_are_said_in_one_line_each(tmp_pa
     plan = plan_folder(folder)
     assert "darks of June: not read, a link to nothing" in notes(plan)
     assert "not read: 1 .bz2 (unpack them)" in notes(plan)
-    assert "dark_a.fits: EXPTIME '1,5': no time: not used" in notes(plan)
+    assert "dark_a.fits: EXPTIME '1,500': no time: not used" in notes(plan)
     assert "EXPTIME 2 s and EXPOSURE 20 s contradict: EXPTIME 2 s is used" in notes(plan)
     assert "night before: not read, links to folders are not followed" in notes(plan)
     assert "dark_b .fits" in text(plan) and len(plan.shots) == 8
@@ -422,8 +430,10 @@ def test_what_side_cars_say_is_held_to_the_rules_of_single_files(tmp_path, field
 
 
 def test_a_pattern_without_a_file_and_levels_the_wrong_way_round_are_said(tmp_path):
-    plan = plan_folder(night(tmp_path), {"white_level": 10.0}, assign=[("darc*", "dark")])
+    patterns = {"assign": [("darc*", "dark")], "leave_out": ["zzz*", "bias_1*"]}
+    plan = plan_folder(night(tmp_path), {"white_level": 10.0}, **patterns)
     assert "--assign darc*=dark: no file of such a name" in notes(plan)
+    assert "--leave-out zzz*: no file of such a name" in notes(plan) and "bias_1" not in notes(plan)
     assert any("the white level of 10 DN is not above the black level" in p for p in plan.problems)
 
 

@@ -1,0 +1,54 @@
+"""Colours are told from light that changes along the frame, and a wrong colour order is said."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.recordings.folders.plan import plan_folder
+from cannoise_jax.recordings.folders.sites import greens_apart, site_levels
+
+from .night import notes, shot
+
+
+def slope(most, size=(24, 32)):
+    return np.linspace(500, 500 * most, size[1])[None, :] * np.ones((size[0], 1))
+
+
+def folder_of(path, electrons, **keywords):
+    for n in range(2):
+        shot(path / f"flat{n}.fits", "flat", electrons=electrons, EXPTIME=1.0, **keywords)
+        shot(path / f"dark{n}.fits", "dark", EXPTIME=1.0, **keywords)
+    return plan_folder(path)
+
+
+def test_flats_with_a_slope_are_no_mosaic(tmp_path):
+    plan = folder_of(tmp_path, slope(6.5))
+    assert not plan.problems and "MONO: no header states colours" in notes(plan)
+
+
+@pytest.mark.parametrize("size", [(24, 32), (25, 33), (24, 33), (3, 3)])
+def test_sites_are_compared_at_the_same_places(size):
+    even = np.add.outer(100.0 * np.arange(size[0]), 7.0 * np.arange(size[1]))
+    assert np.ptp(site_levels(even)) == 0
+    even[0::2, 1::2] += 30
+    assert np.allclose(np.subtract(site_levels(even), site_levels(even)[0]), [0, 30, 0, 0])
+    assert site_levels(np.array([[4, 8]], np.uint16)) == (4, 8, 4, 4)
+
+
+def test_a_weak_mosaic_under_a_slope_is_still_one(tmp_path):
+    weak = slope(1.5, (96, 96))
+    weak[0::2, 1::2] *= 1.04
+    weak[1::2, 0::2] *= 1.04
+    for n in range(2):
+        shot(tmp_path / f"flat{n}.fits", "flat", electrons=40 * weak, size=weak.shape, EXPTIME=1.0)
+    assert any("show a mosaic" in problem for problem in plan_folder(tmp_path).problems)
+
+
+def test_an_order_whose_greens_are_red_and_blue_is_said(tmp_path):
+    colours = np.full((24, 32), 3000.0)
+    colours[0::2, 0::2], colours[1::2, 1::2] = 1200, 2000
+    for cfa, said in (("GBRG", True), ("RGGB", False)):
+        plan = folder_of(tmp_path / cfa, colours, BAYERPAT=cfa)
+        assert ("the two greens of GBRG differ by" in notes(plan)) == said and not plan.problems
+    assert "differ by" in notes(plan_folder(tmp_path / "RGGB", {"cfa": "GRBG"}))
+    assert greens_apart(np.array([1200.0, 3000, 2000, 900]), "GBRG") is None  # no order has equal greens
+    assert greens_apart(np.array([1200.0, 3000, 3000, 900]), "MONO") is None
