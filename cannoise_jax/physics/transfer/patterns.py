@@ -115,7 +115,7 @@ def pattern_quantities(
         default=None,
     )
     unseen = 0.0 if dark is None else unseen_offsets([dark])
-    found = None if flat is None else _prnu(flat, dark_map(statistics, flat), unseen, c, black)
+    found = None if flat is None else _prnu(flat, dark_map(statistics, flat, c), unseen, c, black)
     for part in parts:
         title = titles[part].format("PRNU")
         if found is None:

@@ -18,7 +18,7 @@ from cannoise_jax.physics.transfer.black import reference_dark
 from cannoise_jax.physics.transfer.estimators.pick import steady_pixels
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
 from cannoise_jax.physics.transfer.quiet import unchanging
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
 HOT = 6.0
@@ -46,22 +46,24 @@ class DarkMap(NamedTuple):
         return float(sum(parts))
 
 
-def dark_map(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> DarkMap | None:
-    """The pattern of the darks at the exposure of a flat; None without repeated darks that show one."""
+def dark_map(
+    statistics: Sequence[FrameStatistics], flat: FrameStatistics, channel: int = ALL
+) -> DarkMap | None:
+    """The pattern of the darks at the exposure of a flat; None without repeated darks that show one. channel:
+    the one that is asked for, the others are left empty."""
     darks = _weighted(statistics, flat.recording.exposure_s)
-    if not darks:
-        return None
-    offsets, keep = np.zeros(flat.mean.shape), np.ones(flat.mean.shape, bool)
-    for dark, weight in darks:
-        own, steady = np.empty(flat.mean.shape), steady_pixels(dark)
-        for c in range(4):
-            inside = site(steady, c)
-            part = site(dark.mean, c) - (site(dark.mean, c)[inside].mean() if inside.any() else 0.0)
+    channels = range(4) if channel == ALL else (channel,)
+    offsets, keep = np.zeros(flat.mean.shape), np.zeros(flat.mean.shape, bool)
+    for c in channels if darks else ():
+        site(keep, c)[...] = True
+        for dark, weight in darks:
+            mean, inside = site(dark.mean, c), steady_pixels(dark, c)
+            part = mean - (mean[inside].mean() if inside.any() else 0.0)
             inside &= np.abs(part) < HOT * max(robust_std(part, 0.0), dark.code_step)
-            site(own, c)[...] = part
-        offsets += weight * own
-        keep &= steady
-    return DarkMap(offsets, keep, darks) if keep.mean() > _ENOUGH else None
+            site(offsets, c)[...] += weight * part
+            site(keep, c)[...] &= inside
+    enough = _ENOUGH * flat.mean.size * len(channels) / 4
+    return DarkMap(offsets, keep, darks) if keep.sum() > enough else None
 
 
 def _weighted(

@@ -13,7 +13,7 @@ from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, pixel_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quiet import BELOW_A_CODE, unchanging
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
 _WARM = 6.0
@@ -66,12 +66,15 @@ def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | N
     return max(flats, key=lambda s: float(np.mean(s.level)), default=None)
 
 
-def steady_pixels(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
-    """Pixels that pass the rule for outliers of `transfer.fit` and never touched a rail."""
+def steady_pixels(s: FrameStatistics, channel: int = ALL) -> Bool[np.ndarray, "h w"]:
+    """Pixels that pass the rule for outliers of `transfer.fit`, each channel by itself, and never touched a
+    rail: of one channel, or of the mosaic."""
+    if channel != ALL:
+        _, inside = robust_mean_square(pixel_variance(s, channel), s.dof)
+        return inside & ~site(s.clipped, channel)
     keep = np.zeros(s.mean.shape, bool)
     for c in range(4):
-        _, inside = robust_mean_square(pixel_variance(s, c), s.dof)
-        site(keep, c)[...] = inside & ~site(s.clipped, c)
+        site(keep, c)[...] = steady_pixels(s, c)
     return keep
 
 
