@@ -162,7 +162,7 @@ def exposure_of(path: str | Path, stated: Mapping[str, Any]) -> float | None:
 
 def check_exposes(path: str | Path, kind: Any, seconds: Any) -> None:
     """Raises BadInput where a caller states that light fell on a sensor for no time."""
-    if kind in LIT and seconds == 0:
+    if isinstance(kind, str) and kind in LIT and seconds == 0:  # files state anything
         raise BadInput(f"{path}: --exposure 0 of a {kind}: light needs time: state it, or --kind bias")
 
 

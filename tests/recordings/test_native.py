@@ -45,6 +45,13 @@ def test_required_fields_are_enough(path):
     np.testing.assert_array_equal(recording.frames[:], FRAMES)
 
 
+@pytest.mark.parametrize("kind", [np.zeros(0), np.arange(3.0), np.ones((2, 2))], ids=lambda k: str(k.shape))
+def test_a_kind_that_is_an_array_is_refused(path, kind):
+    with pytest.raises(BadInput, match="kind") as refused:
+        read_recording(write(path, kind=kind))
+    assert "\n" not in str(refused.value)
+
+
 def test_codes_of_8_bits_are_read_as_such(path):
     narrow = (FRAMES // 4).astype(np.uint8)
     recording = read_recording(write(path, frames=narrow, black_level=3.0, white_level=255.0))
