@@ -28,3 +28,8 @@ class Baseline:
     def read_noise_e(self) -> Float[np.ndarray, "4"]:
         """Read noise in electrons."""
         return self.read_noise / self.gain
+
+    @property
+    def gain_error(self) -> float:
+        """Relative standard error of the mean gain."""
+        return float(np.linalg.norm(np.divide(self.gain_stderr, self.gain)) / 4)

@@ -25,6 +25,7 @@ from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
     hidden_in_a_code,
     pattern_below_a_code,
+    step_of,
     unseen_offsets,
 )
 from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail
@@ -62,7 +63,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
 
 
 def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
-    if pattern_below_a_code(dark) or hidden_in_a_code(dark, max(dark.code_step, 1.0), c):
+    if pattern_below_a_code(dark) or hidden_in_a_code(dark, step_of(dark), c):
         return NotMeasurable(BELOW_A_CODE)
     _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
     keep &= ~site(dark.clipped, c)
@@ -87,13 +88,11 @@ def pattern_quantities(
 ) -> list[Quantity]:  # fmt: skip
     """DSNU1288 and PRNU1288, whole and by rows, columns and pixels."""
     out: list[Quantity] = []
-    split: Split | NotMeasurable | None = None
+    split = NotMeasurable(RECORD_DARKS) if dark is None else _dark_split(dark, c)
     parts = ("total", "row", "column", "pixel")
     titles = {p: f"{{}}1288{'' if p == 'total' else f', {p}s'}" for p in parts}
     for part in parts:
         title = titles[part].format("DSNU")
-        if split is None:
-            split = NotMeasurable(RECORD_DARKS) if dark is None else _dark_split(dark, c)
         if isinstance(split, NotMeasurable):
             out.append(Quantity(title, "DN", name, split))
             continue

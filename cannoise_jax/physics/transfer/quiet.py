@@ -114,7 +114,7 @@ def unchanging(dark: FrameStatistics) -> bool:
     shows in the few others alone."""
     if dark.total is None:
         return False
-    still = dark.total < _STILL * _step(dark) ** 2
+    still = dark.total < _STILL * step_of(dark) ** 2
     return bool(np.mean(still & (dark.mean == np.median(dark.mean))) > 0.5)
 
 
@@ -123,8 +123,8 @@ def coarse(dark: FrameStatistics) -> str:
     depends on how near to the next code each pixel is; empty where it is not."""
     if dark.variance is None:
         return ""
-    squares = [square_below_a_code(pixel_variance(dark, c), dark.dof, _step(dark))[0] for c in range(4)]
-    quiet = float(np.mean(squares)) < (_HALF**2 + 1 / 12) * _step(dark) ** 2
+    squares = [square_below_a_code(pixel_variance(dark, c), dark.dof, step_of(dark))[0] for c in range(4)]
+    quiet = float(np.mean(squares)) < (_HALF**2 + 1 / 12) * step_of(dark) ** 2
     return TOO_FEW_CODES if quiet else ""
 
 
@@ -142,20 +142,21 @@ def unseen_offsets(darks: Sequence[FrameStatistics]) -> float:
     repeated = [s for s in darks if s.variance is not None]
     if not repeated or not all(pattern_below_a_code(s) for s in repeated):
         return 0.0
-    return _DITHERED * max(_step(s) for s in repeated) ** 2
+    return _DITHERED * max(step_of(s) for s in repeated) ** 2
 
 
 def dither(s: FrameStatistics, c: int) -> float:
     """Variance of what rounding sees of one channel, codes squared: noise and offsets of its pixels, without
     those four codes away. 0 where it is too little to be told from what is stored."""
-    step, mean = _step(s), site(s.mean, c)
+    step, mean = step_of(s), site(s.mean, c)
     offsets = float(mean[np.abs(mean - np.median(mean)) < 4 * step].var())
     square, _ = square_below_a_code(pixel_variance(s, c), s.dof, step)
     found = (square * (1 - 1 / s.recording.count) + offsets) / step**2 - 1 / 12
     return found if found > _DITHERED else 0.0
 
 
-def _step(s: FrameStatistics) -> float:
+def step_of(s: FrameStatistics) -> float:
+    """Spacing of the codes of a recording, DN; 1 where they are too few to show it."""
     return max(s.code_step, 1.0)
 
 

@@ -14,7 +14,7 @@ from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, Not
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.quiet import coarse
+from cannoise_jax.physics.transfer.quiet import coarse, step_of
 from cannoise_jax.recordings.packing import site
 
 _SERIES = NotMeasurable(RECORD)
@@ -38,8 +38,7 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
             return series
         channels.append(series)
     pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
-    relative = float(np.linalg.norm(np.divide(baseline.gain_stderr, baseline.gain)) / 4)
-    by_mean, by_variance, agree, _ = dark_currents(pooled, relative)
+    by_mean, by_variance, agree, _ = dark_currents(pooled, baseline.gain_error)
     return {"e_per_s": by_mean if agree else by_variance}
 
 
@@ -147,7 +146,7 @@ def _above_healthy(
     low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
     sigma = float(high - low) / 1.349
     if coarse(long):  # means of pixels jump by codes
-        sigma = max(sigma, 0.5 * max(long.code_step, 1.0) / float(np.mean(baseline.gain)))
+        sigma = max(sigma, 0.5 * step_of(long) / float(np.mean(baseline.gain)))
     return charge - middle, sigma
 
 

@@ -19,7 +19,7 @@ from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.quiet import coarse
+from cannoise_jax.physics.transfer.quiet import coarse, step_of
 
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
 _SHORT = 0.5
@@ -74,7 +74,7 @@ def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | Non
     seconds = long_s - short_s
     charge, variance = charge_map(long, short, baseline)
     if coarse(long):  # pixels that never change code are no surer than a code
-        variance = np.maximum(variance, (max(long.code_step, 1.0) / float(np.mean(baseline.gain))) ** 2 / 12)
+        variance = np.maximum(variance, (step_of(long) / float(np.mean(baseline.gain))) ** 2 / 12)
     height, width = charge.shape
     means, sigma, y, x, least_length = _cells(charge, variance)
     side = max(height, width)

@@ -155,8 +155,11 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         )
     weight = 1 / np.square([e for _, e in found])
     value = float(np.sum(weight * [v for v, _ in found]) / weight.sum())
-    relative = float(np.linalg.norm(np.divide(baseline.gain_stderr, baseline.gain)) / 4)
-    return {"full_well_e": normal_estimate(value, float(np.hypot(weight.sum() ** -0.5, relative * value)))}
+    return {
+        "full_well_e": normal_estimate(
+            value, float(np.hypot(weight.sum() ** -0.5, baseline.gain_error * value))
+        )
+    }
 
 
 def reference_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
