@@ -21,6 +21,7 @@ from cannoise_jax.recordings.recording import (
     KINDS,
     LEAST,
     LONGEST_S,
+    MOST,
     SHORTEST_S,
 )
 
@@ -203,7 +204,7 @@ celsius = _between(COLDEST_C, HOTTEST_C, "give degrees Celsius, -273.15 or more,
 seconds = _between(
     0, LONGEST_S, f"give a time in seconds, 0 or {SHORTEST_S:g} to {LONGEST_S:g}", smallest=SHORTEST_S
 )
-above_zero = _between(0, 1e9, "give a number above 0", open_=True)
+above_zero = _between(0, MOST, f"give a number above 0, at most {MOST:g}", open_=True)
 
 
 def assignment(text: str) -> tuple[str, str]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file, line_of
-from cannoise_jax.commands.parser import OneLineParser, add_mechanisms_flag, place, seconds
-from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, LEAST, BadInput
+from cannoise_jax.commands.parser import OneLineParser, above_zero, add_mechanisms_flag, place, seconds
+from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, BadInput
 
 if TYPE_CHECKING:
     import jax
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from cannoise_jax.physics.core.sensor import SensorModel, Settings
     from cannoise_jax.recordings.recording import Recording
 
-_LARGEST = 1e30
-"""Of an ISO: products with gains and rates stay within float32."""
 _MOST_FRAMES = 10_000
 
 
@@ -67,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--frames", type=int, default=1, help="frames per recording (default 1)")
     add("--force", action="store_true", help="replace recordings that exist")
-    add("--iso", type=float, help="default: the first calibrated ISO")
+    add("--iso", type=above_zero, help="default: the first calibrated ISO")
     add("--exposure", type=seconds, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
     add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
     add(
@@ -117,8 +115,6 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
-    if not LEAST <= iso <= _LARGEST:
-        raise BadInput(f"--iso {iso:g}: must be above 0 and finite")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
     paths = [arguments.out / _name(clean, settings, arguments.unit) for clean in clean_scenes]

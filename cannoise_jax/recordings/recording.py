@@ -29,6 +29,8 @@ SHORTEST_S, LONGEST_S = 1e-9, 1e6
 """Exposures beyond are in another unit, or slips; biases may state 0."""
 LEAST = 2.0**-126
 """Magnitude of a number that is not 0: float32 has no less in full precision."""
+MOST = 1e9
+"""An ISO, or another setting without a limit of its own."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]

@@ -14,6 +14,7 @@ from cannoise_jax.recordings.recording import (
     LEAST,
     LIT,
     LONGEST_S,
+    MOST,
     SHORTEST_S,
     BadInput,
     PerChannel,
@@ -139,7 +140,7 @@ def _check_not_tiny(path: str | Path, name: str, number: float) -> None:
 
 
 def optional_number(
-    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = 1e9
+    path: str | Path, stated: Mapping[str, Any], name: str, least: float = -math.inf, most: float = MOST
 ) -> float | None:
     """The same from `least` to `most`; None where none is stated."""
     if name not in stated:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
@@ -23,8 +24,8 @@ def check_chain(path: str | Path) -> None:
             count, entry, offset, at = "Q", 20, "Q", struct.unpack(order + "Q", start[8:16])[0]
         else:
             count, entry, offset, at = "H", 12, "I", struct.unpack(order + "I", start[4:8])[0]
-        seen: set[int] = set()
-        while at:
+        size, seen = os.fstat(file.fileno()).st_size, set[int]()
+        while 0 < at < size:
             if at in seen or len(seen) > _MOST_PAGES:
                 raise BadInput(f"{path}: not a readable TIFF file: page {len(seen)} leads back to another")
             seen.add(at)
@@ -33,7 +34,7 @@ def check_chain(path: str | Path) -> None:
             if len(head) < struct.calcsize(order + count):
                 return
             (tags,) = struct.unpack(order + count, head)
-            file.seek(at + len(head) + tags * entry)
+            file.seek(min(at + len(head) + tags * entry, size))
             following = file.read(struct.calcsize(order + offset))
             if len(following) < struct.calcsize(order + offset):
                 return

@@ -162,6 +162,19 @@ def test_the_nearer_of_two_simulators(plain):
     assert better(near, near).gain == 0
 
 
+def test_draws_that_are_clipped_all_over_end_nothing(plain):
+    """Of the second set no pixel is left whose noise can be told: what is lacking there is passed over."""
+    whole, drawn = camera(), iter((False, True, *[False] * 9))
+
+    def clips(key, clean, settings):
+        frames = whole(key, clean, settings)
+        return np.full_like(frames, 16383) if next(drawn) else frames
+
+    found = compare(plain, clips, KEY)
+    assert found.verdict == "differs"
+    assert better(found.bank, compare(plain, camera(), KEY).bank) is not None
+
+
 def test_what_both_have_less_of_than_white_noise_is_told_apart():
     def opposed(share):
         return lambda rng: lambda dn, *_: dn - share * np.roll(dn - 200.0, 1, 1)

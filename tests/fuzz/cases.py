@@ -12,12 +12,25 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
 from astropy.io import fits
 
+from tests.fuzz.case import Case, Kit
+from tests.fuzz.command_cases import (
+    broken_model,
+    broken_report,
+    broken_result,
+    broken_sensor,
+    denoised,
+    judged,
+    odd_calibration,
+    rewritten_model,
+    sampled,
+    simulated,
+)
 from tests.fuzz.damage import ODD_NUMBERS, ODD_VALUES, damaged_bytes, damaged_json
 from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.wrong_calls import WRONG
@@ -28,27 +41,6 @@ THINGS = (
     *("tag", "sidd", "pgm"),
 )
 LEVELS = ("--black-level", "64", "--white-level", "1023")
-
-
-class Case(NamedTuple):
-    """kind: for the count. must: "refuse", or "either" where both one line and a result are sound."""
-
-    kind: str
-    target: str
-    argv: list[str]
-    must: str = "either"
-
-
-class Kit(NamedTuple):
-    """The sound files: recordings by name, a night of FITS files, a sensor.json with maps, a model.npz, a
-    denoiser, a published result."""
-
-    recordings: dict[str, Path]
-    night: Path
-    sensor: Path
-    model: Path
-    denoiser: Path
-    result: Path
 
 
 def make_case(kit: Kit, seed: int, folder: Path) -> Case:
@@ -279,126 +271,6 @@ def odd_folder(kit: Kit, rng: random.Random, folder: Path) -> Case:
     )
 
 
-def odd_calibration(kit: Kit, rng: random.Random, folder: Path) -> Case:
-    """A flat and a dark of one camera of which one states or holds something odd."""
-    dark = np.rint(np.random.default_rng(1).normal(64, 3, (4, 24, 32))).astype(np.uint16)
-    stacks, fields = {"flat": frames(), "dark": dark}, {k: dict(FIELDS, kind=k) for k in ("flat", "dark")}
-    victim = rng.choice(("flat", "dark"))
-    how = rng.choice(("field", "field", "zero", "one value", "copies", "one frame", "white", "size"))
-    if how == "field":
-        fields[victim][rng.choice(list(FIELDS))] = rng.choice(ODD_VALUES)
-    stacks[victim] = {
-        "zero": lambda s: s * 0,
-        "one value": lambda s: np.full_like(s, 300),
-        "copies": lambda s: s[[0, 0, 0, 1]],
-        "one frame": lambda s: s[:1],
-        "white": lambda s: s | 0x3FF,
-        "size": lambda s: s[:, :2, :2],
-    }.get(how, lambda s: s)(stacks[victim])
-    for kind, stack in stacks.items():
-        try:
-            native(folder / "in" / f"{kind}.h5", stack, fields[kind])
-        except (TypeError, ValueError, OverflowError, RuntimeError, UnicodeError):  # no attribute of HDF5
-            native(folder / "in" / f"{kind}.h5", stack, {**FIELDS, "kind": kind})
-    return Case(f"calibrate {how}", "calibrate", ["--recordings", "in", "--out", "out/sensor.json"])
-
-
-def broken_sensor(kit: Kit, rng: random.Random, folder: Path) -> Case:
-    """A sensor.json, or the maps beside it, damaged."""
-    for path in (kit.sensor, kit.sensor.with_suffix(".npz")):
-        shutil.copy(path, folder / "in")
-    path, must = folder / "in" / kit.sensor.name, "either"
-    if rng.random() < 0.25:
-        maps = path.with_suffix(".npz")
-        data, _ = damaged_bytes(rng, maps.read_bytes())
-        must = "refuse" if data != maps.read_bytes() else "either"  # they have a checksum
-        maps.write_bytes(data)
-    else:
-        path.write_text(damaged_json(rng, path.read_text()), errors="surrogatepass")
-    target = "read:cannoise_jax.physics.core.sensor.SensorModel.load"
-    return Case("sensor", target, [f"in/{path.name}"], must)
-
-
-def broken_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
-    """A model.npz damaged."""
-    content = kit.model.read_bytes()
-    data, how = damaged_bytes(rng, content)
-    (folder / "in" / "model.npz").write_bytes(data)
-    lost = how in ("cut", "none") and len(data) < 0.9 * len(content)
-    target = "read:cannoise_jax.sampling.load_model"
-    return Case("model", target, ["in/model.npz"], "refuse" if lost else "either")
-
-
-def rewritten_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
-    """A model or a denoiser written anew, as a sound ZIP file, with something else in it."""
-    source, reader = rng.choice(((kit.model, "load_model"), (kit.denoiser, "load_denoiser")))
-    with np.load(source) as file:
-        arrays = {name: file[name] for name in file.files}
-    name = rng.choice([n for n in arrays if n != "description"])
-    value, how = arrays[name], rng.choice(("nan", "scale", "shape", "kind", "gone", "more", "text", "text"))
-    if how == "text":
-        text = str(arrays["description"])
-        arrays["description"] = np.array(damaged_json(rng, text).encode(errors="replace").decode())
-    changed: dict[str, Callable[[], Any]] = {
-        "nan": lambda: value * np.nan,
-        "scale": lambda: value * 2 + 1,
-        "shape": lambda: np.ravel(value)[:1],
-        "kind": lambda: value.astype(rng.choice((np.complex64, np.float64, np.int32, bool)))[None],
-        "more": lambda: np.concatenate([value, value]),
-    }
-    if how in changed:
-        arrays[name] = changed[how]()
-    elif how == "gone":
-        del arrays[name]
-    np.savez(folder / "in" / "m.npz", **arrays)
-    must = "either" if how == "text" else "refuse"
-    return Case("rewritten", f"read:tests.fuzz.cases.{reader}", ["in/m.npz"], must)
-
-
-def load_model(path: str) -> None:
-    from cannoise_jax.sampling import load_model
-
-    load_model(path)
-
-
-def load_denoiser(path: str) -> None:
-    from cannoise_jax.training.denoise import load_denoiser
-
-    load_denoiser(Path(path))
-
-
-_LINE = {"what": "columns", "time": "fixed", "simulator_has": "too little", "recorded": 1.0, "simulated": 0.5}
-REPORT = {
-    "schema": "cannoise/diagnosis/2",
-    "verdict": "partly explained",
-    "inputs": [{"sha256": "0" * 64, "file": "dark.h5", "kind": "dark", "frames": 4}],
-    "after": {"two_sample_auc": 0.6, "two_sample_auc_ci90": [0.55, 0.65]},
-    "remains": {"after": [{**_LINE, "unit": "DN", "nats": 12.5}]},
-}
-"""What `bin/compare` reads of a report."""
-
-
-def broken_report(kit: Kit, rng: random.Random, folder: Path) -> Case:
-    """One of two reports of a diagnosis damaged."""
-    for name, text in (("a", json.dumps(REPORT)), ("b", damaged_json(rng, json.dumps(REPORT)))):
-        (folder / "in" / f"{name}.json").write_text(text, errors="surrogatepass")
-    return Case("report", "compare", ["in/a.json", "in/b.json"])
-
-
-def broken_result(kit: Kit, rng: random.Random, folder: Path) -> Case:
-    """A published result damaged."""
-    text = damaged_json(rng, kit.result.read_text())
-    (folder / "in" / "r.json").write_text(text, errors="surrogatepass")
-    home = "tests.fuzz.cases.read_published"
-    return Case("result", f"read:{home}", ["in/r.json"])
-
-
-def read_published(path: str) -> None:
-    from cannoise_jax.commands.published import read_result
-
-    read_result(Path(path))
-
-
 def wrong_call(kit: Kit, rng: random.Random, folder: Path) -> Case:
     """A command line that has to be refused."""
     native(folder / "in" / "a.h5", frames(), FIELDS)
@@ -409,5 +281,6 @@ def wrong_call(kit: Kit, rng: random.Random, folder: Path) -> Case:
 MAKERS: tuple[tuple[Callable[[Kit, random.Random, Path], Case], float], ...] = (
     (broken_file, 6), (odd_attribute, 2), (odd_frames, 1), (odd_header, 1.5), (broken_side_car, 2),
     (odd_thing, 1.5), (broken_sensor, 3), (broken_model, 1), (broken_result, 1), (wrong_call, 3),
-    (odd_folder, 2), (odd_calibration, 0.3), (rewritten_model, 1), (broken_report, 1),
+    (odd_folder, 2), (odd_calibration, 0.5), (rewritten_model, 1), (broken_report, 1),
+    (judged, 0.2), (simulated, 1), (sampled, 0.3), (denoised, 0.5),
 )  # fmt: skip

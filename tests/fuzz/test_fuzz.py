@@ -15,24 +15,25 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from cannoise_jax import SensorModel
-from cannoise_jax.networks import Generator
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.sampling import Camera, Setting, make_model, save_model
 from cannoise_jax.training.denoise import Denoiser, Recipe, save_denoiser
+from tests.commands.test_sample import write_model
 from tests.conftest import ROOT, SIMULATION
-from tests.fuzz.cases import Case, Kit, make_case
+from tests.fuzz.case import Case, Kit
+from tests.fuzz.cases import make_case
 from tests.fuzz.samples import write_samples
 from tests.recordings.folders.night import night
 
-SECONDS, GIGABYTES = 20.0, 4.0
-"""What one case may take, in time of a core. Loading JAX takes a second and some 3 GB of addresses."""
+GIGABYTES = 4.0
+"""What one case may take. Loading JAX takes some 3 GB of addresses."""
 
 
 class Worker:
@@ -56,11 +57,14 @@ class Worker:
         self,
         case: Case,
         folder: Path,
-        seconds: float = 8 * SECONDS,
+        seconds: float | None = None,
         ready: Path | None = None,
-        cpu: float = SECONDS,
+        cpu: float | None = None,
     ) -> dict:
-        """seconds: until it is killed, counted from when `ready` is there, if named. cpu: time of a core."""
+        """seconds: until it is killed, counted from when `ready` is there, if named. cpu: time of a core.
+        Those that are not named are the case's."""
+        cpu = case.seconds if cpu is None else cpu
+        seconds = 8 * case.seconds if seconds is None else seconds
         job = {"target": case.target, "argv": case.argv, "cwd": str(folder), "ready": str(ready or "")}
         job |= {"seconds": seconds, "cpu": cpu, "gigabytes": GIGABYTES}
         self.process.stdin.write(json.dumps(job) + "\n")
@@ -82,12 +86,11 @@ def kit(tmp_path_factory) -> Kit:
     camera = camera.with_mechanism("row_noise", sigma_dn=0.8).with_mechanism("dsnu", sigma_dn=1.0)
     write_sensor(folder / "sensor.json", camera.with_maps((4, 6)))
     assert (folder / "sensor.npz").is_file()
-    generator = Generator(1 / 64, hidden=4)
-    leaf = {"params": {"a": {"kernel": jnp.ones((3, 4))}}}
-    cameras = {"A": Camera(jnp.ones((1, 32, 32, 4)), {"100": Setting(jnp.full(4, 1e-3), jnp.full(4, 1e-5))})}
-    save_model(folder / "model.npz", make_model(generator, leaf, None, {}, cameras))
-    denoiser = Denoiser(Recipe(features=4, depth=2), {"params": {"c": {"kernel": np.ones((3, 3, 4, 4))}}}, {})
-    save_denoiser(folder / "denoiser.npz", denoiser)
+    write_model(folder)
+    recipe = Recipe(features=4, depth=2)
+    variables = recipe.module.init(jax.random.key(0), jnp.ones((1, 8, 8, 4)), train=False)
+    about = {"gain_dn_per_e": 1.0, "full_scale_e": 100.0}
+    save_denoiser(folder / "denoiser.npz", Denoiser(recipe, jax.device_get(variables), about))
     result = sorted((ROOT / "docs" / "results").glob("*.json"))[0]
     (folder / "samples").mkdir()
     with warnings.catch_warnings():
@@ -206,10 +209,12 @@ WHAT = {
     "rewritten": "a model or a denoiser written anew",
     "report": "a report of a diagnosis",
     "result": "a published result",
+    "judged": "what diagnose and compare read",
+    "made": "what simulate, sample and denoise read",
     "call": "command lines of all commands",
 }
 """The kinds of cases, by their first word, as docs/reliability.md has them."""
-CODE = ("cannoise_jax/commands", *SIMULATION, "cannoise_jax/discovery")
+CODE = ("cannoise_jax/commands", *SIMULATION, "cannoise_jax/discovery", "cannoise_jax/sampling.py")
 
 
 def report(counts: Counter) -> str:

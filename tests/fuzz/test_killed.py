@@ -20,7 +20,7 @@ from tests.commands.test_sample import write_model
 from tests.conftest import ROOT
 from tests.discovery.capture import capture_set
 from tests.fuzz import killed
-from tests.fuzz.cases import Case
+from tests.fuzz.case import Case
 from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.test_fuzz import Worker, prepared
 from tests.recordings.folders.night import night

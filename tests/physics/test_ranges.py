@@ -36,6 +36,8 @@ def poisson_gaussian(**changes):
         ({"code_step": 1000.0}, "code_step 1000 leaves 1 codes from black to white"),
         ({"code_step": 64.0}, "code_step 64 leaves 15 codes"),
         ({"iso": 0.0}, "iso must be above 0"),
+        ({"iso": 2e9}, "iso must be at most 1e\\+09, got 2e\\+09"),
+        ({"read_noise_e": 1e6}, "wider than the"),
         ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
         ({"cfa": np.array([[0, 1], [1, 2]])}, r"cfa is array\(\[\[0, 1\], \[1, 2\]\]\), not one of RGGB"),
     ],
@@ -53,7 +55,7 @@ def test_a_baseline_that_no_camera_has_is_refused_in_one_line(change, message):
         {"gain_dn_per_e": 1.0, "black_level": 0.0, "white_level": 3.0},  # photons counted in two bits
         {"black_level": 0.0, "white_level": 65280.0, "code_step": 256.0},  # eight bits, shifted to sixteen
         {"code_step": 63.0},
-        {"gain_dn_per_e": 900.0},
+        {"gain_dn_per_e": 900.0, "read_noise_e": 0.5},
     ],
 )
 def test_few_shades_and_high_gains_that_cameras_have_are_taken(change):

@@ -245,6 +245,16 @@ def test_pages_that_lead_back_to_themselves_are_refused(tmp_path):
             load_recording(tmp_path / name, cfa="MONO", black_level=0, white_level=1)
 
 
+@pytest.mark.parametrize("at", [2**63 + 8, 2**63 - 1, 0, 16])
+def test_directories_far_outside_of_the_file_are_refused(tmp_path, at):
+    """Of a BigTIFF: where its first directory stands, and how many entries it claims."""
+    data = b"II\x2b\0\x08\0\0\0" + at.to_bytes(8, "little") + b"\xff" * 64
+    for name in ("far.tif", "far.dng"):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(BadInput, match=name):
+            load_recording(tmp_path / name, cfa="MONO", black_level=0, white_level=1)
+
+
 def test_claims_that_no_file_holds_are_refused_before_they_are_read(tmp_path):
     levels = {"cfa": "MONO", "black_level": 0, "white_level": 1023}
     with h5py.File(tmp_path / "a.h5", "w") as file:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TEMPORAL, Family, of
-from cannoise_jax.discovery.compare.measure import Measured, Statistics
+from cannoise_jax.discovery.compare.measure import Measured, Statistics, of_sets
 from cannoise_jax.signatures import laws
 
 FLOOR = 4.0
@@ -107,14 +107,14 @@ def judge(
     for name, real in recorded.items():
         own: dict[str, laws.Judged] = {}
         for family, values in real.families.items():
-            drawn = [s.families[family] for s in simulated[name] if family in s.families]
+            drawn = of_sets(simulated[name], family)
             if drawn:
                 known = FAMILIES[family]
                 redrawn = of(TEMPORAL, known.name)
                 moving = own.get(redrawn) if known.part == STATIC else None
                 if moving is not None:
                     values = without_noise(known, values, moving, drawn)
-                units = None if moving is None else [s.families[redrawn] for s in simulated[name]]
+                units = None if moving is None else of_sets(simulated[name], redrawn)
                 own[family] = judged(values, drawn, units)
                 every[family].append((name, own[family]))
     for results in every.values():

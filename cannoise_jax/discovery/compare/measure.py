@@ -67,6 +67,11 @@ class Measured(NamedTuple):
     coarse: bool = False
 
 
+def of_sets(sets: list[Measured], family: str) -> list[Statistics]:
+    """A family's statistics of those simulated sets that have them: one that is clipped all over has not."""
+    return [s.families[family] for s in sets if family in s.families]
+
+
 BROAD = 0.75
 """Codes modulo m are compared where the noise is as many times m: then no level can favour a residue (by
 more than 2 exp(-2 pi^2 0.75^2) = 3e-5 of it, for a normal law)."""

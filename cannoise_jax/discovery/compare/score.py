@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from scipy import special, stats
 
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, TEMPORAL, of
+from cannoise_jax.discovery.compare.measure import of_sets
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.discovery.frames.splits import split_frames
 
@@ -40,10 +41,11 @@ def scores(compared: Compared, family: str = of(TEMPORAL, STRUCTURE)) -> dict[st
     """Log score of every contrast (or of the static map) of every recording, nats per pixel."""
     out = {}
     for name, measured in compared.recorded.items():
-        if family not in measured.families:
+        sets = of_sets(compared.simulated[name], family)
+        if family not in measured.families or not sets:
             continue
         real = measured.families[family]
-        drawn = np.concatenate([s.families[family].values for s in compared.simulated[name]])
+        drawn = np.concatenate([s.values for s in sets])
         free = real.size > 0
         count, expected = real.size[free], np.maximum(drawn.mean(0)[free], 1e-3)
         # A simulator that gave few frames is not to lose by the scatter of its energies.

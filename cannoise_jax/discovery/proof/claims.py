@@ -18,6 +18,7 @@ from cannoise_jax.discovery.compare.families import (
     UNSTEADY,
     of,
 )
+from cannoise_jax.discovery.compare.measure import of_sets
 from cannoise_jax.discovery.compare.moves import LINE_LAGS
 from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.discovery.compare.table import lines_of
@@ -175,9 +176,10 @@ def two_levels(whole: Compared) -> Doubt | None:
     """What speaks against a name for pixels that jump between two levels: that many leave more than that."""
     recorded, simulated = np.zeros(1), np.zeros(1)
     for name, measured in whole.recorded.items():
-        if LEVELS in measured.families:
+        sets = of_sets(whole.simulated[name], LEVELS)
+        if LEVELS in measured.families and sets:
             recorded = recorded + measured.families[LEVELS].values.sum(0)
-            simulated = simulated + np.sum([s.families[LEVELS].values for s in whole.simulated[name]], (0, 1))
+            simulated = simulated + np.sum([s.values for s in sets], (0, 1))
     number = [float(v.sum()) for v in (recorded, simulated)]
     if min(number) < _FEWEST_PIXELS:
         return None

@@ -18,7 +18,7 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, in_one_line
+from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, MOST, in_one_line
 
 HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
@@ -65,6 +65,8 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
     isos = isos if isos is None else np.atleast_1d(isos)
     if isos is not None and isos.min() <= 0:
         raise ValueError(f"iso must be above 0, got {isos.min():g}")
+    if isos is not None and isos.max() > MOST:
+        raise ValueError(f"iso must be at most {MOST:g}, got {isos.max():g}")
     if isos is not None and np.any(np.diff(isos) <= 0):
         raise ValueError(f"ISOs must ascend, got {isos.tolist()}")
     gain, read = known(gain_dn_per_e, "gain_dn_per_e"), known(read_noise_e, "read_noise_e")
@@ -96,6 +98,21 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
         raise ValueError(
             f"code_step {step:g} leaves {int(span // step) + 1} codes from black to white: give the spacing "
             "of the stored codes in DN"
+        )
+
+
+def check_read_noise(gain_dn_per_e, read_noise_e, black_level, white_level) -> None:
+    """Of a baseline's tables by ISO and site: in DN no wider than the range from black to white."""
+    numbers = [known(v, "the baseline") for v in (gain_dn_per_e, read_noise_e, black_level, white_level)]
+    if any(v is None for v in numbers):
+        return
+    gain, read, black, white = numbers
+    widest = float(np.max(gain * read))
+    span = float(white - black.min())
+    if widest > span * (1 + 1e-5):  # of float32
+        raise ValueError(
+            f"read_noise_e {read.max():g} is {widest:g} DN, wider than the {span:g} DN from black "
+            "to white: give electrons"
         )
 
 
@@ -202,8 +219,8 @@ def check_taken(clean: Any, settings: Settings) -> None:
     if not isinstance(settings, Settings):
         raise TypeError(f"settings is a {type(settings).__name__}: expected Settings(iso=..., frames=...)")
     iso, seconds = known(settings.iso, "iso"), known(settings.exposure_s, "exposure_s")
-    if iso is not None and not iso > 0:
-        raise ValueError(f"iso must be above 0, got {iso:g}")
+    if iso is not None and not 0 < iso <= MOST:
+        raise ValueError(f"iso must be above 0, at most {MOST:g}, got {iso:g}")
     if seconds is not None and not seconds >= 0:
         raise ValueError(f"exposure_s must be 0 or more, got {seconds:g}")
     if settings.temperature_c is not None:

@@ -81,7 +81,7 @@ class SensorModel:
         ISOs; the black level: one number, one per site, or [N, 4] where it is another at every ISO.
 
         unit_key: default the key of 0. Numbers may be traced. Raises ValueError for counts that do not match
-        and for what `ranges.check_baseline` refuses.
+        and for what `ranges.check_baseline` and `ranges.check_read_noise` refuse.
         """
         ranges.check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa)
         isos = _array(iso).reshape(-1)
@@ -99,10 +99,12 @@ class SensorModel:
         blacks = black if black.ndim == 2 else _spread(black, (1, 4))
         if blacks.shape not in ((1, 4), (isos.size, 4)):
             raise ValueError(f"expected black levels [{isos.size}, 4], got shape {blacks.shape}")
+        gain, read = table(gain_dn_per_e), table(read_noise_e)
+        ranges.check_read_noise(gain, read, blacks, white_level)
         return SensorModel(
             iso=isos,
-            gain_dn_per_e=table(gain_dn_per_e),
-            read_noise_e=table(read_noise_e),
+            gain_dn_per_e=gain,
+            read_noise_e=read,
             black_level=_spread(blacks[0], (4,)),
             black_beyond=_spread(blacks - blacks[:1], (isos.size, 4)),
             white_level=_array(white_level),
