@@ -103,10 +103,10 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
 
 def check_read_noise(gain_dn_per_e, read_noise_e, black_level, white_level) -> None:
     """Of a baseline's tables by ISO and site: in DN no wider than the range from black to white."""
-    numbers = [known(v, "the baseline") for v in (gain_dn_per_e, read_noise_e, black_level, white_level)]
-    if any(v is None for v in numbers):
+    gain, read = known(gain_dn_per_e, "gain_dn_per_e"), known(read_noise_e, "read_noise_e")
+    black, white = known(black_level, "black_level"), known(white_level, "white_level")
+    if gain is None or read is None or black is None or white is None:
         return
-    gain, read, black, white = numbers
     widest = float(np.max(gain * read))
     span = float(white - black.min())
     if widest > span * (1 + 1e-5):  # of float32
