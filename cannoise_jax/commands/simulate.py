@@ -16,8 +16,15 @@ from typing import TYPE_CHECKING
 
 from cannoise_jax.commands.entry import command, progress
 from cannoise_jax.commands.outputs import check_file, line_of
-from cannoise_jax.commands.parser import OneLineParser, above_zero, add_mechanisms_flag, place, seconds
-from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, BadInput
+from cannoise_jax.commands.parser import (
+    OneLineParser,
+    above_zero,
+    add_mechanisms_flag,
+    celsius,
+    place,
+    seconds,
+)
+from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
     import jax
@@ -67,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="replace recordings that exist")
     add("--iso", type=above_zero, help="default: the first calibrated ISO")
     add("--exposure", type=seconds, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
-    add("--temperature", type=float, metavar="C", help="degrees Celsius (default: that of the calibration)")
+    add("--temperature", type=celsius, metavar="C", help="degrees Celsius (default: that of the calibration)")
     add(
         "--size",
         type=_size,
@@ -96,8 +103,6 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("give --sensor and --clean, or --catalogue")
     if not 1 <= arguments.frames <= _MOST_FRAMES:
         raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
-    if arguments.temperature is not None and not COLDEST_C <= arguments.temperature <= HOTTEST_C:
-        raise BadInput(f"--temperature {arguments.temperature}: write degrees Celsius, as 20")
     if arguments.unit is not None and not 0 <= arguments.unit < 2**32:
         raise BadInput("--unit: must be a whole number from 0 to 4294967295")
     if not 0 <= arguments.seed < 2**32:
