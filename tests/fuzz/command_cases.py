@@ -121,11 +121,8 @@ def denoised(kit: Kit, rng: random.Random, folder: Path) -> Case:
 
 def broken_sensor(kit: Kit, rng: random.Random, folder: Path) -> Case:
     """A sensor.json, or the maps beside it, damaged."""
-    for path in (kit.sensor, kit.sensor.with_suffix(".npz")):
-        shutil.copy(path, folder / "in")
-    path, must = folder / "in" / kit.sensor.name, "either"
+    (path, maps), must = _camera(kit, folder / "in"), "either"
     if rng.random() < 0.25:
-        maps = path.with_suffix(".npz")
         data, _ = damaged_bytes(rng, maps.read_bytes())
         must = "refuse" if data != maps.read_bytes() else "either"  # they have a checksum
         maps.write_bytes(data)

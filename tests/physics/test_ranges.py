@@ -36,6 +36,7 @@ def poisson_gaussian(**changes):
         ({"code_step": 1000.0}, "code_step 1000 leaves 1 codes from black to white"),
         ({"code_step": 64.0}, "code_step 64 leaves 15 codes"),
         ({"iso": 0.0}, "iso must be above 0"),
+        ({"iso": 1e-40}, "iso must be above 0"),
         ({"iso": 2e9}, "iso must be at most 1e\\+09, got 2e\\+09"),
         ({"read_noise_e": 1e6}, "wider than the"),
         ({"cfa": "RGBW"}, "cfa is 'RGBW'"),
@@ -110,6 +111,7 @@ def test_a_mechanism_outside_its_ranges_is_refused_in_one_line(id, change, messa
     ("clean", "settings", "message"),
     [
         (FLAT, Settings(iso=np.zeros(())), "iso must be above 0"),
+        (FLAT, Settings(iso=1e-40), "iso must be above 0"),
         (FLAT, Settings(exposure_s=np.array(-1.0)), "exposure_s must be 0 or more"),
         (FLAT, Settings(temperature_c=np.array(np.nan)), "temperature_c is nan"),
         (FLAT, Settings(temperature_c=np.array(-300.0)), "temperature_c must be"),

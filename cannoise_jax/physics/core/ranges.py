@@ -18,7 +18,7 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, MOST, in_one_line
+from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, LEAST, MOST, in_one_line
 
 HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
@@ -63,7 +63,7 @@ def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, c
         raise ValueError(f"cfa is {in_one_line(cfa)}, not one of {', '.join(CFA_PATTERNS)}")
     isos = known(iso, "iso")
     isos = isos if isos is None else np.atleast_1d(isos)
-    if isos is not None and isos.min() <= 0:
+    if isos is not None and isos.min() < LEAST:
         raise ValueError(f"iso must be above 0, got {isos.min():g}")
     if isos is not None and isos.max() > MOST:
         raise ValueError(f"iso must be at most {MOST:g}, got {isos.max():g}")
@@ -219,7 +219,7 @@ def check_taken(clean: Any, settings: Settings) -> None:
     if not isinstance(settings, Settings):
         raise TypeError(f"settings is a {type(settings).__name__}: expected Settings(iso=..., frames=...)")
     iso, seconds = known(settings.iso, "iso"), known(settings.exposure_s, "exposure_s")
-    if iso is not None and not 0 < iso <= MOST:
+    if iso is not None and not LEAST <= iso <= MOST:
         raise ValueError(f"iso must be above 0, at most {MOST:g}, got {iso:g}")
     if seconds is not None and not seconds >= 0:
         raise ValueError(f"exposure_s must be 0 or more, got {seconds:g}")
