@@ -7,6 +7,7 @@ the same names.
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import io
 import os
@@ -21,7 +22,7 @@ import numpy as np
 from cannoise_jax.recordings.atomic import remove_leftovers, signals_held
 from cannoise_jax.recordings.hdf5 import sound_file
 from cannoise_jax.recordings.lazy import LazyArray
-from cannoise_jax.recordings.metadata import FIELDS, check_overrides, chunks, make_recording, reading
+from cannoise_jax.recordings.metadata import FIELDS, check_overrides, checked, chunks, make_recording, reading
 from cannoise_jax.recordings.opened import Opened, check_claim
 from cannoise_jax.recordings.recording import BadInput, Recording
 
@@ -61,10 +62,11 @@ def open_native(path: str | Path) -> Opened:
 def write_recording(path: str | Path, recording: Recording) -> None:
     """Writes a native file: a temporary neighbour first, moved into place when complete.
 
-    Reads the frames in chunks, and between them Ctrl-C is heard. Raises BadInput when it cannot be written.
-    Leaves nothing behind then.
+    Reads the frames in chunks, and between them Ctrl-C is heard. Raises BadInput when it cannot be written,
+    or states what no reader takes. Leaves nothing behind then.
     """
     path = Path(path)
+    recording = checked(dataclasses.replace(recording, path=str(path)))
     remove_leftovers(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

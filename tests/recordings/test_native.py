@@ -206,6 +206,25 @@ def test_what_does_not_fit_the_frames_is_warned_of(path, caplog, wrong, message)
     assert message.split(".*")[0] in record.getMessage() and record.getMessage().startswith(f"{path}: ")
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"camera": "a\nb"},
+        {"camera": "x" * 500},
+        {"code_step": 0.5},
+        {"iso": 1e-40},
+        {"black_level": (-1e30,) * 4},
+    ],
+    ids=str,
+)
+def test_what_no_reader_takes_is_not_written(path, wrong):
+    fields = {"cfa": "RGGB", "black_level": (64.0,) * 4, "white_level": 1023.0} | wrong
+    path.parent.mkdir(exist_ok=True)
+    with pytest.raises(BadInput, match=path.name):
+        write_recording(path, Recording(frames=FRAMES, **fields))
+    assert not list(path.parent.iterdir())
+
+
 def test_a_full_disk_leaves_nothing_behind(path):
     """A limit on file size stands in for a full disk: both make a write fail half way."""
     path.parent.mkdir()
