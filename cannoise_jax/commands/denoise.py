@@ -14,7 +14,8 @@ import shlex
 import sys
 import time
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.denoise_sources import (
     check_sources,
@@ -31,6 +32,9 @@ from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place, seconds
 from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.recordings.recording import CaptureSet
 
 ORDER = ("gaussian", "pg", "calibrated", "discovered", "ours_on_discovered", "real_darks")
 """As the noise models are expected: each no worse than the one before."""
@@ -59,8 +63,7 @@ def _train(arguments, argv) -> None:
     import jax
     from tqdm import tqdm
 
-    from cannoise_jax.recordings.load import load_capture_set
-    from cannoise_jax.training.denoise import Recipe, save_denoiser, train_denoiser
+    from cannoise_jax.training.denoise import Recipe, check_size, save_denoiser, train_denoiser
     from cannoise_jax.training.denoise_data import dim_scenes, half_real
     from cannoise_jax.training.noise_sources import open_source
 
@@ -71,10 +74,12 @@ def _train(arguments, argv) -> None:
         scenes=arguments.scenes,
     )
     check_folder(arguments.workdir, (), force=True)
-    capture = load_capture_set(arguments.recordings)
+    capture = _capture(arguments.recordings)
     labels = labels_of(arguments.noise)
     check_sources(labels)
     every = {exposure: half_real(capture, exposure, arguments.full_scale) for exposure in arguments.exposure}
+    for data in every.values():
+        check_size(data.train.shape[1:], recipe)
     sensors = sensors_of(labels, capture, arguments.workdir)
     for exposure, data in every.items():
         folder = arguments.workdir / "denoisers" / f"{slug(data.camera)}_{exposure:g}s"
@@ -110,20 +115,30 @@ def _train(arguments, argv) -> None:
                 print(path, flush=True)
 
 
+def _capture(place: Path) -> CaptureSet:
+    """The recordings of a folder without the frames that show no noise, which are said."""
+    from cannoise_jax.recordings.load import load_capture_set
+    from cannoise_jax.recordings.usable import usable
+
+    capture, left_out = usable(load_capture_set(place))
+    for line in left_out:
+        print(f"bin/denoise: {line}", file=sys.stderr, flush=True)
+    return capture
+
+
 def _test(arguments, argv) -> None:
     """Every denoiser of the workdir on the held-out darks; writes denoising.json and prints a table."""
     import jax
     import numpy as np
 
     from cannoise_jax.evaluation.denoising import in_order, psnr, ssim, summary
-    from cannoise_jax.recordings.load import load_capture_set
     from cannoise_jax.recordings.packing import pack
     from cannoise_jax.training.denoise import denoised, load_denoiser
     from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images
 
     started = time.monotonic()
     found = [(p, load_denoiser(p)) for p in sorted((arguments.workdir / "denoisers").glob("*/*.npz"))]
-    capture = load_capture_set(arguments.recordings)
+    capture = _capture(arguments.recordings)
     path = arguments.workdir / f"denoising_{slug(capture.camera)}.json"
     found = [(p, d) for p, d in found if d.about["camera"] == capture.camera]
     if not found:

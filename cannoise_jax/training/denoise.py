@@ -108,6 +108,14 @@ def _programs(recipe: Recipe):
     return optimiser, step
 
 
+def check_size(size: tuple[int, ...], recipe: Recipe) -> None:
+    """Raises BadInput for images smaller than a patch."""
+    if min(size) < 2 * recipe.patch:
+        raise BadInput(
+            f"training images of {size[0]} x {size[1]} pixels: patches need {2 * recipe.patch} on a side"
+        )
+
+
 def train_denoiser(
     recipe: Recipe,
     source: Source,
@@ -121,11 +129,7 @@ def train_denoiser(
 
     Raises BadInput for images smaller than a patch, FloatingPointError for a loss that is not finite.
     """
-    if min(clean.shape[1:]) < 2 * recipe.patch:
-        raise BadInput(
-            f"training images of {clean.shape[1]} x {clean.shape[2]} pixels: patches need "
-            f"{2 * recipe.patch} on a side"
-        )
+    check_size(clean.shape[1:], recipe)
     key = jax.random.key(seed)
     noisy = noisy_pool(source, clean, recipe.realisations, jax.random.fold_in(key, 1))
     optimiser, step = _programs(recipe)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from runpy import run_path
@@ -12,7 +13,7 @@ import pytest
 
 from cannoise_jax.commands.denoise import main
 from cannoise_jax.evaluation.denoising import Interval
-from cannoise_jax.recordings.native import write_recording
+from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.sampling import load_model
 from cannoise_jax.training.denoise import load_denoiser
@@ -101,3 +102,22 @@ def test_what_cannot_be_used_is_refused_in_one_line(recordings, tmp_path, capsys
         error = capsys.readouterr().err.splitlines()[-1]
         assert error.startswith("bin/denoise: ") and words in error
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("noise", ["pg", "calibrated"])
+@pytest.mark.parametrize(
+    ("width", "copied", "words"), [(72, False, "patches need 64"), (144, True, "no two")]
+)
+def test_small_frames_and_copies_are_refused_before_anything_is_made(
+    recordings, tmp_path, capsys, width, copied, words, noise
+):
+    """Of darks that are one frame twice no noise is left to train on."""
+    (tmp_path / "in").mkdir()
+    for path in recordings.iterdir():
+        recording = read_recording(path)
+        frames = np.asarray(recording.frames[:])[:, :, :width]
+        frames = frames[[0, 0, 0, 0]] if copied and recording.kind == "dark" else frames
+        write_recording(tmp_path / "in" / path.name, dataclasses.replace(recording, frames=frames))
+    run = ["--recordings", str(tmp_path / "in"), "--workdir", str(tmp_path / "out"), "--noise", noise]
+    assert main(["train", *run, "--exposure", "10"]) == 2
+    assert words in capsys.readouterr().err.splitlines()[-1] and not (tmp_path / "out").exists()

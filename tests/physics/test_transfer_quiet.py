@@ -76,3 +76,11 @@ def test_nothing_is_found_that_rounding_alone_makes(level, read, pattern):
     for gain in transfer.outcomes("system gain"):
         if isinstance(gain, Estimate):
             assert gain.value == pytest.approx(0.05, rel=0.06)
+
+
+def test_a_dark_that_is_one_frame_several_times_has_no_shape():
+    frame = 10 + 3 * np.random.default_rng(4).standard_normal(SIZE)
+    flat = 10 + 0.02 * np.random.default_rng(5).poisson(6000.0, (4, *SIZE))
+    own = recording("dark", np.stack([frame] * 3)), recording("flat", flat)
+    (transfer,) = photon_transfer(CaptureSet("copied", own))
+    assert not any(q.name.startswith(("row noise over", "correlation of")) for q in transfer.quantities)

@@ -110,10 +110,12 @@ def mean_square_of(dark: FrameStatistics, c: int) -> tuple[float, float]:
 
 
 def unchanging(dark: FrameStatistics) -> bool:
-    """Whether most pixels of a dark are at one code in all frames: then what changes from frame to frame
-    shows in the few others alone."""
+    """Whether the frames of a dark are one, several times, or most of its pixels at one code in all of them:
+    then what changes from frame to frame shows in the few others alone."""
     if dark.total is None:
         return False
+    if not np.any(dark.total):
+        return True
     still = dark.total < _STILL * step_of(dark) ** 2
     return bool(np.mean(still & (dark.mean == np.median(dark.mean))) > 0.5)
 
