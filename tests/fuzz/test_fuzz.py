@@ -214,7 +214,13 @@ WHAT = {
     "call": "command lines of all commands",
 }
 """The kinds of cases, by their first word, as docs/reliability.md has them."""
-CODE = ("cannoise_jax/commands", *SIMULATION, "cannoise_jax/discovery", "cannoise_jax/sampling.py")
+CODE = (
+    "cannoise_jax/commands",
+    *SIMULATION,
+    "cannoise_jax/discovery",
+    "cannoise_jax/sampling.py",
+    "cannoise_jax/training/denoise.py",
+)
 
 
 def report(counts: Counter) -> str:

@@ -201,10 +201,8 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse
     number = np.array([max(int(kept[at].sum()), 1) for at in SITES])  # a site that is not seen moves by 0
     levels = np.broadcast_to(level, (raw.frames, 4))
     if len(inner):
-        moved = (
-            np.array([[np.sum(c[at], where=kept[at], dtype=float) for at in SITES] for c in inner]) / number
-        )
-        levels = level + helmert(raw.frames).T @ moved
+        moved = np.array([[np.sum(c[at], where=kept[at], dtype=float) for at in SITES] for c in inner])
+        levels = level + helmert(raw.frames).T @ (moved / number)
     if static is not None:
         static = np.where(static_kept, static, 0).astype(np.float32)
     return View(
