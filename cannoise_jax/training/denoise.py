@@ -164,9 +164,8 @@ def load_denoiser(path: Path) -> Denoiser:
             raise ValueError(description["format"])
         variables = unflatten_dict({k: jnp.asarray(v) for k, v in found.arrays.items()}, sep="/")
         denoiser = Denoiser(Recipe(**description["recipe"]), variables, description["about"])
-        if not found.sealed:
-            image = jax.ShapeDtypeStruct((1, 8, 8, 4), jnp.float32)
-            jax.eval_shape(applied(denoiser.recipe), denoiser.variables, image)
+        image = jax.ShapeDtypeStruct((1, 8, 8, 4), jnp.float32)
+        jax.eval_shape(applied(denoiser.recipe), denoiser.variables, image)
         return denoiser
     except (*BROKEN_ARRAYS, KeyError, TypeError, AttributeError, RecursionError, FlaxError) as error:
         raise BadInput(f"{path}: not a readable denoiser: train it again") from error

@@ -11,7 +11,8 @@ Three scenes and more of one ISO are parted whole into training (0.7), validatio
 order of their files; scenes of other ISOs likewise over their ISOs, or all for training where there are fewer
 than three. Of a camera with one scene or two the frames are parted, in capture order, which is said in a
 warning; so are those of flats and darks. No frame is in two of them; computed scenes are parted as well. shot
-and read come from photon transfer where the files do not state them.
+and read come from photon transfer where the files do not state them. Frames that show no noise (saturated,
+copies, ...; see `recordings.usable`) are left out first, with a warning.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from cannoise_jax.recordings.recording import (
     per_channel,
 )
 from cannoise_jax.recordings.references import referenced_frames
+from cannoise_jax.recordings.usable import usable
 
 _SHARES = (0.7, 0.8)
 """Where validation and test frames begin."""
@@ -72,7 +74,7 @@ def recorded_patches(
       recording and split. exposure_s: of the darks; None: all of up to a second. Raises BadInput, also for
       one camera with a triplet.
     """
-    captures = [load_capture_set(folder, **overrides) for folder in folders]
+    captures = [_usable(load_capture_set(folder, **overrides)) for folder in folders]
     names = tuple(captured.camera for captured in captures)
     if len(set(names)) < len(names):
         raise BadInput(f"{folders[0]}: {', '.join(names)}: each folder must hold another camera")
@@ -96,6 +98,14 @@ def recorded_patches(
     train, validation, test = ({n: np.concatenate([p[n] for p in part]) for n in part[0]} for part in parts)
     cfas = tuple(captured.recordings[0].cfa for captured in captures)
     return names, cfas, (train, validation, test)
+
+
+def _usable(captured: CaptureSet) -> CaptureSet:
+    """Without the frames that show no noise, which are said."""
+    captured, left_out = usable(captured)
+    for line in left_out:
+        _log.warning("%s", line)
+    return captured
 
 
 def _camera_patches(

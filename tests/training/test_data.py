@@ -203,17 +203,23 @@ def test_one_camera_needs_the_triplet_switched_off(config, tmp_path):
     assert load_data(config, tmp_path).cameras == ("a",)
 
 
-def test_saturated_flats_are_left_out_with_a_warning(config, tmp_path, caplog):
+def test_frames_that_show_no_noise_are_left_out_with_a_warning(config, tmp_path, caplog):
     folder = write_camera(tmp_path / "a", "RGGB", 2.0)
-    frames = np.full((10, *SIZE), round(BLACK + SPAN), np.uint16)
-    write_recording(
-        folder / "white.h5",
-        Recording(frames, "RGGB", per_channel(BLACK), BLACK + SPAN, camera="a", kind="flat"),
-    )
+    white = np.full((10, *SIZE), round(BLACK + SPAN), np.uint16)
+    bright = np.random.default_rng(1).integers(4070, 4100, (10, *SIZE)).astype(np.uint16)
+    bright[..., :160] -= 100
+    copied = np.repeat(np.random.default_rng(2).integers(3000, 3200, (1, *SIZE)).astype(np.uint16), 10, 0)
+    for name, frames in {"white": white, "bright": bright, "copied": copied}.items():
+        write_recording(
+            folder / f"{name}.h5",
+            Recording(frames, "RGGB", per_channel(BLACK), BLACK + SPAN, camera="a", kind="flat"),
+        )
     config.data.recordings, config.loss.triplet = (str(folder),), 0.0
     data = load_data(config, tmp_path)
-    assert max(data.train[i]["clean"].mean() for i in range(len(data.train))) < 0.8
-    assert f"{folder}/white.h5: 100 % of the values are above 0.9" in caplog.text
+    assert max(data.train[i]["clean"].mean() for i in range(len(data.train))) < 0.6
+    assert f"{folder}/white.h5: frames 1 to 10: every pixel is at or above the white level" in caplog.text
+    assert f"{folder}/bright.h5: 100 % of the values are above 0.9" in caplog.text
+    assert f"{folder}/copied.h5: frames 2 to 10: a copy of frame 1" in caplog.text
 
 
 def test_stated_levels_of_no_noise_are_refused(config, tmp_path):

@@ -16,6 +16,7 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.sampling import make_model
 from cannoise_jax.training import worth
 from cannoise_jax.training.denoise import (
+    Denoiser,
     Recipe,
     applied,
     crops,
@@ -207,7 +208,10 @@ def test_what_cannot_be_used_is_refused(capture, data, tmp_path):
     with pytest.raises(BadInput, match="neither"):
         open_source("nonsense", data, {})
     (tmp_path / "bad.npz").write_bytes(b"PK nothing")
-    with pytest.raises(BadInput, match="train it again"):
-        load_denoiser(tmp_path / "bad.npz")
+    other = {"params": {"Conv_0": {"kernel": np.ones((3, 3, 1, 2), np.float32)}}}
+    save_denoiser(tmp_path / "other.npz", Denoiser(SMALL, other, {}))
+    for name in ("bad", "other"):
+        with pytest.raises(BadInput, match="train it again"):
+            load_denoiser(tmp_path / f"{name}.npz")
     with pytest.raises(BadInput, match="patches need"):
         train_denoiser(Recipe(steps=1), NAMED["pg"](data), np.zeros((1, 32, 32), np.float32), "RGGB", 0)
