@@ -131,7 +131,8 @@ def _is_folder(arguments: argparse.Namespace) -> bool:
 
 
 def _convert_folder(arguments: argparse.Namespace) -> int:
-    from cannoise_jax.recordings.folders.plan import plan_folder, text
+    from cannoise_jax.recordings.folders.plan import plan_folder
+    from cannoise_jax.recordings.folders.plan_text import text
     from cannoise_jax.recordings.folders.store import write_plan
     from cannoise_jax.recordings.usable import of_several_noises
 

@@ -18,7 +18,8 @@ import numpy as np
 from cannoise_jax.recordings.atomic import is_running, one_work
 from cannoise_jax.recordings.folders.aside import used_line
 from cannoise_jax.recordings.folders.groups import Group
-from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder, text
+from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder
+from cannoise_jax.recordings.folders.plan_text import text
 from cannoise_jax.recordings.folders.shots import Tell
 from cannoise_jax.recordings.join import join_recordings
 from cannoise_jax.recordings.lazy import LazyArray, chosen
