@@ -18,7 +18,7 @@ from cannoise_jax.commands.bench_accelerator import add_accelerator
 from cannoise_jax.commands.bench_docs import add_docs
 from cannoise_jax.commands.bench_speed import add_speed
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, add_table
+from cannoise_jax.commands.parser import OneLineParser, add_table, seed
 from cannoise_jax.recordings.recording import BadInput
 
 
@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     covered = commands.add_parser("coverage", help="coverage of the 90 %% intervals of every estimator")
     covered.add_argument("--simulations", type=int, default=300, help="of each case")
     covered.add_argument("--mechanisms", nargs="+", metavar="ID", help="only these (default: all)")
-    covered.add_argument("--seed", type=int, default=0)
+    covered.add_argument("--seed", type=seed, default=0)
     add_table(covered)
     covered.set_defaults(run=partial(_run, "coverage"))
     train = commands.add_parser("train", help="speed of the training step")

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.blind.compose import PARTS, SHARES
-from cannoise_jax.commands.blind_flags import kinds_of, parts_of, seeds_of, shard_of, size_of, whole
+from cannoise_jax.commands.blind_flags import kinds_of, parts_of, seeds_of, shard_of, size_of
 from cannoise_jax.commands.entry import command
-from cannoise_jax.commands.parser import OneLineParser, count, place
+from cannoise_jax.commands.parser import OneLineParser, count, place, seed, whole
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 
@@ -199,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     step = steps.add_parser("seal", prog="bin/blind seal", help="capture sets, and their truth elsewhere")
     step.add_argument("--out", type=place, required=True, help="folder for the sets")
     step.add_argument("--truth", type=place, required=True, help="file for the truth, outside of that folder")
-    step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
+    step.add_argument("--seed", type=seed, required=True, help="of everything that is drawn")
     step.add_argument("--sets", type=whole, default=400, help="sets to diagnose")
     step.add_argument("--nulls", type=whole, help="located only (default three for every four sets)")
     step.add_argument(
@@ -243,7 +243,7 @@ def _parser() -> argparse.ArgumentParser:
     step.set_defaults(step=_real)
     step = steps.add_parser("size", prog="bin/blind size", help="false alarms of the search, by simulation")
     step.add_argument("--out", type=place, required=True, help="folder for the lines of all replicates")
-    step.add_argument("--seed", type=int, required=True, help="of everything that is drawn")
+    step.add_argument("--seed", type=seed, required=True, help="of everything that is drawn")
     step.add_argument("--replicates", type=count, default=2000, help="capture sets")
     step.add_argument("--size", type=size_of, default=(192, 256), metavar="HxW", help="pixels")
     step.add_argument("--shard", type=shard_of, default=(1, 1), metavar="I/N", help="part I of N of them")

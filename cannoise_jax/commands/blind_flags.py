@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 from cannoise_jax.blind.compose import PARTS, SHARES
-from cannoise_jax.commands.parser import count
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
@@ -56,11 +55,3 @@ def size_of(text: str) -> tuple[int, int]:
     if height < 64 or width < 64 or height % 2 or width % 2:
         raise argparse.ArgumentTypeError(f"{text!r}: give HxW, even numbers from 64, such as 192x256")
     return height, width
-
-
-def whole(text: str) -> int:
-    """A whole number from 0."""
-    try:
-        return int(text) if int(text) >= 0 else count(text)
-    except ValueError:
-        return count(text)

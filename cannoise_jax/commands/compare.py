@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import cache_folder, command, progress
 from cannoise_jax.commands.outputs import check_folder
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options
+from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, seed
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _parser() -> argparse.ArgumentParser:
         help="for comparison.html and comparison.json (else: screen only)",
     )
     parser.add_argument("--alpha", type=float, default=0.01, help="chance of a false alarm of the run")
-    parser.add_argument("--key", type=int, default=0, help="seed of everything random")
+    parser.add_argument("--key", type=seed, default=0, help="seed of everything random")
     add_recording_flags(parser)
     parser.add_argument("--force", action="store_true", help="replace results that exist")
     return parser

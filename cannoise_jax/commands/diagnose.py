@@ -19,6 +19,7 @@ from cannoise_jax.commands.parser import (
     count,
     folder,
     options,
+    seed,
 )
 from cannoise_jax.recordings.atomic import REPORT_FILES
 from cannoise_jax.recordings.recording import BadInput
@@ -206,7 +207,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="use no more of each frame, about its middle: a megapixel takes many minutes",
     )
-    add("--key", type=int, default=0, help="seed of everything random")
+    add("--key", type=seed, default=0, help="seed of everything random")
     add("--without", default="", metavar="ID,...", help="run as if these mechanisms were not known")
     add_mechanisms_flag(parser, "entries of your own to look for too")
     add_recording_flags(parser)

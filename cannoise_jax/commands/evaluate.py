@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.outputs import check_folder
-from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, whole
+from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, seed, whole
 from cannoise_jax.recordings.atomic import new_folder, one_work, texts_in_place
 from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
@@ -247,7 +247,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--per-scene", type=count, default=4, help="patches of a scene: a square number")
     add("--train-scenes", type=count, default=40, help="for what baselines are fitted to")
     add("--flow-steps", type=whole, default=1500, help="training steps of Noise Flow; 0: leave it out")
-    add("--seed", type=whole, default=0, help="of the scenes")
+    add("--seed", type=seed, default=0, help="of the scenes")
     add("--ratio", type=above_zero, metavar="X", help="cameras whose noise is X times as strong as published")
     add("--force", action="store_true", help="replace results that exist")
     return parser

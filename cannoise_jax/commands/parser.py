@@ -181,6 +181,17 @@ def whole(text: str) -> int:
     return value
 
 
+def seed(text: str) -> int:
+    """What a random key is made of. Raises argparse.ArgumentTypeError for anything else."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**32:
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 0 to {2**32 - 1}")
+    return value
+
+
 def _between(
     least: float, most: float, words: str, *, open_: bool = False, smallest: float = LEAST
 ) -> Callable[[str], float]:

@@ -10,7 +10,7 @@ import sys
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.freed_memory import give_back_large
-from cannoise_jax.commands.parser import OneLineParser, count, level, numbers, place
+from cannoise_jax.commands.parser import OneLineParser, count, level, numbers, place, seed
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
 
@@ -31,12 +31,6 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def _seed(text: str) -> int:
-    if not text.isdigit() or int(text) >= 2**32:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number from 0 to 4294967295")
-    return int(text)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(
         prog="bin/sample",
@@ -51,7 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--iso", type=float, help="setting of the model's camera")
     parser.add_argument("--out", required=True, type=place, metavar="DIR", help="for the recordings")
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
-    parser.add_argument("--seed", type=_seed, default=0, help="of the noise")
+    parser.add_argument("--seed", type=seed, default=0, help="of the noise")
     add = parser.add_argument
     add("--cfa", choices=CFA_PATTERNS, help="colour order of the clean images")
     add(

@@ -23,6 +23,7 @@ from cannoise_jax.commands.parser import (
     celsius,
     place,
     seconds,
+    seed,
 )
 from cannoise_jax.recordings.recording import BadInput
 
@@ -81,8 +82,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HxW",
         help="of flats and darks (default: of the stored maps, or 512x512)",
     )
-    add("--seed", type=int, default=0, help="of the noise (default 0)")
-    add("--unit", type=int, help="another unit of the camera, by number: other frozen patterns")
+    add("--seed", type=seed, default=0, help="of the noise")
+    add("--unit", type=seed, help="another unit of the camera, by number: other frozen patterns")
     add("--catalogue", action="store_true", help="write the page that explains every mechanism")
     return parser
 
@@ -103,10 +104,6 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("give --sensor and --clean, or --catalogue")
     if not 1 <= arguments.frames <= _MOST_FRAMES:
         raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
-    if arguments.unit is not None and not 0 <= arguments.unit < 2**32:
-        raise BadInput("--unit: must be a whole number from 0 to 4294967295")
-    if not 0 <= arguments.seed < 2**32:
-        raise BadInput("--seed: must be a whole number from 0 to 4294967295")
     import jax
     import numpy as np
 

@@ -35,6 +35,8 @@ from cannoise_jax.recordings.recording import BadInput
         (sample, ["--black-level", "abc"], "--black-level: 'abc': give one value"),
         (simulate, ["--out", "x", "--size", "5"], "--size"),
         (simulate, ["--out", "x", "--frames", "two"], "--frames: 'two': give a whole number"),
+        (compare, ["--recordings", "a", "b", "--key", "-1"], "--key: '-1': give a whole number from 0"),
+        (diagnose, ["--recordings", "a", "--key", "9999999999"], "--key: '9999999999': give a whole"),
         (simulate, ["--out", "x", "--iso", "high"], "--iso: 'high': give a number"),
         (simulate, ["--out", "x", "--nonsense"], "unknown flag --nonsense"),
         (simulate, ["--outt", "x"], "unknown flag --outt: did you mean --out?"),
