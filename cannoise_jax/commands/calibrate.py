@@ -176,6 +176,7 @@ def calibrate(
     from cannoise_jax.physics.transfer.faults import faults
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
+    from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 
     # As `photon_transfer`, which does not say how far it is.
@@ -184,10 +185,11 @@ def calibrate(
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
+        every[iso], others = of_one_temperature(every[iso])
         wrong = faults(every[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        for line in filter(None, (wrong.black, wrong.unlit, wrong.longer, wrong.uneven)):
+        for line in filter(None, (others, wrong.black, wrong.unlit, wrong.longer, wrong.uneven)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in every[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)

@@ -51,7 +51,7 @@ def _compress(key, x, values, maps, context: Context):
 
 def _compress_effect(values, maps, context: Context):
     # Uniform within a step, as long as the noise spans one.
-    step = values["step_dn"] * (context.mean_dn / context.span_dn) ** values["exponent"]
+    step = values["step_dn"] * jnp.abs(context.mean_dn / context.span_dn) ** values["exponent"]
     return Effect(variance=(step**2 / 12)[0], lattice={"step": values["step_dn"]})
 
 

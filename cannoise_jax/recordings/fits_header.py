@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from datetime import datetime, timedelta
 from typing import Any
 
 from cannoise_jax.recordings.fits_cards import EXPOSURES, exposures_in, number_in, text_in
@@ -94,9 +95,21 @@ def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "offset": number_in(header, ("OFFSET", "BLKLEVEL"), 0),
         "mode": text_in(header, "READOUTM", "RDMODE") or None,
         "gain_setting": None if scaled else gain,
+        "taken_s": taken_s(header),
         "set_temperature_c": number_in(header, ("SET-TEMP",), COLDEST_C),
         "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
     }
+
+
+def taken_s(header: Mapping[str, Any]) -> float | None:
+    """When the exposure began, in seconds of an epoch of no matter, where the header states date and time."""
+    date, time = text_in(header, "DATE-OBS", "DATE-BEG"), text_in(header, "TIME-OBS", "UT")
+    try:
+        taken = datetime.fromisoformat(date if "T" in date or not time else f"{date}T{time}")
+    except ValueError:
+        return None
+    universal = taken.replace(tzinfo=None) - (taken.utcoffset() or timedelta())
+    return (universal - datetime(1970, 1, 1)).total_seconds()
 
 
 def _doubt(header: Mapping[str, Any]) -> str | None:

@@ -75,7 +75,8 @@ def apart(recording: Recording) -> Apart | None:
         return None
     variances, errors, signal = _noise(recording)
     centre = float(np.median(variances))
-    if centre <= 0:
+    # Less than none: the frames differ by a pattern of changing strength, which is no noise of theirs.
+    if centre <= 0 or np.any(variances < -_SIGMAS * errors):
         return None
     seen = signal
     if recording.kind == "bias" or (recording.kind == "dark" and _in_two(signal)):

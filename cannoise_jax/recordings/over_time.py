@@ -50,6 +50,9 @@ _FEWEST_VALUES = 32
 """Of a band, from which its bulk says something."""
 _CHANCE, _CHANCE_ALONE = 1e-4, 1e-6
 """Of as large a correlation without any: in darks and flats each, and where only these are judged."""
+_REPEATS = 1.5
+"""Times as often as frames two apart have a value in common from which successive ones repeat it: averages
+come to the root of 1.5 (y_t = (x_t + y_(t-1)) / 2) or of 2 (running means)."""
 _COARSE = 0.1
 """Of the square of a code: bulks of differences whose mean square is below it are rounding, not noise."""
 
@@ -116,6 +119,7 @@ def shared_noise(recording: Recording) -> Shared | None:
     if recording.kind not in (*DARK, "flat") or recording.count < _FEWEST:
         return None
     frames, step = _middle(recording)
+    repeated = _repeats(frames)
     if frames.shape[1] < _BANDS * _LEAST_ROWS + 2 or frames.shape[2] < 2 * _BANDS:
         return None
     if recording.kind == "flat":
@@ -127,12 +131,18 @@ def shared_noise(recording: Recording) -> Shared | None:
         return None
     squares = np.array([_bulk_squares(frames[j] - frames[i], steady) for i, j in pairs])
     # Four values are in every one of these differences.
-    if np.median(squares) / 4 < _COARSE * step**2:
+    if np.median(squares) / 4 < _COARSE * step**2 or repeated:
         return None
     noise, covariance = _solved(pairs, squares)
     each = covariance / noise.mean()
     value = float(covariance.mean() / noise.mean())
     return Shared(value, float(each.std(ddof=1) / np.sqrt(_BANDS)))
+
+
+def _repeats(frames: Float[np.ndarray, "t h w"]) -> bool:
+    """Whether pixels keep their value of the frame before: such frames share noise, and are no averages."""
+    near, far = (float(np.mean(frames[n:] == frames[:-n])) for n in (1, 2))
+    return near > _REPEATS * max(far, 1 / frames[0].size)
 
 
 def _middle(recording: Recording) -> tuple[Float[np.ndarray, "t h w"], float]:

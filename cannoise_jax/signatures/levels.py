@@ -41,7 +41,7 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
-_STANDS_OUT = 6.0
+STANDS_OUT = 6.0
 """Standard deviations of the map from which on a pixel is not of the level: as the level itself is fitted."""
 
 
@@ -63,7 +63,7 @@ def _level(field: Fields, chosen: Bool[np.ndarray, "h w"]) -> float:
     if field.static is None or not kept.any():
         return level
     away = np.abs(field.static)
-    kept &= away < _STANDS_OUT * max(robust_std(field.static[kept], 0.0), 1.0)
+    kept &= away < STANDS_OUT * max(robust_std(field.static[kept], 0.0), 1.0)
     rest = np.asarray(field.static, np.float64) * field.sigma / np.sqrt(field.frames)
     return level + float(rest[kept].mean()) if kept.any() else level
 
@@ -207,12 +207,14 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | 
     )
 
 
-def dark_current_score(fields: tuple[Fields, ...], *, jitter: float, quantity: str) -> Score | None:
-    """Level of the darks against their exposure."""
+def dark_current_score(fields: tuple[Fields, ...], *, recorded: Recorded, quantity: str) -> Score | None:
+    """Level of the darks against their exposure, beyond what that of the judged simulator's rises."""
     levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
+    jitter = recorded.jitter
     slope, spread = dark_rise(levels, jitter)
     if not np.isfinite(spread):
         return None
+    slope, spread = slope - recorded.rise[0], float(np.hypot(spread, recorded.rise[1]))
     gain = float(np.mean(fields[0].gain))
     z = slope / spread
     # Frame offsets leave few degrees of freedom for their own variance.
@@ -297,7 +299,7 @@ def by_exposure(
         name=name,
         axes=Axes("pixel", "frame", "frozen", "exposure", "mean"),
         reads=_READS,
-        score=partial(dark_current_score, jitter=recorded.jitter, quantity=quantity),
+        score=partial(dark_current_score, recorded=recorded, quantity=quantity),
         absorb=unchanged,
         covers=covers,
         predict=NO_LAW,

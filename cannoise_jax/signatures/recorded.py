@@ -73,7 +73,8 @@ class Recorded(NamedTuple):
     are; fitted_too: whether they are themselves fits. step: of the codes, span: white minus black, DN. mono:
     whether neighbours see the same colour. times: numbers of the frames of every recording, in the order they
     were taken. occurred: see `Occurred`. units: DN of each gain setting in one of the lowest, where they are
-    known. seconds: exposures that recordings state.
+    known. seconds: exposures that recordings state. rise: how the level of the judged simulator's darks rises
+    with the exposure, and its standard error, DN/s at the lowest gain.
     """
 
     black: Float[np.ndarray, "g 4"]
@@ -91,6 +92,7 @@ class Recorded(NamedTuple):
     occurred: Occurred
     units: tuple[float, ...] = (1.0,)
     seconds: tuple[float, ...] = ()
+    rise: tuple[float, float] = (0.0, 0.0)
 
     @property
     def several_exposures(self) -> bool:

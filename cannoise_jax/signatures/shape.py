@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -92,7 +92,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         squares += float(np.sum(w**2)) * f.frames
         cubes += float(np.sum(w * w**2)) * f.frames
         doubt += (float(np.sum(w)) * f.frames * kurtosis_doubt(f)) ** 2 if f.kind in DARK else 0.0
-        for values in each_frame(f):
+        for values in _of_one_noise(f, w, cap.at):
             z2 = values**2
             whole += float(np.sum(w * (z2 * z2 - 6 * z2 + 3 - base)))
             z2 = np.minimum(z2, cap.at**2)
@@ -126,6 +126,19 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         parameters={"excess_kurtosis": (float(tails * amplitude), "1", error)},
         where={"axis": "signal", "range": [0.0, 0.0]},
     )
+
+
+def _of_one_noise(
+    field: Fields, weight: Float[np.ndarray, "h w"], cap: float
+) -> Iterator[Float[np.ndarray, "h w"]]:
+    """Every frame's standardised residual, all of one noise: frames noisier than others make a mixture, which
+    has tails that no frame has. cap: value that those far out count for."""
+    total = max(float(np.sum(weight)), 1e-30)
+    limited = (np.minimum(values**2, cap**2) for values in each_frame(field))
+    squares = [max(float(np.sum(weight * square)) / total, 1e-6) for square in limited]
+    middle = float(np.mean(squares))
+    for values, square in zip(each_frame(field), squares, strict=True):
+        yield values * np.float32(np.sqrt(middle / square))
 
 
 def _student_gain(pooled: list[tuple[np.ndarray, float]], cap: float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import pytest
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.physics.core import chain
 from cannoise_jax.physics.core.registry import mechanism
-from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of
 from tests.physics.harness import (
     FRAMES,
@@ -138,3 +138,12 @@ def test_clamped_peaks_have_the_moments_of_the_closed_form():
     effect = record.effect({"weight": weight}, {}, context)
     assert y.mean() == pytest.approx(float(np.mean(effect.mean)), abs=0.04)
     assert y.var() == pytest.approx(36 + float(np.mean(effect.variance)), rel=0.01)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 0.95])
+def test_compressed_codes_below_black_have_moments(exponent):
+    model = SensorModel.poisson_gaussian(1.0, 3.0, 100.0, 4095.0, "RGGB").with_mechanism(
+        "dsnu", sigma_dn=20.0
+    )
+    model = model.with_mechanism("lossy_compression", step_dn=30.0, exponent=exponent)
+    assert np.isfinite(model.expected(np.zeros((16, 24), np.float32), Settings(100.0))).all()

@@ -10,8 +10,8 @@ from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.full_well import full_signal
-from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
-from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer, transfer_at
+from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 SIZE, GAIN, READ_E, BLACK, PRNU = (64, 96), 0.5, 4.0, 100.0, 0.008
 
@@ -125,3 +125,17 @@ def test_flats_through_which_no_line_goes_are_said():
         shown = of_all_pixels(transfer_at([*flats, camera.taken("dark", 0.0, 1.0)]))
         (note,) = [q.note for q in shown.quantities if q.name == "system gain"]
         assert ("not one straight line" in note) == said
+
+
+@pytest.mark.parametrize(("electrons", "read_dn", "size"), [(20, 0.2, (96, 128)), (100, 1.0, (64, 64))])
+def test_steady_light_that_is_dim_does_not_flicker(electrons, read_dn, size):
+    rng = np.random.default_rng(electrons)
+    frames = [50 + read_dn * rng.standard_normal((8, *size)) for _ in range(2)]
+    frames[1] += rng.poisson(electrons, frames[1].shape)
+    own = [
+        Recording(np.rint(f).astype(np.uint16), "MONO", (50.0,) * 4, 4095.0, kind=kind, exposure_s=0.01)
+        for kind, f in zip(("dark", "flat"), frames, strict=True)
+    ]
+    (transfer,) = photon_transfer(CaptureSet("dim", tuple(own)))
+    for rows in transfer.outcomes("PRNU1288, rows"):
+        assert not isinstance(rows, NotMeasurable)

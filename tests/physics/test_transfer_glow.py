@@ -14,9 +14,9 @@ from cannoise_jax.recordings.recording import Recording
 
 
 def darks(seed, size=(96, 128), gain=1.2, ratio=1.04, regions=(1, 2), rate=1.0, seconds=(1.0, 100.0),
-          step=0.0, glow=0.0):  # fmt: skip
+          step=0.0, glow=0.0, hot=0.0):  # fmt: skip
     """Darks of regions whose gain grows by `ratio` and whose black level by `step` from one to the next, with
-    a glow of so many e-/s in a corner."""
+    a glow of so many e-/s in a corner. hot: share of the pixels that are 20 to 200 times as warm."""
     rng = np.random.default_rng(seed)
     number = sum(
         np.arange(n).reshape(shape) * count // n
@@ -24,6 +24,7 @@ def darks(seed, size=(96, 128), gain=1.2, ratio=1.04, regions=(1, 2), rate=1.0, 
     )
     own, black = gain * ratio**number, 200 + step * number
     away = np.hypot.outer(np.arange(size[0]), np.arange(size[1])) / max(size)
+    rate = np.where(rng.random(size) < hot, rate * rng.uniform(20, 200, size), rate)
     out = []
     for t in seconds:
         e = rng.poisson((rate + glow * np.exp(-away / 0.2)) * t, (6, *size))
@@ -49,6 +50,15 @@ def test_a_glow_is_found_beside_them(ratio):
     found = darks(4, ratio=ratio, glow=3.0)
     assert found["e_per_s"].chance < BY_CHANCE
     assert found["e_per_s"].value == pytest.approx(3.0, rel=0.15)
+    assert found["length"].value == pytest.approx(0.2, rel=0.15)
+
+
+def test_a_few_hot_pixels_are_no_glow_and_hide_none():
+    for seed in range(8):
+        found = darks(seed, ratio=1.0, rate=3.0, seconds=(0.01, 10.0), hot=5e-4)
+        assert found["e_per_s"].chance > BY_CHANCE
+    found = darks(4, ratio=1.0, rate=3.0, seconds=(0.01, 10.0), glow=20.0, hot=5e-4)
+    assert found["e_per_s"].value == pytest.approx(20.0, rel=0.15)
     assert found["length"].value == pytest.approx(0.2, rel=0.15)
 
 

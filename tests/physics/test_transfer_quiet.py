@@ -84,3 +84,18 @@ def test_a_dark_that_is_one_frame_several_times_has_no_shape():
     own = recording("dark", np.stack([frame] * 3)), recording("flat", flat)
     (transfer,) = photon_transfer(CaptureSet("copied", own))
     assert not any(q.name.startswith(("row noise over", "correlation of")) for q in transfer.quantities)
+
+
+def test_offsets_that_round_are_no_sensitivities_of_a_dim_flat():
+    """3 DN of light, noise of .1 DN and offsets of 1 DN: the dark map is rounded, the flat is not."""
+    rng = np.random.default_rng(38)
+    offsets = 10 + rng.standard_normal((96, 128))
+    noise = 0.1 * rng.standard_normal((2, 6, 96, 128))
+    own = (
+        recording("dark", offsets + noise[0]),
+        recording("flat", offsets + 0.1 * rng.poisson(30, noise[0].shape) + noise[1]),
+    )
+    transfers, findings = calibrate(CaptureSet("quiet", own))
+    (prnu,) = of_all_pixels(transfers[0]).outcomes("PRNU1288")
+    assert isinstance(prnu, Estimate) and prnu.ci90[0] == 0
+    assert {f.mechanism for f in findings if f.verdict == "in the model"} == {"dsnu"}

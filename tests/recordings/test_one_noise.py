@@ -102,3 +102,10 @@ def test_frames_noisier_by_interference_stay_where_that_is_looked_for():
     averaged[3] = np.rint(frames(2, 20).mean(0))
     kept, lines = usable(CaptureSet("c", (recording(averaged),)), unsteady=True)
     assert kept.recordings[0].count == 7 and "frame 4" in lines[0]
+
+
+def test_a_pattern_of_changing_strength_is_no_noise_of_frames():
+    own = frames(0, 6)
+    blocks = np.kron(np.indices((16, 20)).sum(0) % 2 - 0.5, np.ones((8, 8)))
+    own += np.arange(6.0)[:, None, None] * 20 * np.roll(blocks, 1, 1)
+    assert apart(recording(own, "flat")) is None

@@ -109,3 +109,12 @@ def test_what_cannot_be_judged_is_not():
     assert shared_noise(recording(averaged[:2], "dark")) is None
     assert shared_noise(recording(averaged[:, :16, :16], "dark")) is None
     assert shared_noise(recording(frames(0, 8, read=0.1), "dark")) is None
+
+
+def test_pixels_that_repeat_their_last_value_are_no_average():
+    own = pair(8, gain=2.0)
+    for r in own:
+        kept = np.random.default_rng(5).random(r.frames.shape) < 0.3
+        for t in range(1, r.count):
+            r.frames[t][kept[t]] = r.frames[t - 1][kept[t]]
+    assert usable(CaptureSet("c", tuple(own)))[1] == ()

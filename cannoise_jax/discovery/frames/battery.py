@@ -16,6 +16,7 @@ from cannoise_jax.discovery.frames.contrasts import (
 )
 from cannoise_jax.discovery.frames.dark_lines import beside_darks
 from cannoise_jax.discovery.frames.dust import beside_dust
+from cannoise_jax.discovery.frames.simulated import drawn_parameters, drawn_rise
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
@@ -119,6 +120,7 @@ def prepare(
         occurrences(stacks, fields, chosen, step),
         tuple(units),
         tuple(r.exposure_s for r in capture.recordings if r.exposure_s is not None),
+        (0.0, 0.0) if drawn is None else drawn_rise(drawn, baselines, units),
     )
     return Prepared(
         same,
@@ -186,19 +188,6 @@ def described(
 
 def _darks(recordings: list[Recording]) -> list[Recording]:
     return [r for r in recordings if r.kind in DARK] or recordings
-
-
-def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float) -> tuple:
-    """Gain (DN/e-) and read noise (DN) of a simulator per gain setting, fitted on its own draws."""
-    out: list[tuple] = []
-    for baseline in baselines:
-        chosen = [(n, r) for n, r in enumerate(drawn.recordings) if r.iso == baseline.iso and r.count > 1]
-        if not chosen:
-            out.append((None, None))
-            continue
-        fitted = fit_baseline([stack(r, n, list(range(r.count)), step) for n, r in chosen], baseline.iso)
-        out.append((fitted.gain, fitted.read_noise))
-    return tuple(out)
 
 
 def stated_parameters(capture: CaptureSet, baselines: tuple[GroupBaseline, ...]) -> tuple:

@@ -9,8 +9,9 @@ import numpy as np
 from cannoise_jax.discovery.frames.smooth import light_of
 from cannoise_jax.discovery.result import Result
 
-_LEAST = 0.002
-"""Share of the frame from which on places are worth a word: chance alone takes a few hundred pixels."""
+_LEAST, _FEWEST = 0.002, 200
+"""Share of the frame, and pixels, from which on places are worth a word: chance alone takes a few hundred of
+a large frame, and of a small one the fifty about one place."""
 RECORD = (
     "What lies on the glass and what the pixels do cannot be told apart under one light: clean the camera, "
     "or change the lens or its aperture, and record flats again"
@@ -22,8 +23,9 @@ def shadowed(diagnosis: Result) -> list[dict[str, Any]]:
     share of the light the darkest (below zero) and the brightest place differs."""
     out = []
     for stacked in diagnosis.first.stacks:
-        share = 0.0 if stacked.dust is None else float(np.mean(stacked.dust))
-        if share >= _LEAST:
+        dust = np.zeros(1) if stacked.dust is None else stacked.dust
+        share = float(np.mean(dust))
+        if share >= _LEAST and np.sum(dust) >= _FEWEST:
             found = light_of(stacked)[1]
             name = stacked.recording.path or f"recording {stacked.number}"
             extremes = {"darkest": min(found.min(), 0.0), "brightest": max(found.max(), 0.0)}

@@ -171,6 +171,19 @@ def smoothed(model: SensorModel, transfers: Sequence[PhotonTransfer], findings: 
     )
 
 
+def _no_baseline(transfers: Sequence[PhotonTransfer]) -> str:
+    """What to record, at the setting that most flats were taken at."""
+
+    def flats(t: PhotonTransfer) -> int:
+        return sum(s.recording.kind == "flat" for s in t.statistics)
+
+    at = max(transfers, key=flats)
+    missing = at.baseline.record if isinstance(at.baseline, NotMeasurable) else ""
+    others = [f"{t.iso:.4g}" for t in transfers if t is not at and t.iso is not None]
+    where = f" at ISO {at.iso:.4g} (others: {', '.join(others)})" if others and at.iso is not None else ""
+    return f"{at.camera}: no baseline can be measured{where}: {missing}"
+
+
 def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding]) -> SensorModel:
     """The camera model: the baseline of every measured ISO, and the mechanisms found at the first of them,
     with the frozen maps of the unit that was recorded (`transfer.maps`).
@@ -179,8 +192,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
     """
     measured = [(t, t.baseline) for t in transfers if isinstance(t.baseline, Baseline)]
     if not measured:
-        missing = next(t.baseline for t in transfers if isinstance(t.baseline, NotMeasurable))
-        raise BadInput(f"{transfers[0].camera}: no baseline can be measured: {missing.record}")
+        raise BadInput(_no_baseline(transfers))
     for finding in findings:
         if (corrects := finding.estimator.corrects) and finding.measured:
             measured = [(t, corrects(b, t.statistics, finding.measured)) for t, b in measured]

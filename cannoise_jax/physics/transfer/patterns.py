@@ -44,7 +44,7 @@ from cannoise_jax.recordings.recording import PerChannel
 _OTHER = 1.2
 """Times the pattern without hot and loud pixels from which that of all is said beside it."""
 _UNSTEADY = 0.01
-"""Relative temporal modulation of rows above which fixed row patterns of a flat are hidden."""
+"""Relative temporal modulation of rows by the light above which fixed row patterns of a flat are hidden."""
 
 
 def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> TemporalParts:
@@ -132,12 +132,13 @@ def _prnu(
     variance of offsets that no dark shows, DN^2."""
     parts = temporal_parts(flat, c, relative=True)
     level = flat.frame_means[:, c].mean() - black[c]
-    unsteady = np.sqrt(parts.row_mean) > _UNSTEADY
     signal = site(flat.mean, c) - black[c]
+    unsteady = _modulation(parts, signal.shape, dark, c, level) > _UNSTEADY
     _, keep = robust_mean_square(pixel_variance(flat, c) / np.maximum(signal, 1), flat.dof)
     keep &= below_rail(flat, c)
     if dark is not None:
         signal, keep = signal - site(dark.offsets, c), keep & site(dark.keep, c)
+        unseen = max(unseen, dark.rounding(c))
         parts = _beside_dark(parts, dark, c, level)
     gains = signal / level
     gains = gains - shading(gains)
@@ -160,9 +161,28 @@ def _prnu(
     return out
 
 
+def _modulation(
+    parts: TemporalParts, size: tuple[int, ...], dark: DarkMap | None, c: int, level: float
+) -> float:
+    """What the light adds to the temporal spread of the rows of a flat, relative: beside the noise of its
+    pixels and the row noise of the darks."""
+    darks = () if dark is None else dark.darks
+    rows = max((_beyond_pixels(temporal_parts(s, c), size) for s, _ in darks), default=0.0) / level**2
+    return float(np.sqrt(max(_beyond_pixels(parts, size) - rows, 0.0)))
+
+
+def _beyond_pixels(parts: TemporalParts, size: tuple[int, ...]) -> float:
+    """Temporal variance of row means beyond what the noise of their pixels leaves, be it shared by neighbours
+    too: then columns show it alike."""
+    rows, columns = size
+    return parts.row_mean - max(parts.pixel / columns, parts.column_mean * rows / columns)
+
+
 def _beside_dark(parts: TemporalParts, dark: DarkMap, c: int, level: float) -> TemporalParts:
-    """The temporal variances of a flat with those that the average of the dark holds."""
-    pixel, row, column = parts.pixel, parts.row_mean, parts.column_mean
+    """The temporal variances of a flat with those that the average of the dark holds, and what rounding adds
+    to it."""
+    row, column = parts.row_mean, parts.column_mean
+    pixel = parts.pixel + dark.rounding(c) / level**2 * parts.frames
     for s, weight in dark.darks:
         own, share = temporal_parts(s, c), weight**2 / level**2 * parts.frames / s.recording.count
         pixel += share * own.pixel

@@ -26,6 +26,7 @@ from cannoise_jax.physics.transfer.frames import (
     with_all_sites,
 )
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
+from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
 from cannoise_jax.physics.transfer.patterns import pattern_quantities
 from cannoise_jax.physics.transfer.quantities import (
     DIMMER,
@@ -99,7 +100,7 @@ def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
 def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
     _check_alike([s.recording for s in statistics])
-    statistics = without_unlit(with_measured_black(statistics))
+    statistics = without_unlit(with_measured_black(of_one_temperature(statistics)[0]))
     first = statistics[0].recording
     step = _code_step(statistics)
     dark = reference_dark(statistics)

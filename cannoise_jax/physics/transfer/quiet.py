@@ -157,6 +157,19 @@ def dither(s: FrameStatistics, c: int) -> float:
     return found if found > _DITHERED else 0.0
 
 
+def rounding_of_offsets(s: FrameStatistics, c: int) -> float:
+    """Variance that rounding adds to the mean of each pixel, DN^2, where offsets are spread over codes:
+    step^2 / (2 pi^2) sum exp(-4 pi^2 k^2 v) / k^2 of a temporal noise of v codes squared; none of noise of a
+    code and more."""
+    step = step_of(s)
+    quiet = noise_below_a_code(s, step, c)
+    if quiet is None:
+        return 0.0
+    k = np.arange(1, 64)
+    noise = 4 * np.pi**2 * (quiet.read.value / step) ** 2
+    return step**2 / (2 * np.pi**2) * float(np.sum(np.exp(-noise * k**2) / k**2))
+
+
 def step_of(s: FrameStatistics) -> float:
     """Spacing of the codes of a recording, DN; 1 where they are too few to show it."""
     return max(s.code_step, 1.0)

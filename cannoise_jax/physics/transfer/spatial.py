@@ -84,24 +84,24 @@ def spatial_split(
     height, width = pattern.shape
     centre = pattern[keep].mean() if keep.any() else 0.0
     offsets = np.where(keep, pattern - centre, 0.0)
-    rows = offsets.sum(1, keepdims=True) / np.maximum(keep.sum(1, keepdims=True), 1)
-    columns = offsets.sum(0, keepdims=True) / np.maximum(keep.sum(0, keepdims=True), 1)
+    in_row, in_column = (np.maximum(keep.sum(axis, keepdims=True), 1) for axis in (1, 0))
+    rows, columns = offsets.sum(1, keepdims=True) / in_row, offsets.sum(0, keepdims=True) / in_column
     rest = np.where(keep, pattern - centre - rows - columns, 0.0)
     interaction = float(np.sum(rest**2) / max(keep.sum() - height - width + 1, 1))
     frames = temporal.frames
     inner_dof = heavy_dof(rest[keep], keep.sum() - height - width + 1)
     pixel = variance_difference(interaction, inner_dof, temporal.pixel / frames, temporal.pixel_dof)
 
-    def part(means: np.ndarray, count: int, across: int, whole: float, dof: float) -> Estimate:
+    def part(means: np.ndarray, count: int, across: np.ndarray, whole: float, dof: float) -> Estimate:
         # Row means hold the fixed row pattern, temporal row noise / T, and the pixels' fixed pattern / W.
-        frozen = max(interaction - temporal.pixel / frames, 0.0) / across
+        frozen = max(interaction - temporal.pixel / frames, 0.0) * float(np.mean(1 / across))
         first_dof = heavy_dof(means, count - 1) / correlation_loss(means.reshape(1, -1))
         return variance_difference(
             means.var(ddof=1), max(first_dof, 2.0), whole / frames + frozen, max(dof, 2.0)
         )
 
-    row = part(rows.ravel(), height, width, temporal.row_mean, temporal.row_dof)
-    column = part(columns.ravel(), width, height, temporal.column_mean, temporal.column_dof)
+    row = part(rows.ravel(), height, in_row, temporal.row_mean, temporal.row_dof)
+    column = part(columns.ravel(), width, in_column, temporal.column_mean, temporal.column_dof)
     return Split(total_of(row, column, pixel), row, column, pixel)
 
 

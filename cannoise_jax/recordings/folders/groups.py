@@ -82,6 +82,7 @@ def grouped(
     )
     made = []
     for key in order:
+        members[key] = in_order(members[key])
         lights = [members[key]]
         if KINDS[key[1]] in LIT:
             # Recordings are made of files of one light: their frames are repeats of each other.
@@ -91,6 +92,14 @@ def grouped(
             level = f"{level_of(part):.0f}DN" if len(lights) > 1 else None
             made.append(_group(key, part, overrides, level))
     return made
+
+
+def in_order(shots: list[Shot]) -> list[Shot]:
+    """As they were taken, where all state when; else as they come."""
+    times: list[float] = [t for s in shots if (t := s.about.get("taken_s")) is not None]
+    if len(times) < len(shots):
+        return shots
+    return [shots[n] for n in sorted(range(len(shots)), key=times.__getitem__)]
 
 
 def _folders(shots: Sequence[Shot]) -> dict[str, str]:

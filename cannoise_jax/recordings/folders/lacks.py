@@ -8,12 +8,26 @@ from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.kinds import LIT_DN
 from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
+from cannoise_jax.recordings.folders.shots import Shot
 from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import DARK
 
 NO_LIGHT = (
     "no flats: without light no gain can be measured: record at least 2 frames of an even, steady light"
 )
+
+
+def contradictions(groups: Sequence[Group]) -> list[str]:
+    """That the flats of one set are darker than all its darks."""
+    flats, darks = _flats_and_darks(groups)
+    if not (flats and darks) or max(max(s.medians) for s in flats) >= min(min(s.medians) for s in darks):
+        return []
+    return [f"{listed([s.name for s in flats])}: flats darker than every dark: are the kinds swapped?"]
+
+
+def _flats_and_darks(groups: Sequence[Group]) -> tuple[list[Shot], list[Shot]]:
+    own = [(g.kind, s) for g in groups for s in g.shots if not s.whole]
+    return [s for kind, s in own if kind == "flat"], [s for kind, s in own if kind in DARK]
 
 
 def lacks(groups: Sequence[Group]) -> list[str]:
@@ -33,13 +47,18 @@ def lacks(groups: Sequence[Group]) -> list[str]:
     warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
     if warm and max(warm) - min(warm) > ALIKE_KELVIN:
         notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
-    flats = [s for g in groups if g.kind == "flat" for s in g.shots if not s.whole]
-    darks = [s for g in groups if g.kind in DARK for s in g.shots if not s.whole]
+    flats, darks = _flats_and_darks(groups)
     if flats and darks:
         floor = max(max(s.medians) for s in darks)
         dim = [s.name for s in flats if max(s.medians) <= floor]
         if dim:
             notes.append(f"{listed(dim)}: flats no brighter than the darks: check that the light was on")
+    gains = {g.settings["iso"] for g in groups if g.kind in DARK}
+    alone = [g.label for g in groups if g.kind == "flat" and gains and g.settings["iso"] not in gains]
+    if alone:
+        notes.append(
+            f"{listed(alone)}: no dark or bias of that gain: record some, without no gain is measured"
+        )
     by_kind = [[s for g in groups if g.kind == kind for s in g.shots if not s.whole] for kind in DARK]
     if all(by_kind):
         dark, bias = map(level_of, by_kind)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
 from cannoise_jax.recordings.folders.lights import level_of
-from cannoise_jax.recordings.folders.sites import COLOURED, greens_apart, light_of
+from cannoise_jax.recordings.folders.sites import Sites, greens_apart, light_of, shows_colours
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
@@ -41,7 +41,7 @@ def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
         values[name] = value
         said += [words] if words else []
     cfa, light = {**values, **overrides}.get("cfa"), _light(loose)
-    if cfa is not None and light is not None and (wrong := greens_apart(light, cfa)):
+    if cfa is not None and light is not None and (wrong := greens_apart(light.levels, cfa)):
         said.append(wrong)
     black, white = ({**values, **overrides}.get(n) for n in ("black_level", "white_level"))
     if overrides.get("black_level") is not None and min(per_channel(overrides["black_level"])) < 0:
@@ -68,8 +68,8 @@ def _cfa(groups: Sequence[Group]) -> tuple[str | None, str]:
     light = _light(groups)
     if light is None:
         return None, "the colour order: state it with --cfa (MONO for a monochrome sensor)"
-    if np.ptp(light) > COLOURED * abs(float(np.mean(light))):
-        sites = ", ".join(f"{v:.0f}" for v in light)
+    if shows_colours(light):
+        sites = ", ".join(f"{v:.4g}" for v in light.levels)
         return (
             None,
             f"the colour order: the flats show a mosaic (its four sites: {sites}): state it with --cfa",
@@ -77,7 +77,7 @@ def _cfa(groups: Sequence[Group]) -> tuple[str | None, str]:
     return "MONO", "MONO: no header states colours, and the four sites of the flats are equally bright"
 
 
-def _light(groups: Sequence[Group]) -> Any:
+def _light(groups: Sequence[Group]) -> Sites | None:
     """Light of the flats on the four sites; None without flats."""
     lit = [s.sites for g in groups if g.kind == "flat" for s in g.shots]
     return light_of(lit, [s.sites for g in groups if g.kind in DARK for s in g.shots]) if lit else None

@@ -28,6 +28,12 @@ def named_kind(path: PurePath) -> str | None:
     return None
 
 
+def counted_up(name: str) -> tuple[list[str | int], str]:
+    """What names are sorted by so that their numbers count up: frame 2 before frame 10."""
+    parts = re.split(r"(\d+)", name)
+    return [int(part) if n % 2 else part for n, part in enumerate(parts)], name
+
+
 def named_average(path: PurePath) -> str | None:
     """The word in the file's own name that says it is an average of frames."""
     lower = path.stem.lower()

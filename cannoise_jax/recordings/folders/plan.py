@@ -12,7 +12,7 @@ from typing import Any
 from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
-from cannoise_jax.recordings.folders.lacks import NO_LIGHT, lacks
+from cannoise_jax.recordings.folders.lacks import NO_LIGHT, contradictions, lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan, unmatched
@@ -93,7 +93,7 @@ def plan_folder(
     for one in sets[:1]:
         notes += one.levels.said
         notes += lacks(one.groups)
-        problems += one.levels.missing
+        problems += [*one.levels.missing, *contradictions(one.groups)]
         problems += _apart(sets) if one.levels.missing else []
     notes += [words for one in sets[1:] for words in _borrowed(one, sets[0])]
     problems += [words for one in sets[1:] for words in _of_another_camera(one, sets[0])]

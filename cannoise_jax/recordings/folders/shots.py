@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cannoise_jax.recordings import sidd
-from cannoise_jax.recordings.folders.names import named_average, named_kind, named_settings
+from cannoise_jax.recordings.folders.names import counted_up, named_average, named_kind, named_settings
 from cannoise_jax.recordings.folders.numerals import counted
-from cannoise_jax.recordings.folders.sites import site_levels
+from cannoise_jax.recordings.folders.sites import Sites, site_levels
 from cannoise_jax.recordings.load import instead_of, is_supported, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.metadata import make_recording
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
@@ -54,7 +54,7 @@ class Shot(NamedTuple):
     print: int
     levels: tuple[float | None, ...] = ()
     pages: tuple[int, ...] | None = None
-    sites: PerChannel = (0.0, 0.0, 0.0, 0.0)
+    sites: Sites = Sites((0.0, 0.0, 0.0, 0.0), 0.0)
 
     @property
     def frames(self) -> int:
@@ -170,11 +170,11 @@ def _files(
         return
     for root, folders, names in os.walk(folder, onerror=partial(_closed, folder, leave_out)):
         base = Path(root)
-        instances = [f for f in sorted(folders) if sidd.is_instance(base / f)]
-        folders[:] = sorted(f for f in folders if not f.startswith(".") and f not in instances)
+        instances = [f for f in folders if sidd.is_instance(base / f)]
+        folders[:] = sorted((f for f in folders if f[0] != "." and f not in instances), key=counted_up)
         named = ((base / f).relative_to(folder).as_posix() for f in folders if (base / f).is_symlink())
         links += [name for name in named if not any(matches(name, pattern) for pattern in leave_out)]
-        for path in sorted([base / n for n in names] + [base / f for f in instances]):
+        for path in (base / n for n in sorted([*names, *instances], key=counted_up)):
             name = str(path.relative_to(folder))
             if path.name.startswith(".") or any(matches(name, pattern) for pattern in leave_out):
                 continue

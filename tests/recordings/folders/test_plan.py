@@ -36,6 +36,24 @@ def test_files_of_one_setting_become_one_recording(tmp_path):
     assert (flat.exposure_s, flat.count) == (2.0, 2)
 
 
+def test_frames_are_in_the_order_they_were_taken(tmp_path):
+    """By DATE-OBS, or as numbers in their names count up."""
+    for folder, dated in (("plain", False), ("dated", True)):
+        for n in range(1, 13):
+            taken = {"DATE-OBS": f"2026-01-01T00:00:{59 - n:02d}.5"} if dated else {}
+            shot(
+                tmp_path / folder / f"flat_{n}.fits", "flat", electrons=4000.0 - 20 * n, EXPTIME=2.0, **taken
+            )
+            shot(tmp_path / folder / f"dark_{n}.fits", "dark", EXPTIME=2.0)
+        plan = plan_folder(tmp_path / folder)
+        (flats,) = [g for g in plan.sets[0].groups if g.kind == "flat"]
+        order = [int(s.path.stem[5:]) for s in flats.shots]
+        assert order == sorted(order, reverse=dated)
+    one = shot(tmp_path / "dated" / "flat_13.fits", "flat", EXPTIME=2.0, DATE_OBS="01/02/98")
+    (flats,) = [g for g in plan_folder(tmp_path / "dated").sets[0].groups if g.kind == "flat"]
+    assert flats.shots[-1].path == one and flats.shots[0].path.stem == "flat_1"
+
+
 def test_biases_of_two_temperatures_are_kept_apart(tmp_path):
     night(tmp_path, CCD_TEMP=-5.1, SET_TEMP=-5.0)
     for n, actual in enumerate((-4.8, -5.3)):  # what a regulated camera drifts by

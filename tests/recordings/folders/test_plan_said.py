@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from cannoise_jax.commands.calibrate import calibrate
+from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.recordings.folders.plan import check, plan_folder
 from cannoise_jax.recordings.folders.plan_text import text
 from cannoise_jax.recordings.folders.store import Options, capture_of
@@ -275,3 +277,17 @@ def test_averages_of_one_kind_are_one_note(tmp_path):
 def test_a_negative_black_level_that_is_stated_is_a_problem(tmp_path):
     problems = plan_folder(night(tmp_path), {"black_level": (-5.0,)}).problems
     assert len(problems) == 1 and "-5 DN" in problems[0]
+
+
+def test_swapped_kinds_and_darks_of_another_gain_are_said(tmp_path):
+    for n in range(2):
+        shot(tmp_path / "a" / f"{n}.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0)
+        shot(tmp_path / "a" / f"flat{n}.fits", "dark", IMAGETYP="Flat Field", EXPTIME=1.0)
+        for kind, gain in (("flat", 100), ("dark", 40)):
+            shot(tmp_path / "b" / f"{kind}{n}.fits", kind, EXPTIME=1.0, GAIN=gain, INSTRUME="ZWO ASI1600")
+    assert any("darker than every dark" in p for p in plan_folder(tmp_path / "a").problems)
+    plan = plan_folder(tmp_path / "b")
+    assert "flat_1s_gain10dB: no dark or bias of that gain" in notes(plan) and not plan.problems
+    capture, _ = capture_of(tmp_path / "b", Options({}), tmp_path / "cache")
+    with pytest.raises(BadInput, match=r"at ISO 316.2 \(others: 158.5\): record .* with the cap on"):
+        sensor_model(*calibrate(capture))

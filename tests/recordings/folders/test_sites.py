@@ -28,10 +28,24 @@ def test_flats_with_a_slope_are_no_mosaic(tmp_path):
 @pytest.mark.parametrize("size", [(24, 32), (25, 33), (24, 33), (3, 3)])
 def test_sites_are_compared_at_the_same_places(size):
     even = np.add.outer(100.0 * np.arange(size[0]), 7.0 * np.arange(size[1]))
-    assert np.ptp(site_levels(even)) == 0
+    assert np.ptp(site_levels(even).levels) == 0
     even[0::2, 1::2] += 30
-    assert np.allclose(np.subtract(site_levels(even), site_levels(even)[0]), [0, 30, 0, 0])
-    assert site_levels(np.array([[4, 8]], np.uint16)) == (4, 8, 4, 4)
+    levels = site_levels(even).levels
+    assert np.allclose(np.subtract(levels, levels[0]), [0, 30, 0, 0])
+    assert site_levels(np.array([[4, 8]], np.uint16)).levels == (4, 8, 4, 4)
+
+
+def test_dim_flats_of_one_colour_are_no_mosaic(tmp_path):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        for n in range(2):
+            frames = {"flat": 50 + 0.5 * rng.poisson(20, (96, 128)), "dark": np.full((96, 128), 50.0)}
+            for kind, clean in frames.items():
+                noisy = np.round(clean + rng.normal(0, 1.5, clean.shape)).astype(np.uint16)
+                np.save(folder / f"{kind}_10ms_{n}.npy", noisy)
+        assert not plan_folder(folder).problems
 
 
 def test_a_weak_mosaic_under_a_slope_is_still_one(tmp_path):

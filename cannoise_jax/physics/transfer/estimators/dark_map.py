@@ -17,7 +17,7 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import reference_dark
 from cannoise_jax.physics.transfer.estimators.pick import steady_pixels
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
-from cannoise_jax.physics.transfer.quiet import unchanging
+from cannoise_jax.physics.transfer.quiet import rounding_of_offsets, unchanging
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
@@ -40,10 +40,15 @@ class DarkMap(NamedTuple):
     darks: tuple[tuple[FrameStatistics, float], ...]
 
     def noise(self, c: int) -> float:
-        """Temporal variance that the offsets of one channel still hold, DN^2."""
+        """Variance that the offsets of one channel still hold, temporal and of rounding, DN^2."""
         keep = site(self.keep, c)
         parts = [w**2 * float(pixel_variance(s, c)[keep].mean()) / s.recording.count for s, w in self.darks]
-        return float(sum(parts))
+        return float(sum(parts)) + self.rounding(c)
+
+    def rounding(self, c: int) -> float:
+        """The part of rounding, which is known to no better than itself where pixels that changed code in no
+        frame are those that are kept."""
+        return sum(w**2 * rounding_of_offsets(s, c) for s, w in self.darks)
 
 
 def dark_map(

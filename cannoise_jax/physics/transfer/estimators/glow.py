@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import optimize, stats
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage, optimize, stats
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
@@ -26,6 +27,8 @@ _SHORT = 0.5
 """Of the longest exposure, up to which a dark is short beside it: the glow of half the time is left."""
 _GRID = 24
 """Cells along a side through whose means the glow is fitted; halves, thirds and quarters end between them."""
+_FAR = 6.0
+"""Robust standard deviations above its neighbours from which a pixel is hot: a glow is even there."""
 _EQUAL = ((1, 3), (3, 1), (1, 4), (4, 1), (2, 4), (4, 2), (4, 4))
 """Rows and columns of equal regions that amplifiers read, beside two and two by two of any size."""
 
@@ -76,7 +79,7 @@ def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | Non
     if coarse(long):  # pixels that never change code are no surer than a code
         variance = np.maximum(variance, (step_of(long) / float(np.mean(baseline.gain))) ** 2 / 12)
     height, width = charge.shape
-    means, sigma, y, x, least_length = _cells(charge, variance)
+    means, sigma, y, x, least_length = _cells(charge, variance, _even(charge, variance))
     side = max(height, width)
 
     def shape(p: np.ndarray) -> np.ndarray:
@@ -137,12 +140,23 @@ class _Cells(NamedTuple):
     half: float
 
 
-def _cells(charge: Float[np.ndarray, "H W"], variance: Float[np.ndarray, "H W"]) -> _Cells:
+def _even(charge: Float[np.ndarray, "H W"], variance: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+    """The pixels that do not stand out of those beside them, by more than the shot noise of what all hold."""
+    around = ndimage.median_filter(charge.astype(np.float32), 3)
+    rest = charge - around
+    spread = max(robust_std(rest, 0.0) ** 2, float(np.mean(variance)))
+    return rest**2 <= _FAR**2 * (spread + np.maximum(around - np.median(around), 0.0))
+
+
+def _cells(
+    charge: Float[np.ndarray, "H W"], variance: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]
+) -> _Cells:
     rows, columns = (np.linspace(0, n, min(_GRID, n // 2) + 1).astype(int) for n in charge.shape)
-    pixels = np.outer(np.diff(rows), np.diff(columns))
-    sums, spread = (
-        np.add.reduceat(np.add.reduceat(v, rows[:-1], 0), columns[:-1], 1) for v in (charge, variance)
+    pixels, sums, spread = (
+        np.add.reduceat(np.add.reduceat(v * keep, rows[:-1], 0), columns[:-1], 1)
+        for v in (np.ones(charge.shape), charge, variance)
     )
+    pixels = np.maximum(pixels, 1.0)
     y, x = (0.5 * (edges[:-1] + edges[1:] - 1) for edges in (rows, columns))
     half = 0.5 * max(np.diff(rows).max(), np.diff(columns).max()) / max(charge.shape)
     return _Cells(sums / pixels, np.sqrt(spread) / pixels, y, x, float(half))

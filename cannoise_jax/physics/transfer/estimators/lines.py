@@ -179,10 +179,11 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
     for c in range(4):
         part, kept = rest[SITES[c]], keep[SITES[c]]
         part -= np.where(kept, part.sum() / max(kept.sum(), 1), 0.0)
-    average = rest.sum(1 - axis) / np.maximum(keep.sum(1 - axis), 1)
+    number = np.maximum(keep.sum(1 - axis), 1)
+    average = rest.sum(1 - axis) / number
     # The pixels' own fixed pattern also leaves something in the average of a line.
     left = np.where(keep, rest - np.expand_dims(average, 1 - axis), 0.0)
-    frozen = max(float(np.mean(left**2)) - pixel / frames, 0.0) / across
+    frozen = max(float(np.sum(left**2) / number.sum()) - pixel / frames, 0.0) * float(np.mean(1 / number))
     taken = 1
     if axis == 1:  # a step in the middle is that of two amplifiers
         average, taken = without_step(average), 2

@@ -106,8 +106,9 @@ def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     flat = brightest_flat(statistics)
     if flat is None:
         return REPEATED_FLATS
-    pixels = _pixel_part(response_pattern(flat, dark_map(statistics, flat)))
-    return {"sigma": root(pixels.of_which(_unseen(statistics, flat)))}
+    dark = dark_map(statistics, flat)
+    pixels = _pixel_part(response_pattern(flat, dark))
+    return {"sigma": root(pixels.of_which(_unseen(statistics, flat, dark)))}
 
 
 def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -117,13 +118,15 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
         return REPEATED_FLATS
     if flat.recording.size[1] < _COLUMNS:
         return NotMeasurable(f"record frames of at least {_COLUMNS} columns")
-    columns = _column_part(response_pattern(flat, dark_map(statistics, flat)))
-    return {"sigma": root(columns.of_which(_unseen(statistics, flat)))}
+    dark = dark_map(statistics, flat)
+    columns = _column_part(response_pattern(flat, dark))
+    return {"sigma": root(columns.of_which(_unseen(statistics, flat, dark)))}
 
 
-def _unseen(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> float:
-    """Relative variance of offsets in a flat that no dark shows."""
+def _unseen(statistics: Sequence[FrameStatistics], flat: FrameStatistics, dark: DarkMap | None) -> float:
+    """Relative variance of offsets in a flat that no dark shows, or whose rounding is as large."""
     unseen = unseen_offsets([s for s in statistics if s.recording.kind in DARK])
+    unseen = max(unseen, 0.0 if dark is None else max(map(dark.rounding, range(4))))
     return unseen * float(np.mean(1 / np.square(flat.level)))
 
 

@@ -1,0 +1,57 @@
+"""What a simulator shows in draws of its own, beside which the recordings are judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cannoise_jax.discovery.frames.calibrate import fit_baseline
+from cannoise_jax.discovery.frames.contrasts import stack
+from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.recordings.recording import DARK, CaptureSet
+from cannoise_jax.signatures.levels import STANDS_OUT, from_means
+from cannoise_jax.signatures.recorded import GroupBaseline
+
+
+def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float) -> tuple:
+    """Gain (DN/e-) and read noise (DN) of a simulator per gain setting, fitted on its own draws."""
+    out: list[tuple] = []
+    for baseline in baselines:
+        chosen = [(n, r) for n, r in enumerate(drawn.recordings) if r.iso == baseline.iso and r.count > 1]
+        if not chosen:
+            out.append((None, None))
+            continue
+        fitted = fit_baseline([stack(r, n, list(range(r.count)), step) for n, r in chosen], baseline.iso)
+        out.append((fitted.gain, fitted.read_noise))
+    return tuple(out)
+
+
+def drawn_rise(
+    drawn: CaptureSet, baselines: Sequence[GroupBaseline], units: Sequence[float]
+) -> tuple[float, float]:
+    """How the level of a simulator's darks rises with the exposure, and its standard error, DN/s at the
+    lowest gain; (0, 0) where it draws darks of one exposure. units: see `battery.gain_units`."""
+    group = {b.iso: n for n, b in enumerate(baselines)}
+    darks = [r for r in drawn.recordings if r.kind in DARK and r.exposure_s is not None and r.iso in group]
+    if not darks:
+        return 0.0, 0.0
+    seconds = np.array([r.exposure_s for r in darks], float)
+    groups = np.array([group[r.iso] for r in darks])
+    level, variance = np.array([_level(np.asarray(r.frames, np.float32)) for r in darks]).T
+    unit = np.asarray(units)[groups]
+    level, variance = level / unit, variance / unit**2
+    t = from_means(seconds, groups, 1 / variance)
+    information = float(np.sum(t**2 / variance))
+    if not information > 0:
+        return 0.0, 0.0
+    return float(np.sum(t * level / variance)) / information, information**-0.5
+
+
+def _level(frames: np.ndarray) -> tuple[float, float]:
+    """Mean of the pixels that are not hot, DN, and its variance: of their noise, or of that of the frames."""
+    mean, noise = frames.mean(0), float(np.mean(frames.var(0)))
+    away = np.abs(mean - np.median(mean))
+    even = frames[:, away < STANDS_OUT * max(robust_std(mean), np.sqrt(noise / len(frames)), 1e-6)]
+    of_frames = float(even.mean(1).var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
+    return float(even.mean()), max(noise / even.size, of_frames, 1e-12)

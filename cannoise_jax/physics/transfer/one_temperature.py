@@ -1,0 +1,43 @@
+"""Darks of one temperature: the same exposure recorded twice, cold and warm, holds two dark currents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.join import ALIKE_KELVIN
+from cannoise_jax.recordings.recording import DARK, Recording
+
+
+def of_one_temperature(statistics: Sequence[FrameStatistics]) -> tuple[list[FrameStatistics], str]:
+    """The recordings of one ISO without darks of another temperature, and which those are, empty for none.
+
+    Only where an exposure was recorded at several temperatures: a sensor that warms in its longest exposures
+    has no others. Those stay that are as warm as the flats, or else the coldest such series.
+    """
+    darks = [s.recording for s in statistics if s.recording.kind in DARK]
+    twice = [_celsius(r) for r in darks if any(_is_again(r, other) for other in darks)]
+    if not twice:
+        return list(statistics), ""
+    lit = [s.recording for s in statistics if s.recording.kind not in DARK]
+    aims = [_celsius(r) for r in lit if r.temperature_c is not None] or [min(twice)]
+    nearest = min(twice, key=lambda t: abs(t - float(np.median(aims))))
+    others = [r for r in darks if r.temperature_c is not None and abs(_celsius(r) - nearest) > ALIKE_KELVIN]
+    kept = [s for s in statistics if not any(s.recording is r for r in others)]
+    named = ", ".join(f"{r.path or r.camera} ({r.temperature_c:.4g} C)" for r in others)
+    return kept, f"darks of several temperatures: those of {nearest:.4g} C are used, not {named}"
+
+
+def _celsius(recording: Recording) -> float:
+    assert recording.temperature_c is not None
+    return recording.temperature_c
+
+
+def _is_again(one: Recording, other: Recording) -> bool:
+    """Whether both are of one exposure and of two temperatures."""
+    if one.temperature_c is None or other.temperature_c is None:
+        return False
+    alike = (one.kind, one.exposure_s) == (other.kind, other.exposure_s)
+    return alike and abs(one.temperature_c - other.temperature_c) > ALIKE_KELVIN

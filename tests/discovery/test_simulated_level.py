@@ -1,0 +1,44 @@
+"""What a simulator's own darks rise by is not found missing of it; what they lack is."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.discovery.search.locate import locate
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+
+def taken(seed, rate, rows=0.0):
+    """Darks of three exposures and a flat; rate: dark current, e-/s; rows: of the readout, DN."""
+    rng = np.random.default_rng(seed)
+    own = []
+    for kind, light, seconds in (("dark", 0, 0.01), ("dark", 0, 2.0), ("dark", 0, 8.0), ("flat", 900, 0.01)):
+        charge = rng.poisson(light + rate * seconds, (8, 64, 96)) + 4 * rng.standard_normal((8, 64, 96))
+        codes = 300 + 2 * charge + rows * rng.standard_normal((8, 64, 1))
+        own.append(
+            Recording(
+                np.rint(codes).astype(np.uint16), "MONO", (300.0,) * 4, 16383.0, kind=kind,
+                exposure_s=seconds, path=f"{kind}_{seconds:g}",
+            )
+        )  # fmt: skip
+    return CaptureSet("made", tuple(own))
+
+
+@pytest.mark.parametrize(("drawn", "missing"), [(0.5, 0.0), (0.2, 0.3), (0.0, 0.5)])
+def test_a_dark_current_counts_beyond_that_of_the_simulator(drawn, missing):
+    looking = splits_of(taken(1, 0.5), True, taken(2, drawn)).looking
+    score = locate(looking.fields, looking.signatures).scores["dark_level"]
+    value, _, error = score.parameters["dark_current"]
+    assert abs(value - missing) < 4 * error and error < 0.05
+    assert (score.log_p < -20) == bool(missing)
+
+
+def test_rows_of_the_simulator_make_its_level_less_sure():
+    errors = []
+    for rows in (0.0, 8.0):
+        looking = splits_of(taken(1, 0.5), True, taken(2, 0.5, rows)).looking
+        score = locate(looking.fields, looking.signatures).scores["dark_level"]
+        value, _, error = score.parameters["dark_current"]
+        assert abs(value) < 4 * error
+        errors.append(error)
+    assert errors[1] > 2 * errors[0]

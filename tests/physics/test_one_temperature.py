@@ -1,0 +1,46 @@
+"""Darks of one exposure and two temperatures are two dark currents; a sensor that warms has one."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+SIZE = (48, 64)
+
+
+def recording(kind, seconds, celsius, light=0.0):
+    rng = np.random.default_rng(round(100 + 10 * seconds + (celsius or 0) + light))
+    rate = 2.0 * 2.6 ** ((0.0 if celsius is None else celsius) / 10 + 1)
+    charge = rng.poisson(light + rate * seconds, (6, *SIZE)) + 4 * rng.standard_normal((6, *SIZE))
+    codes = np.rint(300 + 0.8 * charge).astype(np.uint16)
+    return Recording(
+        codes, "MONO", (300.0,) * 4, 16383.0, "cooled", kind, exposure_s=seconds, temperature_c=celsius
+    )
+
+
+def series(*celsius):
+    return [recording("dark", s, c) for c in celsius for s in (0.001, 5.0, 30.0)]
+
+
+@pytest.mark.parametrize(("flat", "rate"), [(-10.0, 2.0), (0.0, 5.2), (None, 2.0)])
+def test_darks_as_warm_as_the_flats_give_the_dark_current(flat, rate):
+    own = [*series(-10.0, 0.0), recording("flat", 0.001, flat, 8000.0)]
+    (transfer,) = photon_transfer(CaptureSet("cooled", tuple(own)))
+    (found,) = of_all_pixels(transfer).outcomes("dark current, by mean")
+    assert found.value == pytest.approx(rate, rel=0.03)
+
+
+def test_what_is_left_out_is_said_and_nothing_else_is():
+    statistics = [frame_statistics(r) for r in series(-10.0, 0.0)]
+    kept, line = of_one_temperature(statistics)
+    assert {s.recording.temperature_c for s in kept} == {-10.0}
+    assert "those of -10 C are used" in line and line.count("(0 C)") == 3
+    warming = [
+        frame_statistics(recording("dark", s, c)) for s, c in ((0.001, 20.0), (5.0, 24.0), (30.0, 31.0))
+    ]
+    assert of_one_temperature(warming) == (warming, "")
+    unknown = [frame_statistics(r) for r in series(None)]
+    assert of_one_temperature(unknown) == (unknown, "")
