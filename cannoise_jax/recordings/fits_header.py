@@ -106,9 +106,9 @@ def taken_s(header: Mapping[str, Any]) -> float | None:
     date, time = text_in(header, "DATE-OBS", "DATE-BEG"), text_in(header, "TIME-OBS", "UT")
     try:
         taken = datetime.fromisoformat(date if "T" in date or not time else f"{date}T{time}")
-    except ValueError:
+        universal = taken.replace(tzinfo=None) - (taken.utcoffset() or timedelta())
+    except (ValueError, OverflowError):
         return None
-    universal = taken.replace(tzinfo=None) - (taken.utcoffset() or timedelta())
     return (universal - datetime(1970, 1, 1)).total_seconds()
 
 
