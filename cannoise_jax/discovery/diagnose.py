@@ -27,6 +27,7 @@ from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
+from cannoise_jax.discovery.proof.excess import excess
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
 from cannoise_jax.discovery.proof.judged import CALIBRATED, Judged, opened, own_effects, searched, without_own
 from cannoise_jax.discovery.proof.prove import prove, standing, unconfirmed, unproven
@@ -165,6 +166,7 @@ def diagnose(
         remains,
         model is not sides.model,
         faults,
+        excess(own, raw.looking),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.proof.check import Checked
+from cannoise_jax.discovery.proof.excess import Excess
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.prove import Proof, Proofs
 from cannoise_jax.discovery.proof.quality import Quality
@@ -32,7 +33,7 @@ class Result:
     entries: mechanisms that may be named. splits: frames of every recording that looked for effects, and that
     proved them. steps of `fitted` and `proofs` go together; proven: also the likelihood of the frames held
     back; quality: draws of the simulator before and after against those, None where not measured. faults: of
-    the recordings, by ISO."""
+    the recordings, by ISO. excess: what the simulator has more of than the recordings."""
 
     capture: CaptureSet
     simulator: str
@@ -51,6 +52,7 @@ class Result:
     remains: Checked | None = None
     entered: bool = True
     faults: Mapping[float | None, Faults] = field(default_factory=dict)
+    excess: tuple[Excess, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -66,7 +68,7 @@ class Result:
         return verdict_of(
             # Where nothing may be named, what is left of the battery still looks for structures.
             tested=bool(self.testable or self.fitted.first.scores),
-            named=any(m != UNKNOWN for m in kept),
+            named=bool(self.excess) or any(m != UNKNOWN for m in kept),
             unnamed=UNKNOWN in self.findings,
             differs_before=bool(before) or bool(self.findings),
             differs_after=after,

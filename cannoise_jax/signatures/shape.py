@@ -7,6 +7,7 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import optimize, special, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name

@@ -111,7 +111,7 @@ def check_report(r, ids=IDS):
     assert set(r) == {
         "schema", "version", "key", "alpha", "camera", "simulator", "inputs", "verdict", "testable",
         "not_testable", "findings", "not_found", "before", "after", "two_sample", "seconds", "peak_memory_mb",
-        "baseline", "faults", "not_measured", "shadows", "remainder_share", "gate", "remains",
+        "baseline", "faults", "not_measured", "shadows", "too_much", "remainder_share", "gate", "remains",
     }  # fmt: skip
     assert r["schema"] == "cannoise/diagnosis/2" and isinstance(r["key"], int) and 0 < r["alpha"] < 1
     said = ("match", "explained", "partly explained", "differs, no cause found", "not_testable")

@@ -13,6 +13,7 @@ from cannoise_jax.discovery.frames.faults import fault_lines
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import light, outcome
 from cannoise_jax.discovery.report.card import card
+from cannoise_jax.discovery.report.excess import too_much
 from cannoise_jax.discovery.report.not_found import absorbed_by, detectable
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.result import Result
@@ -61,6 +62,8 @@ def document(
     baseline: of the simulator that is handed back; not_measured: what of it was not, a line each; gate: how
       it was chosen.
     shadows: of flats, which count as light, see `light.shadowed`.
+    too_much: mechanisms that the simulator has more of than the recordings: simulated and recorded, value,
+      unit and ci90 of each, and a sentence.
     remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain.
     testable: ids; not_testable: mechanism and needs, what to record.
       Every id that the run may name is in exactly one of them, and every testable one in findings or
@@ -119,6 +122,7 @@ def document(
             "baseline": outcome.baseline(diagnosis),
             "not_measured": outcome.not_measured(diagnosis),
             "shadows": light.shadowed(diagnosis),
+            "too_much": [too_much(e, diagnosis.terms[e.mechanism]) for e in diagnosis.excess],
             "testable": [*diagnosis.testable, *also],
             "not_testable": [
                 {"mechanism": id, "needs": needs} for id, needs in diagnosis.not_testable if id not in also

@@ -111,6 +111,11 @@ def verdict(report: dict[str, Any]) -> str:
     sure = [f for f in report["findings"] if f["confirmed"]]
     rest = [f for f in report["findings"] if not f["confirmed"]]
     start = "Explained" if said == EXPLAINED else "Partly explained"
+    much = [_name(e["mechanism"]) for e in report.get("too_much", ())]
+    more = f" The simulator has too much {' and too much '.join(much)}." if much else ""
+    if not report["findings"]:
+        return f"{start}.{more}{left}"
+    left = more + left
     names = f"{start}: {_counted(sure or rest)}"
     if not sure:
         return f"{names}, not confirmed on frames held back.{left}"

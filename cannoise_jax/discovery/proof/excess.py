@@ -1,0 +1,56 @@
+"""What a simulator has more of than the recordings, by the signatures that tell it in its own draws."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cannoise_jax.discovery.frames.battery import Prepared
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.signatures.score import Score
+
+_SURE = 4.0
+"""Standard errors of the difference: of ten mechanisms one is said to be too strong once in 3,000 runs."""
+_LESS = 0.8
+"""Share of what the simulator has, of which the recordings have less: a fit may be off by some per cent."""
+
+
+class Excess(NamedTuple):
+    """A mechanism of which the simulator has too much: its strength in the simulator's draws and in the
+    recordings, with the standard error of either."""
+
+    mechanism: str
+    simulated: float
+    recorded: float
+    simulated_error: float
+    recorded_error: float
+
+
+def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
+    """Of what the simulator's own draws show, what the recordings show less of, strongest evidence first.
+
+    recorded: a split of the recordings as they are. Left to the layer that knows no names is what is frozen
+    and no scatter of many pixels or lines: levels, which are judged beside the simulator where they are
+    looked for, and hot pixels, of which two units of one camera have more and fewer.
+    """
+    known = {s.name: s for s in recorded.signatures}
+    out: list[tuple[float, Excess]] = []
+    for step in own:
+        named, signature = step.named, known.get(step.named.signature.name)
+        few = named.signature.frozen and not np.isfinite(named.score.drawn)
+        if named.mechanism == UNKNOWN or signature is None or few:
+            continue
+        there = _strength(named.signature.quoted(named.score, named.mechanism))
+        score = signature.score(recorded.fields)
+        here = (0.0, 0.0) if score is None else _strength(signature.quoted(score, named.mechanism))
+        sigmas = (there[0] - here[0]) / max(float(np.hypot(there[1], here[1])), 1e-30)
+        if sigmas > _SURE and here[0] < _LESS * there[0]:
+            out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1])))
+    return tuple(e for _, e in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _strength(score: Score) -> tuple[float, float]:
+    """Amplitude and its error."""
+    return score.amplitude, float(score.error) if np.isfinite(score.error) else score.amplitude

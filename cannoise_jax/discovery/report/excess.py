@@ -1,0 +1,29 @@
+"""What a simulator has too much of, in a report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cannoise_jax.discovery.proof.excess import Excess
+from cannoise_jax.discovery.report.wording import amount
+from cannoise_jax.physics.transfer.estimate import Z90
+from cannoise_jax.vocabulary import Term
+
+
+def too_much(found: Excess, term: Term) -> dict[str, Any]:
+    """A mechanism of which the simulator has too much."""
+
+    def size(value: float, error: float) -> dict[str, Any]:
+        ci90 = [max(value - Z90 * error, 0.0), value + Z90 * error]
+        return {"value": value, "unit": term.unit, "ci90": ci90}
+
+    simulated = size(found.simulated, found.simulated_error)
+    recorded = size(found.recorded, found.recorded_error)
+    said, most = (amount(v, term.unit, term.amplitude) for v in (found.simulated, recorded["ci90"][1]))
+    name = found.mechanism.replace("_", " ")
+    return {
+        "mechanism": found.mechanism,
+        "simulated": simulated,
+        "recorded": recorded,
+        "sentence": f"The simulator has {said} of {name}, the recordings at most {most}: lower it there.",
+    }

@@ -1,0 +1,54 @@
+"""What a simulator has too much of is named; what it has as the recordings have it, or less, is not."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.discovery.proof.excess import Excess, excess
+from cannoise_jax.discovery.proof.judged import own_effects, searched
+from cannoise_jax.discovery.report.excess import too_much
+from cannoise_jax.discovery.report.page import verdict
+from cannoise_jax.discovery.search import declare
+from cannoise_jax.mechanisms import VOCABULARY
+from tests.discovery.capture import capture_set
+from tests.discovery.test_compare_bank import fixed, rows
+
+ENTRIES = declare.registered()
+NAMES = frozenset(entry.id for entry in ENTRIES)
+
+
+def tails(sigma):
+    return lambda rng: lambda dn, *_: dn + sigma * rng.standard_t(6, dn.shape)
+
+
+def names(recorded, drawn, seed=0, kinds="d"):
+    """Of two sets that are altered so, what the second has too much of."""
+    own_set = capture_set(100 + seed, drawn, kinds=kinds)
+    own = own_effects(own_set, ENTRIES, NAMES, float(np.log(0.008)))
+    looking = splits_of(
+        capture_set(200 + seed, recorded, kinds=kinds), True, own_set, searched(ENTRIES)
+    ).looking
+    return [found.mechanism for found in excess(own, looking)]
+
+
+@pytest.mark.parametrize(
+    ("drawn", "name"), [(rows(2.0), "row_noise"), (fixed(2.0), "dsnu"), (tails(8.0), "heavy_tails")]
+)
+def test_what_the_recordings_lack_is_named(drawn, name):
+    assert names(None, drawn) == [name]
+
+
+@pytest.mark.parametrize("law", [rows, fixed])
+def test_less_is_named_and_as_much_or_more_is_not(law):
+    assert names(law(1.0), law(2.0)) and not names(law(2.0), law(2.0)) and not names(law(2.0), law(1.0))
+
+
+def test_a_report_says_how_much():
+    said = too_much(Excess("row_noise", 2.0, 0.1, 0.05, 0.1), VOCABULARY["row_noise"])
+    assert (
+        said["sentence"]
+        == "The simulator has 2 DN of row noise, the recordings at most 0.264 DN: lower it there."
+    )
+    assert said["recorded"]["ci90"][0] == 0 and said["simulated"]["unit"] == "DN"
+    report = {"verdict": "partly explained", "findings": [], "too_much": [said], "remains": None}
+    assert verdict(report) == "Partly explained. The simulator has too much row noise."
