@@ -159,37 +159,24 @@ def numbers(text: str) -> tuple[float, ...]:
     return values
 
 
-def count(text: str) -> int:
-    """A whole number from 1. Raises argparse.ArgumentTypeError for anything else."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number, 1 or more")
-    return value
+def _whole(least: int, most: float, words: str) -> Callable[[str], int]:
+    """A whole number from `least`, at most `most`."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}: give a whole number{words}")
+        return value
+
+    return parse
 
 
-def whole(text: str) -> int:
-    """A whole number from 0. Raises argparse.ArgumentTypeError for anything else."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number, 0 or more")
-    return value
-
-
-def seed(text: str) -> int:
-    """What a random key is made of. Raises argparse.ArgumentTypeError for anything else."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value < 2**32:
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 0 to {2**32 - 1}")
-    return value
+count = _whole(1, float("inf"), ", 1 or more")
+whole = _whole(0, 2**63 - 1, ", 0 or more")
+seed = _whole(0, 2**32 - 1, f" from 0 to {2**32 - 1}")
 
 
 def _between(

@@ -119,8 +119,7 @@ def shared_noise(recording: Recording) -> Shared | None:
     if recording.kind not in (*DARK, "flat") or recording.count < _FEWEST:
         return None
     frames, step = _middle(recording)
-    repeated = _repeats(frames)
-    if frames.shape[1] < _BANDS * _LEAST_ROWS + 2 or frames.shape[2] < 2 * _BANDS:
+    if frames.shape[1] < _BANDS * _LEAST_ROWS + 2 or frames.shape[2] < 2 * _BANDS or _repeats(frames):
         return None
     if recording.kind == "flat":
         frames = _of_one_light(frames)
@@ -131,7 +130,7 @@ def shared_noise(recording: Recording) -> Shared | None:
         return None
     squares = np.array([_bulk_squares(frames[j] - frames[i], steady) for i, j in pairs])
     # Four values are in every one of these differences.
-    if np.median(squares) / 4 < _COARSE * step**2 or repeated:
+    if np.median(squares) / 4 < _COARSE * step**2:
         return None
     noise, covariance = _solved(pairs, squares)
     each = covariance / noise.mean()

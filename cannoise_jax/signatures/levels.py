@@ -88,11 +88,19 @@ def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.
     t = np.array([f.exposure_s for f, _, _ in levels], float)
     y = np.array([level.mean() for _, level, _ in levels])
     v = np.array([e**2 / 4 + jitter / f.frames for f, _, e in levels])
-    t = from_means(t, np.array([f.group for f, _, _ in levels], int), 1 / v)
-    i = float(np.sum(t**2 / v))
-    if not i > 0:
-        return 0.0, np.inf
-    return float(np.sum(t * y / v)) / i, float(1 / np.sqrt(i))
+    return slope_of(t, y, v, np.array([f.group for f, _, _ in levels], int))
+
+
+def slope_of(
+    seconds: Float[np.ndarray, "n"],
+    level: Float[np.ndarray, "n"],
+    variance: Float[np.ndarray, "n"],
+    group: Int[np.ndarray, "n"],
+) -> tuple[float, float]:
+    """Rise of levels within gain settings, a second, and its standard error; (0, inf) of one exposure."""
+    t = from_means(seconds, group, 1 / variance)
+    i = float(np.sum(t**2 / variance))
+    return (float(np.sum(t * level / variance)) / i, float(1 / np.sqrt(i))) if i > 0 else (0.0, np.inf)
 
 
 def jitter_freedom(fields: tuple[Fields, ...], jitter: float, error: float) -> float:

@@ -10,7 +10,7 @@ from cannoise_jax.discovery.frames.calibrate import fit_baseline
 from cannoise_jax.discovery.frames.contrasts import stack
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK, CaptureSet
-from cannoise_jax.signatures.levels import STANDS_OUT, from_means
+from cannoise_jax.signatures.levels import STANDS_OUT, slope_of
 from cannoise_jax.signatures.recorded import GroupBaseline
 
 
@@ -40,12 +40,8 @@ def drawn_rise(
     groups = np.array([group[r.iso] for r in darks])
     level, variance = np.array([_level(np.asarray(r.frames, np.float32)) for r in darks]).T
     unit = np.asarray(units)[groups]
-    level, variance = level / unit, variance / unit**2
-    t = from_means(seconds, groups, 1 / variance)
-    information = float(np.sum(t**2 / variance))
-    if not information > 0:
-        return 0.0, 0.0
-    return float(np.sum(t * level / variance)) / information, information**-0.5
+    rise, error = slope_of(seconds, level / unit, variance / unit**2, groups)
+    return (rise, error) if np.isfinite(error) else (0.0, 0.0)
 
 
 def _level(frames: np.ndarray) -> tuple[float, float]:

@@ -23,9 +23,9 @@ def shadowed(diagnosis: Result) -> list[dict[str, Any]]:
     share of the light the darkest (below zero) and the brightest place differs."""
     out = []
     for stacked in diagnosis.first.stacks:
-        dust = np.zeros(1) if stacked.dust is None else stacked.dust
-        share = float(np.mean(dust))
-        if share >= _LEAST and np.sum(dust) >= _FEWEST:
+        pixels = 0 if stacked.dust is None else int(np.sum(stacked.dust))
+        share = pixels / stacked.mean.size
+        if share >= _LEAST and pixels >= _FEWEST:
             found = light_of(stacked)[1]
             name = stacked.recording.path or f"recording {stacked.number}"
             extremes = {"darkest": min(found.min(), 0.0), "brightest": max(found.max(), 0.0)}

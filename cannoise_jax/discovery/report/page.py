@@ -105,22 +105,25 @@ def verdict(report: dict[str, Any]) -> str:
         return "Nothing could be tested with these recordings: see below what to record."
     if said == MATCH:
         return "Match: nothing that was tested differs from the simulator."
-    left = _largest(report)
+    left = _excess(report) + _largest(report)
     if said == NO_CAUSE:
         return f"Differs, and no cause was found.{left}"
     sure = [f for f in report["findings"] if f["confirmed"]]
     rest = [f for f in report["findings"] if not f["confirmed"]]
     start = "Explained" if said == EXPLAINED else "Partly explained"
-    much = [_name(e["mechanism"]) for e in report.get("too_much", ())]
-    more = f" The simulator has too much {' and too much '.join(much)}." if much else ""
     if not report["findings"]:
-        return f"{start}.{more}{left}"
-    left = more + left
+        return f"{start}.{left}"
     names = f"{start}: {_counted(sure or rest)}"
     if not sure:
         return f"{names}, not confirmed on frames held back.{left}"
     more = f" Found, but not confirmed on frames held back: {_counted(rest)}." if rest else ""
     return f"{names}.{more}{left}"
+
+
+def _excess(report: dict[str, Any]) -> str:
+    """What the simulator has too much of, as a sentence; nothing where there is nothing."""
+    much = [_name(e["mechanism"]) for e in report.get("too_much", ())]
+    return f" The simulator has too much {' and too much '.join(much)}." if much else ""
 
 
 def _largest(report: dict[str, Any]) -> str:
