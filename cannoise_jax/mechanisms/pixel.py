@@ -258,7 +258,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.patterns.pixel("exposure", name="pixel_thermal_static", parameter="sigma_dn",
                 covers=looks.DARK_LEVELS, charge_of=("dark_current", "compensated_dark_current")),
         ),
-        estimator=Estimator(maps.dsnu, maps=measured.offsets),
+        estimator=Estimator(maps.dsnu, frozen=True, maps=measured.offsets),
         examples=Examples("spatial", dim=True, strong={"sigma_dn": 3.0},
                           cases=(Case({"sigma_dn": 0.5}, DARK),)),
     ),

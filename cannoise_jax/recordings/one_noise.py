@@ -148,11 +148,14 @@ def _alike(
 
 
 def _in_two(levels: Float[np.ndarray, "t"]) -> bool:
-    """Whether levels are two, each of two frames or more: of a sensor that warms up they are spread out."""
+    """Whether levels are two, the one of three frames or more: of a sensor that warms up they are spread
+    out."""
     order = np.sort(levels)
     steps = np.diff(order)
+    if len(order) <= _FEWEST:
+        return False
     at = int(np.argmax(steps))
-    return bool(0 < at < len(steps) - 1 and steps[at] > _GAP * (order[-1] - order[0] - steps[at]))
+    return bool(steps[at] > _GAP * (order[-1] - order[0] - steps[at]))
 
 
 def _noise(

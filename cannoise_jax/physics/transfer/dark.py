@@ -12,21 +12,21 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.core.rounding import mean_bias, variance_bias
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import mean_error
+from cannoise_jax.physics.transfer.dark_pixels import FAR, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.fit import median_quotient, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
-from cannoise_jax.physics.transfer.quiet import dither
+from cannoise_jax.physics.transfer.quiet import coarse, dither
 from cannoise_jax.recordings.packing import site
 
 RECORD = (
     "record darks at three or more exposure times, the longest some tens of seconds, 2 frames each or more"
 )
-_HOT = 6.0  # robust standard deviations above the median of the longest dark
 _UNLIKE = 3.0
 """Times the pattern of the shortest dark from which that of the longest is the spread of dark currents."""
 _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
@@ -46,8 +46,7 @@ class Series(NamedTuple):
 def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> Series | NotMeasurable:
     """One channel of repeated darks of known exposure, in electrons.
 
-    Pixels that clip, or that are hot in the longest dark, are left out (the rule: above the median by six
-    robust standard deviations).
+    Pixels that clip, or that are hot in the longest dark, are left out (`transfer.dark_pixels`).
     """
     series = sorted(
         (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
@@ -57,23 +56,56 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
     if len(repeated) < 3:
         single = {s.recording.exposure_s for s in darks} - repeated - {None}
         return NotMeasurable(_second(single) if len(repeated) + len(single) > 2 else RECORD)
-    longest = site(series[-1].mean, channel)
-    middle = np.median(longest)
-    keep = longest < middle + _HOT * robust_std(longest, middle)
+    keep, alike = _ordinary(series[0], series[-1], channel)
     for s in series:
         keep &= ~site(s.clipped, channel)
     if not keep.any():
         return NotMeasurable("every pixel of the darks is cut off or hot: record shorter ones")
     rows = []
     for s in series:
-        value, kept = robust_mean_square(pixel_variance(s, channel)[keep], s.dof)
-        error = value * np.hypot(np.sqrt(2 / (kept.sum() * s.dof)), _NOISE_FLOOR)
+        value, count = _mean_variance(s, channel, keep, alike)
+        error = value * np.hypot(np.sqrt(2 / (count * s.dof)), _NOISE_FLOOR)
         mean = float(site(s.mean, channel)[keep].mean())
         seen, step = dither(s, channel), s.code_step
         doubt = np.hypot(mean_error(s, channel), step * mean_bias(seen)) / gain
         error = np.hypot(error, step**2 * variance_bias(seen))
         rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
     return Series(*np.array(rows, np.float64).T)
+
+
+def _mean_variance(
+    s: FrameStatistics, channel: int, keep: Bool[np.ndarray, "h w"], alike: bool
+) -> tuple[float, int]:
+    """Temporal variance of the pixels to keep, DN^2, and of how many. Where their dark currents are alike,
+    the loud ones among them have another cause."""
+    variance = pixel_variance(s, channel)
+    if s.shot is not None:
+        # Scaled, so that the scatter of a variance stays what its frames make it.
+        shot = site(s.shot, channel)
+        base = max(float(np.median(variance - shot)), s.code_step**2 / 12)
+        variance = variance * base / (base + shot)
+    if alike:
+        value, kept = robust_mean_square(variance[keep], s.dof)
+        return value, int(kept.sum())
+    calm = keep if s.hits is None else keep & ~site(s.hits.pixels, channel)
+    return float(variance[calm].mean()), int(calm.sum())
+
+
+def _ordinary(
+    shortest: FrameStatistics, longest: FrameStatistics, channel: int
+) -> tuple[Bool[np.ndarray, "h w"], bool]:
+    """Pixels of a channel that are not hot, and whether the dark currents of these are alike. Hot: beyond six
+    spreads of a normal law, or where all currents have a longer tail than that, what stands out from it."""
+    grown = above_level(site(longest.mean, channel) - site(shortest.mean, channel))
+    seen = ~site(longest.clipped, channel)
+    if not seen.any():
+        return seen, True
+    law = law_of(grown[seen], least=0.5 * longest.code_step if coarse(longest) else 0.0)
+    if law.shape:
+        return ~law.is_hot(grown), False
+    mean = site(longest.mean, channel)
+    middle = float(np.median(mean))
+    return mean < middle + FAR * robust_std(mean, middle), True
 
 
 def unlike_charge(darks: Sequence[FrameStatistics], channel: int) -> str:
@@ -90,8 +122,8 @@ def unlike_charge(darks: Sequence[FrameStatistics], channel: int) -> str:
         return ""
     said = [f"{p:.3g} DN at {s.recording.exposure_s:g} s" for p, s in zip(patterns, ends, strict=True)]
     return (
-        f"the fixed pattern of ordinary pixels grows from {said[0]} to {said[1]}: their dark currents "
-        "differ, which the camera model has of hot pixels alone"
+        f"the fixed pattern grows from {said[0]} to {said[1]}: dark currents differ from pixel to pixel, or "
+        "light of the electronics adds to them"
     )
 
 

@@ -41,7 +41,9 @@ class Estimator:
       strength at which nothing differs from the baseline. exact: a value of the code lattice, without error.
     searched: the strongest of many frequencies. smooths: it has lowered the noise that the baseline is
       measured on. in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
-    gives_way_to: ids beside which it does not enter. against(estimates, statistics) -> why not to believe it,
+    gives_way_to: ids beside which it does not enter. without(statistics, baseline, estimates) -> the
+      recordings less what it adds to them. frozen: it is of what frames have in common, and measured on what
+      those leave. against(estimates, statistics) -> why not to believe it,
       or nothing.
     law: what it makes of the values of one pixel, for `estimators.loudness`. loud(dark, gain=DN/e-, **values)
       -> 1 at the pixels that it alone makes loud; spares(statistics, baseline, without=pixels) -> its
@@ -61,6 +63,8 @@ class Estimator:
     in_baseline: bool = False
     reported: str = ""
     gives_way_to: tuple[str, ...] = ()
+    without: Callable[..., list[FrameStatistics]] | None = None
+    frozen: bool = False
     against: Callable[[Measured, Statistics], str] | None = None
     law: Law | None = None
     loud: Callable[..., np.ndarray] | None = None

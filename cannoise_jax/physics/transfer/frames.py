@@ -48,6 +48,8 @@ class FrameStatistics:
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
       never change, likewise; None where there are none.
+    shot: what charge that the means are without, but the frames not, adds to the variances, DN^2; None where
+      there is none.
     """
 
     recording: Recording
@@ -68,6 +70,7 @@ class FrameStatistics:
     hits: Hits | None = None
     unlit: Bool[np.ndarray, "H W"] | None = None
     dead: Bool[np.ndarray, "H W"] | None = None
+    shot: Float[np.ndarray, "H W"] | None = None
 
 
 def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
@@ -93,6 +96,23 @@ def with_all_sites(s: FrameStatistics) -> FrameStatistics:
 def _end(codes: PerChannel, pick: Callable[[list[float]], float]) -> float:
     known = [c for c in codes if np.isfinite(c)]
     return pick(known) if known else float("nan")
+
+
+def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], gain: float) -> FrameStatistics:
+    """The statistics without charge that every frame holds, DN; the recording keeps it, and all keep its shot
+    noise, which stands in `shot` then. gain: DN/e-."""
+    rows = np.stack([added[:, p::2].mean(1) for p in (0, 1)], -1)
+    columns = np.stack([added[p::2].mean(0) for p in (0, 1)])
+    means = np.array([float(site(added, c).mean()) for c in range(4)])
+    own: dict[str, Any] = {
+        "mean": s.mean - added,
+        "frame_means": s.frame_means - means,
+        "row_means": s.row_means - rows,
+        "column_means": s.column_means - columns,
+        "level": per_channel(np.asarray(s.level) - means),
+        "shot": gain * added if s.shot is None else s.shot + gain * added,
+    }
+    return replace(s, **own)
 
 
 def line_means(s: FrameStatistics, channel: int) -> tuple[Float[np.ndarray, "T h"], Float[np.ndarray, "T w"]]:

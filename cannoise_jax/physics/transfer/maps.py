@@ -76,11 +76,13 @@ def _jumps(fitted: Fitted) -> bool:
 def with_measured_maps(
     model: SensorModel,
     statistics: Statistics,
+    left: Statistics,
     baseline: Baseline,
     estimators: Mapping[str, Estimator],
 ) -> SensorModel:
     """The model with the maps of the unit that was recorded, where its mechanisms have any and the recordings
-    show them; the others stay as they are drawn from the unit's key. estimators: by id."""
+    show them; the others stay as they are drawn from the unit's key. estimators: by id. left: the
+    recordings for what is frozen (see `Estimator.without`)."""
     kept: list[Fitted] = []
     for i, fitted in enumerate(model.mechanisms):
         key = mechanism_key(model.unit_key, model, i)
@@ -88,8 +90,9 @@ def with_measured_maps(
         def draw(shape: tuple[int, ...], key=key) -> np.ndarray:
             return np.asarray(sample_normal(key, shape), np.float64)
 
-        measure = estimators[fitted.mechanism].maps
-        seen = Seen(statistics, baseline, draw, tuple(kept))
+        estimator = estimators[fitted.mechanism]
+        measure = estimator.maps
+        seen = Seen(left if estimator.frozen else statistics, baseline, draw, tuple(kept))
         maps = measure(fitted.parameters, seen) if measure else {}
         stored = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
         kept.append(dataclasses.replace(fitted, maps=stored))
@@ -177,7 +180,7 @@ def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    found = offset_pattern(dark)
+    found = offset_pattern(dark, charge.grown(seen.statistics, seen.baseline, dark))
     rest = seen.draw(found.pixels.shape)
     field = shrunk(found.pixels, values["sigma_dn"], found.noise, rest)
     # Of a pixel far out nothing is noise, and of a hot one everything is its heat.
@@ -271,6 +274,16 @@ def heat(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """Dark current of the hot pixels over their mean; 0 elsewhere."""
     found = charge.hot_map(seen.statistics, seen.baseline, values["e_per_s"], values["fraction"])
     return {} if found is None else {"heat": found[None]}
+
+
+def currents(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
+    """Dark currents of ordinary pixels beyond their mean, in units of their standard deviation."""
+    found = charge.currents(seen.statistics, seen.baseline)
+    if found is None or not found.differ:
+        return {}
+    shown, sigma = found.charge - found.law.mean, float(np.sqrt(found.spread))
+    field = shrunk(shown, sigma, found.noise, seen.draw(shown.shape))
+    return {"pixels": np.where(found.out, 0.0, field)[None]}
 
 
 def glow(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:

@@ -81,11 +81,14 @@ def find_mechanisms(
     statistics: Sequence[FrameStatistics], baseline: Baseline, entries: Iterable[Measurable]
 ) -> tuple[Finding, ...]:
     """What the estimators of all entries say of the recordings of one setting, in their order."""
-    found: dict[str, Finding] = {}
-    for entry in entries:
-        estimator = entry.estimator
-        if estimator is not None and not estimator.in_baseline:
-            found[entry.record.id] = _judged(entry, estimator, statistics, baseline)
+    asked = [e for e in entries if e.estimator is not None and not e.estimator.in_baseline]
+    taken_out = [_judged(e, statistics, baseline) for e in asked if e.estimator and e.estimator.without]
+    left = less_known(statistics, baseline, taken_out)
+    found = {f.mechanism: f for f in taken_out}
+    found = {
+        id: found.get(id) or _judged(e, left if e.estimator and e.estimator.frozen else statistics, baseline)
+        for id, e in ((e.record.id, e) for e in asked)
+    }
     for id, finding in found.items():
         for rival in finding.estimator.gives_way_to:
             if finding.measured and rival in found and found[rival].measured:
@@ -97,6 +100,16 @@ def find_mechanisms(
         elsewhere = {id: f.point for id, f in found.items() if f.point is not None}
         found = {id: _beside(finding, elsewhere, dark) for id, finding in found.items()}
     return tuple(found.values())
+
+
+def less_known(
+    statistics: Sequence[FrameStatistics], baseline: Baseline, findings: Iterable[Finding]
+) -> Sequence[FrameStatistics]:
+    """The recordings less what some findings add to them."""
+    for finding in findings:
+        if finding.estimator.without is not None and finding.measured is not None:
+            statistics = finding.estimator.without(statistics, baseline, finding.measured)
+    return statistics
 
 
 def _causes(
@@ -226,7 +239,8 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
         else:
             model = model.with_mechanism(record.id, scaling=law, point=finding.point, **values)
     estimators = {finding.mechanism: finding.estimator for finding in findings}
-    model = with_measured_maps(model, first.statistics, base, estimators)
+    left = less_known(first.statistics, base, findings)
+    model = with_measured_maps(model, first.statistics, left, base, estimators)
     model = without_repetition(model, first.statistics, estimators)
     exposures = [black_level(t.statistics).seconds or 0.0 for t, _ in measured]
     return without_charge(model, exposures, first.statistics[0].recording.size)
@@ -270,9 +284,9 @@ def format_findings(findings: Sequence[Finding]) -> str:
     return "\n".join(out).rstrip()
 
 
-def _judged(
-    entry: Measurable, estimator: Estimator, statistics: Sequence[FrameStatistics], baseline: Baseline
-) -> Finding:
+def _judged(entry: Measurable, statistics: Sequence[FrameStatistics], baseline: Baseline) -> Finding:
+    estimator = entry.estimator
+    assert estimator is not None
     estimates = estimator(statistics, baseline)
     if isinstance(estimates, NotMeasurable):
         return Finding(entry, estimates, "not there" if estimates.answered else "not looked for")

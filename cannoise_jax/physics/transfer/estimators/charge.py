@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy import optimize, special, stats
+from jaxtyping import Bool, Float
+from scipy import stats
 
 from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, dark_series
+from cannoise_jax.physics.transfer.dark_pixels import FAR, MOST_HOT, PixelLaw, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
@@ -19,15 +21,18 @@ from cannoise_jax.recordings.packing import site
 
 _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
-_FAR = 6.0
-"""Spreads of the healthy pixels beyond which a pixel is not one of them."""
-_FLAT = 1e12
-"""Ratio of curvatures beyond which a likelihood is flat along a parameter."""
+_NOISE_DOUBT = 0.05
+"""Relative error granted to the noise that is taken out of the spread of pixels, besides chance."""
+_LAW_DOUBT = 0.03
+"""Relative error granted to a spread of currents for where the tail of ordinary pixels is taken to end."""
+_SURE = 3.3
+"""Standard errors from which on the spread of pixels counts."""
 
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """e_per_s, from the growth of the mean with exposure; from that of the variance where the two disagree
-    (see `transfer.dark`). Channels are averaged."""
+    (see `transfer.dark`). Channels are averaged. variation, of the pixels that are not hot, where the longest
+    dark less the shortest shows one beyond its noise."""
     if baseline is None:
         return _SERIES
     darks = darks_by_exposure(statistics)
@@ -39,17 +44,89 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
         channels.append(series)
     pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
     by_mean, by_variance, agree, _ = dark_currents(pooled, baseline.gain_error)
-    return {"e_per_s": by_mean if agree else by_variance}
+    rate = by_mean if agree else by_variance
+    return {"e_per_s": rate} | _variation(currents(statistics, baseline), rate)
+
+
+class Currents(NamedTuple):
+    """Charge of every pixel in the longest dark less the shortest, e-, its law, the variance of its noise,
+    e-^2, and the seconds between. spread: variance over ordinary pixels beyond that noise, and its error."""
+
+    charge: Float[np.ndarray, "H W"]
+    law: PixelLaw
+    out: Bool[np.ndarray, "H W"]
+    noise: float
+    seconds: float
+    spread: float
+    error: float
+
+    @property
+    def differ(self) -> bool:
+        """Whether ordinary pixels have currents of their own."""
+        return self.spread > _SURE * self.error
+
+
+def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None:
+    """None without two repeated darks, one much shorter than the other."""
+    pair = _long_and_short(statistics)
+    if pair is None or pair[1] is None or baseline is None or pair[0].clipped.all():
+        return None
+    long, short, seconds = pair
+    charge, law = _charge_and_law(long, short, baseline)
+    out = long.clipped | law.is_hot(charge)
+    noises = charge_map(long, short, baseline)[1][~out]
+    noise, total = float(np.median(noises)), law.variance
+    error = total * np.sqrt(2 / noises.size)
+    if law.shape:  # noise beside the currents bends the law: their own scatter says more of the tail
+        squares = (charge[~out] - charge[~out].mean()) ** 2
+        noise, total = float(np.mean(noises)), float(np.mean(squares))
+        error = np.std(squares) / np.sqrt(squares.size)
+    error = float(np.hypot(error, _NOISE_DOUBT * noise))
+    return Currents(charge, law, out, noise, seconds, total - noise, error)
+
+
+def _variation(found: Currents | None, rate: Estimate) -> dict[str, Estimate]:
+    """Standard deviation of the dark currents of ordinary pixels over their mean; empty where none shows."""
+    if found is None or not found.differ or not rate.value > 0:
+        return {}
+    value = float(np.sqrt(found.spread)) / rate.value / found.seconds
+    parts = found.error / found.spread / 2, rate.stderr / rate.value, _LAW_DOUBT
+    return {"variation": log_estimate(value, float(np.linalg.norm(parts)))}
+
+
+def grown(
+    statistics: Sequence[FrameStatistics], baseline, dark: FrameStatistics
+) -> tuple[Float[np.ndarray, "H W"], float] | None:
+    """What dark currents that differ add to the pixels of a dark beyond their mean, DN, and the variance of
+    noise that the dark less that holds over that of the dark. None where they do not differ."""
+    found, pair = currents(statistics, baseline), _long_and_short(statistics)
+    seconds = dark.recording.exposure_s
+    if found is None or not found.differ or pair is None or pair[1] is None or seconds is None:
+        return None
+    long, short, _ = pair
+    share = seconds / found.seconds
+    added = np.where(long.clipped, 0.0, found.charge - found.law.mean) * share
+    for c in range(4):
+        site(added, c)[...] *= baseline.gain[c]
+    left = 0.0
+    for s in {id(s): s for s in (dark, long, short)}.values():
+        part = float(s is dark) - share * float(s is long) + share * float(s is short)
+        left += part**2 * _noise_of_mean(s, baseline)
+    return added, left / _noise_of_mean(dark, baseline)
+
+
+def _noise_of_mean(s: FrameStatistics, baseline) -> float:
+    """Variance of the mean of the frames, DN^2."""
+    variance = float(np.mean(np.square(baseline.read_noise)))
+    return (variance if s.variance is None else float(np.median(s.variance))) / s.recording.count
 
 
 def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """e_per_s (mean over the hot pixels) and fraction: maximum likelihood of a mixture of healthy pixels and
-    hot ones with exponential heights, on the longest dark less the shortest.
+    """e_per_s (mean over the hot pixels) and fraction: maximum likelihood of a mixture of ordinary pixels and
+    hot ones with exponential heights (`transfer.dark_pixels`), on the longest dark less the shortest.
 
-    The spread of the healthy ones, fixed pattern included, is taken from the quartiles. Heat only adds: what
-    lies far below the median has another cause, which is taken to reach as far above it (a Laplace tail);
-    where no more pixels lie far above than below, none is hot. Of pixels that are full it is known that they
-    are hot, and at least as much as fills them.
+    Heat only adds: where no more pixels lie far above the median than below, none is hot. Of pixels that are
+    full it is known that they are hot, and at least as much as fills them.
     """
     pair = _long_and_short(statistics)
     if pair is None or baseline is None:
@@ -57,121 +134,58 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     long, short, seconds = pair
     if long.clipped.all():
         return NotMeasurable("every pixel of the longest dark is cut off: record a shorter one")
-    charge, sigma = _above_healthy(long, short, baseline)
-    values = charge[~long.clipped].ravel()
-    tail, below = values[values > _FAR * sigma], -values[values < -_FAR * sigma]
-    full = charge[long.clipped & (long.mean > long.recording.white_level / 2)]
-    ceiling = float(np.median(full)) if full.size else 0.0
-    if len(tail) < 10:
+    charge, law = _charge_and_law(long, short, baseline)
+    values = charge[~long.clipped]
+    full = int(np.sum(_full(long)))
+    above = full + int(np.sum(law.is_hot(values) if law.shape else values > law.middle + FAR * law.scale))
+    if above - full < 10 or (law.shape and not law.fraction):
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
-    above = len(tail) + full.size
-    if stats.binom.sf(above - 1, above + len(below), 0.5) > BY_CHANCE:
+    below = int(np.sum(values < law.middle - FAR * law.scale))
+    if stats.binom.sf(above - 1, above + below, 0.5) > BY_CHANCE:
         return NotMeasurable(
             "as many pixels lie far below the median as above, and hot ones lie above: record a longer dark"
         )
-    others = _Healthy.of(values, sigma)
-    if not others.share:
-        values = values[values > -8 * sigma]
-
-    healthy = others.density(values)
-
-    def negative(p: np.ndarray) -> float:
-        fraction, mean = special.expit(p[0]), np.exp(p[1])
-        hot = 0.5 / mean * _exponential_tail(values, sigma, mean)
-        seen = float(np.sum(np.log((1 - fraction) * healthy + fraction * hot + 1e-300)))
-        return -seen - full.size * (np.log(fraction + 1e-300) - ceiling / mean)
-
-    hot_share = max(above - len(below), 1) / (len(values) + full.size)
-    start = np.array([special.logit(min(1.2 * hot_share, 0.4)), np.log(np.r_[tail, full].mean())])
-    fit = optimize.minimize(negative, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3})
-    errors = fit_errors(hessian(negative, fit.x, np.array([0.05, 0.05])))
-    if errors is None:
+    if law.errors is None:
         return NotMeasurable("hot pixels are not told from the healthy ones: record a longer dark")
-    fraction = float(special.expit(fit.x[0]))
-    ends = special.expit(fit.x[0] + Z90 * errors[0] * np.array([-1, 1]))
-    return {
-        "e_per_s": log_estimate(float(np.exp(fit.x[1])) / seconds, float(errors[1])),
-        "fraction": Estimate(
-            fraction, float(errors[0]) * fraction * (1 - fraction), (float(ends[0]), float(ends[1]))
-        ),
-    }
+    # Twice the gain of two parameters is a chi-squared of two degrees of freedom by chance.
+    rate = dataclasses.replace(
+        log_estimate(law.height / seconds, law.errors[1]), chance=float(np.exp(-law.nats))
+    )
+    within = (0.0, MOST_HOT)
+    # Of the logarithm, as few pixels as there are.
+    slope = 1 - law.fraction / MOST_HOT
+    return {"e_per_s": rate, "fraction": log_estimate(law.fraction, law.errors[0] * slope, within)}
 
 
 def hot_map(
     statistics: Sequence[FrameStatistics], baseline, e_per_s: float, fraction: float
 ) -> Float[np.ndarray, "H W"] | None:
-    """Heights, in units of their mean, of the pixels that are more likely hot than healthy; 0 elsewhere."""
+    """Heights, in units of their mean, of the pixels that are more likely hot than ordinary; 0 elsewhere."""
     pair = _long_and_short(statistics)
     if pair is None or baseline is None:
         return None
     long, short, seconds = pair
-    charge, sigma = _above_healthy(long, short, baseline)
-    mean = e_per_s * seconds
-    healthy = _Healthy.of(charge[~long.clipped], sigma).density(charge)
-    hot = 0.5 / mean * _exponential_tail(charge, sigma, mean)
-    likely = (fraction * hot > (1 - fraction) * healthy) & (charge > 0)
-    return np.where(likely, charge / mean, 0.0)
+    charge, law = _charge_and_law(long, short, baseline)
+    law = law._replace(height=e_per_s * seconds, fraction=fraction)
+    return np.where(law.is_hot(charge), (charge - law.middle) / law.height, 0.0)
 
 
-class _Healthy(NamedTuple):
-    """Charge of the healthy pixels: a Gaussian, and a share of Laplace tails of a reach, e-, where some lie
-    far below the median."""
-
-    sigma: float
-    share: float
-    reach: float
-
-    @staticmethod
-    def of(charge: np.ndarray, sigma: float) -> _Healthy:
-        """From the pixels far below the median; fewer than ten, whose law is unknown, count as none."""
-        below = -charge[charge < -_FAR * sigma]
-        if len(below) < 10:
-            return _Healthy(sigma, 0.0, sigma)
-        reach = float(np.mean(below)) - _FAR * sigma
-        share = 2 * len(below) / charge.size * np.exp(min(_FAR * sigma / reach, 50.0))
-        return _Healthy(sigma, min(float(share), 0.5), reach)
-
-    def density(self, charge: np.ndarray) -> np.ndarray:
-        """Per electron."""
-        middle = np.exp(-0.5 * np.minimum((charge / self.sigma) ** 2, 700)) / np.sqrt(2 * np.pi) / self.sigma
-        tails = np.exp(-np.minimum(np.abs(charge) / self.reach, 700)) / (2 * self.reach)
-        return (1 - self.share) * middle + self.share * tails
+def _full(long: FrameStatistics) -> Bool[np.ndarray, "H W"]:
+    return long.clipped & (long.mean > long.recording.white_level / 2)
 
 
-def _above_healthy(
+def _charge_and_law(
     long: FrameStatistics, short: FrameStatistics | None, baseline
-) -> tuple[Float[np.ndarray, "H W"], float]:
-    """Charge above the median pixel, e-, and the spread of the healthy pixels, from the quartiles."""
+) -> tuple[Float[np.ndarray, "H W"], PixelLaw]:
+    """Charge of every pixel beyond what a glow shares out, e-, and its law."""
     charge, _ = charge_map(long, short, baseline)
-    low, middle, high = np.percentile(charge[~long.clipped], (25, 50, 75))
-    sigma = float(high - low) / 1.349
-    if coarse(long):  # means of pixels jump by codes
-        sigma = max(sigma, 0.5 * step_of(long) / float(np.mean(baseline.gain)))
-    return charge - middle, sigma
-
-
-def hessian(
-    function: Callable[[np.ndarray], float], at: np.ndarray, step: np.ndarray
-) -> Float[np.ndarray, "n n"]:
-    """Second derivatives by central differences."""
-    count = len(at)
-    out = np.empty((count, count))
-    unit = np.diag(step)
-    for i in range(count):
-        for j in range(i, count):
-            corners = [
-                a * b * function(at + a * unit[i] + b * unit[j]) for a in (1, -1) for b in (1, -1)
-            ]  # fmt: skip
-            out[i, j] = out[j, i] = sum(corners) / (4 * step[i] * step[j])
-    return out
-
-
-def fit_errors(curvature: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n"] | None:
-    """Standard errors of parameters, from the second derivatives of minus the log-likelihood; None where it
-    does not depend on one of them."""
-    if not np.isfinite(curvature).all() or np.linalg.cond(curvature) > _FLAT:
-        return None
-    return np.sqrt(np.abs(np.diag(np.linalg.inv(curvature))))
+    charge = above_level(charge)
+    # Means of pixels jump by codes where frames are coarse.
+    least = 0.5 * step_of(long) / float(np.mean(baseline.gain)) if coarse(long) else 0.0
+    full = charge[_full(long)]
+    values = charge[~long.clipped]
+    top = float(np.median(full) - np.median(values)) if full.size else 0.0
+    return charge, law_of(values, least=least, full=full.size, ceiling=max(top, 0.0))
 
 
 def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0, np.inf)) -> Estimate:
@@ -183,14 +197,6 @@ def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0,
         ends = value * np.exp(Z90 * error * np.array([-1, 1]))
     low, high = np.clip(ends, *within)
     return Estimate(value, stderr, (float(low), float(high)))
-
-
-def _exponential_tail(x: np.ndarray, sigma: float, mean: float) -> np.ndarray:
-    """2 mean times the density of an exponential of a given mean plus a Gaussian, without overflow."""
-    argument = (sigma / mean - x / sigma) / np.sqrt(2)
-    safe = np.maximum(argument, -25.0)
-    bulk = np.exp(-0.5 * (x / sigma) ** 2) * special.erfcx(safe)
-    return np.where(argument > -25.0, bulk, 2 * np.exp(0.5 * (sigma / mean) ** 2 - x / mean))
 
 
 def _long_and_short(

@@ -8,7 +8,7 @@ regions describe the dark better than a glow does, only what is left beside them
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +16,12 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage, optimize, stats
 
 from cannoise_jax.physics.robust import robust_std
-from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable
+from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
-from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.frames import FrameStatistics, less
 from cannoise_jax.physics.transfer.quiet import coarse, step_of
+from cannoise_jax.recordings.packing import site
 
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
 _SHORT = 0.5
@@ -53,6 +54,22 @@ def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarra
     y0, x0 = _edge_point(found.at[2], height, width)
     distance = np.hypot.outer(np.arange(height) - y0, np.arange(width) - x0) / max(height, width)
     return np.exp(-distance / np.exp(found.at[1]))
+
+
+def without_glow(
+    statistics: Sequence[FrameStatistics], baseline, estimates: Mapping[str, Estimate]
+) -> list[FrameStatistics]:
+    """The recordings less the charge of a glow, of all whose exposure is known."""
+    shape = glow_map(statistics, baseline)
+    if shape is None:
+        return list(statistics)
+    out = []
+    for s in statistics:
+        added = estimates["e_per_s"].value * (s.recording.exposure_s or 0.0) * shape
+        for c in range(4):
+            site(added, c)[...] *= baseline.gain[c]
+        out.append(less(s, added, float(np.mean(baseline.gain))))
+    return out
 
 
 class _Glow(NamedTuple):

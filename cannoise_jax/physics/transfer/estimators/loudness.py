@@ -16,9 +16,9 @@ from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.dark_pixels import hessian
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate
 from cannoise_jax.physics.transfer.estimator import Law
-from cannoise_jax.physics.transfer.estimators.charge import hessian
 from cannoise_jax.physics.transfer.estimators.noise import pixels_in_order, standardised, telegraph_odds
 from cannoise_jax.physics.transfer.estimators.pick import odd_by_charge
 from cannoise_jax.physics.transfer.frames import FrameStatistics

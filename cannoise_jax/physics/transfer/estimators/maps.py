@@ -18,6 +18,7 @@ from cannoise_jax.physics.transfer.estimate import (
     root,
     variance_difference,
 )
+from cannoise_jax.physics.transfer.estimators.charge import grown
 from cannoise_jax.physics.transfer.estimators.dark_map import HOT, DarkMap, dark_map
 from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
@@ -60,15 +61,19 @@ class Pattern(NamedTuple):
     smooth: int = 0
 
 
-def offset_pattern(dark: FrameStatistics) -> Pattern:
+def offset_pattern(
+    dark: FrameStatistics, grown: tuple[Float[np.ndarray, "H W"], float] | None = None
+) -> Pattern:
     """The fixed offsets of a dark, DN. Pixels more than six robust standard deviations out do not count: they
-    are hot, and have a mechanism of their own."""
+    are hot, and have a mechanism of their own. grown: see `charge.grown`, which is taken out."""
     variance, dof = pooled_variance(dark)
     keep = steady_pixels(dark)
-    offsets, _ = _split(dark.mean, keep)
+    added, noise = (0.0, 1.0) if grown is None else grown
+    mean = dark.mean - added
+    offsets, _ = _split(mean, keep)
     keep &= np.abs(offsets) < HOT * robust_std(offsets[keep], 0)
-    pixels, columns = _split(dark.mean, keep)
-    return Pattern(pixels, columns, keep, variance / dark.recording.count, dof)
+    pixels, columns = _split(mean, keep)
+    return Pattern(pixels, columns, keep, noise * variance / dark.recording.count, dof)
 
 
 def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
@@ -98,7 +103,7 @@ def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
         return repeated_darks(statistics)
     if hidden := pattern_below_a_code(dark):
         return NotMeasurable(hidden)
-    return {"sigma_dn": root(_pixel_part(offset_pattern(dark)))}
+    return {"sigma_dn": root(_pixel_part(offset_pattern(dark, grown(statistics, baseline, dark))))}
 
 
 def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:

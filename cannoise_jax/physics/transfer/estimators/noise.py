@@ -9,6 +9,7 @@ from jaxtyping import Float, Int, Shaped
 from scipy import optimize, special
 
 from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.transfer.dark_pixels import fit_errors, hessian
 from cannoise_jax.physics.transfer.estimate import (
     Z90,
     Estimate,
@@ -17,7 +18,6 @@ from cannoise_jax.physics.transfer.estimate import (
     normal_estimate,
     root,
 )
-from cannoise_jax.physics.transfer.estimators.charge import fit_errors, hessian
 from cannoise_jax.physics.transfer.estimators.pick import (
     darkest,
     odd_by_charge,
