@@ -1,25 +1,37 @@
-"""The black level that belongs to a flat: that of a dark as long as the flat, because dark charge raises it.
+"""The black level that belongs to a flat: that of darks as long as the flat, because dark charge raises it.
 
-Where no dark is about as long, darks of three or more exposures give it by a straight line (dark current per
-channel, EMVA 1288 release 4.0, section 7.1). Fewer cannot tell dark charge from black, and this is said.
+EMVA 1288 release 4.0, section 6.3, takes the mean and the variance of every flat less those of darks of its
+own exposure. Where no dark is as long, those next to it in exposure give both by a straight line (section
+7.1); beyond the darks it takes three exposures. Fewer cannot tell dark charge from black, and this is said.
+`of_one_dark` brings flats of many exposures above one dark, so that one black level and one read noise serve
+all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel, Recording, per_channel
 
-_SHORT_S = 0.1  # below it dark charge hardly matters
-_ALIKE = 2.0  # times as long or as short: exposures that count as one
-_KELVIN = 2.0  # by which darks and flats may differ
+_SHORT_S = 0.1
+"""Exposures below it count as one where darks show no charge that grows in them."""
+_SAME = 1.02
+"""Ratio of exposures that are one: files round them."""
+_ALIKE = 2.0
+"""Ratio of exposures that count as one where nothing better is at hand."""
+_KELVIN = 2.0
+"""By which darks and flats may differ."""
+_GROWN = 4.0
+"""Standard errors by which short darks have to rise for their charge to count."""
 
 
 class Black(NamedTuple):
@@ -27,7 +39,8 @@ class Black(NamedTuple):
 
     level, error: DN per mosaic site, the standard error. seconds: the exposure it holds for; None: unknown.
     certain: whether the recordings tell it from dark charge. note: how it was come by, empty where it is
-    measured at the exposure itself.
+    measured at the exposure itself. excess: variance of darks of that exposure beyond that of the reference
+    dark, DN^2 per site; None where no dark near tells.
     """
 
     level: PerChannel
@@ -35,26 +48,91 @@ class Black(NamedTuple):
     seconds: float | None
     certain: bool
     note: str
+    excess: PerChannel | None = None
 
 
 def reference_dark(statistics: Sequence[FrameStatistics]) -> FrameStatistics | None:
-    """The dark that goes with the flats: nearest exposure, then most frames; without flats the shortest.
+    """The dark whose noise is read noise: repeated, of the shortest exposure, a bias before all; then of most
+    frames. Of darks of unknown exposures it is the darkest."""
+    repeated = [s for s in statistics if s.recording.kind in DARK and s.recording.count > 1]
+    least = _least_seconds(repeated)
 
-    Of darks of unknown exposures it is the darkest.
-    """
-    return _nearest(statistics, flat_seconds(statistics))
+    def order(s: FrameStatistics) -> tuple[bool, float, float, int]:
+        seconds = _seconds(s.recording)
+        if seconds is None:
+            return True, 0.0, float(s.frame_means.mean()), -s.recording.count
+        return False, max(seconds, least), 0.0, -s.recording.count
+
+    return min(repeated, key=order, default=None)
 
 
 def flat_seconds(statistics: Sequence[FrameStatistics]) -> float | None:
-    """The exposure of the flats, the first that states one."""
+    """The shortest exposure of the flats that any states."""
     flats = (s.recording.exposure_s for s in statistics if s.recording.kind == "flat")
-    return next((seconds for seconds in flats if seconds), None)
+    return min((seconds for seconds in flats if seconds), default=None)
 
 
 def black_level(statistics: Sequence[FrameStatistics]) -> Black:
-    """The black level at the exposure of the flats, or of the shortest dark where there are none."""
-    flats = (s.recording.temperature_c for s in statistics if s.recording.kind == "flat")
-    return black_at(statistics, flat_seconds(statistics), next(flats, None))
+    """The black level of the reference dark; where it is longer than the flats that at the shortest of
+    these."""
+    dark = reference_dark(statistics)
+    if dark is None:
+        return Black(statistics[0].recording.black_level, (0.0,) * 4, None, True, "")
+    flats = [s.recording for s in statistics if s.recording.kind == "flat" and s.recording.exposure_s]
+    own = _seconds(dark.recording)
+    at_reference = Black(per_channel(dark.frame_means.mean(0)), _errors(dark), own, True, "")
+    if not flats or own is None:
+        return at_reference
+    first = min(flats, key=lambda r: r.exposure_s or 0.0)
+    black = black_at(statistics, first.exposure_s, first.temperature_c)
+    shorter = (first.exposure_s or 0.0) * _SAME < own
+    return black if shorter or not black.certain else at_reference
+
+
+def of_one_dark(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
+    """The statistics with every flat above the reference dark: less what darks of its own exposure have
+    beyond that one, in the mean and in the variance. Flats for which no dark near tells stay as they are."""
+    dark = reference_dark(statistics)
+    if dark is None or black_level(statistics).note:
+        return list(statistics)
+    level = dark.frame_means.mean(0)
+    out = []
+    for s in statistics:
+        own = s.recording
+        if own.kind == "flat" and own.exposure_s and s.dark_s is None:
+            black = black_at(statistics, own.exposure_s, own.temperature_c)
+            if black.certain and black.excess is not None:
+                s = _above(s, np.asarray(black.level) - level, np.asarray(black.excess), own.exposure_s)
+        out.append(s)
+    return out
+
+
+def _above(s: FrameStatistics, charge: np.ndarray, excess: np.ndarray, seconds: float) -> FrameStatistics:
+    """The statistics of a flat less a level and a variance of every channel. seconds: its exposure."""
+    cells = charge.reshape(2, 2)
+    rows, columns = (np.arange(n) % 2 for n in s.mean.shape)
+    own: dict[str, Any] = {
+        "mean": s.mean - cells[np.ix_(rows, columns)],
+        "frame_means": s.frame_means - charge,
+        "row_means": s.row_means - cells[rows],
+        "column_means": s.column_means - cells[:, columns],
+        "level": per_channel(np.asarray(s.level) - charge),
+        "dark_s": seconds,
+    }
+    if s.variance is not None and s.total is not None:
+        noise = excess.reshape(2, 2)[np.ix_(rows, columns)]
+        own |= {"variance": s.variance - noise, "total": s.total - noise}
+    return replace(s, **own)
+
+
+def black_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Black:
+    """The black level that the means of a flat stand on: at its own exposure, or, once it stands above the
+    reference dark (`of_one_dark`), of that one with the errors of both."""
+    black = black_at(statistics, flat.recording.exposure_s, flat.recording.temperature_c)
+    dark = reference_dark(statistics)
+    if flat.dark_s is None or dark is None:
+        return black
+    return black._replace(level=per_channel(dark.frame_means.mean(0)))
 
 
 def black_at(
@@ -65,35 +143,92 @@ def black_at(
     """
     darks = [s for s in statistics if s.recording.kind in DARK]
     dark = _nearest(darks, seconds)
-    if dark is None:
+    reference = reference_dark(darks)
+    if dark is None or reference is None:
         return Black(statistics[0].recording.black_level, (0.0,) * 4, seconds, True, "")
     own = _seconds(dark.recording)
-    level, error = per_channel(dark.frame_means.mean(0)), _errors(dark)
-    if seconds is None or own is None or alike(own, seconds):
-        return Black(level, error, own, True, "")
+    near = Black(
+        per_channel(dark.frame_means.mean(0)), _errors(dark), own, True, "", _excess(dark, reference)
+    )
+    if seconds is None or own is None or alike(own, seconds, _SAME, _least_seconds(darks)):
+        return near
     series = [s for s in darks if _seconds(s.recording) is not None and _as_warm(s, temperature_c)]
     times = sorted({_seconds(s.recording) or 0.0 for s in series})
+    span = f"{times[0]:g} to {times[-1]:g} s" if times else ""
+    said = f"at the {seconds:g} s of the flats, by a line through darks of {span}"
+    repeated = [s for s in series if s.variance is not None]
+    between = _between(repeated, seconds)
+    if between is not None:
+        (low, high), weight = between
+        parts = (1 - weight, low), (weight, high)
+        level = sum(w * s.frame_means.mean(0) for w, s in parts)
+        error = np.sqrt(sum(np.square(w * np.asarray(_errors(s))) for w, s in parts))
+        excess = sum(w * np.asarray(_excess(s, reference)) for w, s in parts)
+        return Black(per_channel(level), per_channel(error), seconds, True, said, per_channel(excess))
     if len(times) >= 3:
         level, error = _extended(series, seconds)
-        span = f"{times[0]:g} to {times[-1]:g} s"
-        return Black(
-            level,
-            error,
-            seconds,
-            True,
-            f"at the {seconds:g} s of the flats, by a line through darks of {span}",
-        )
-    return Black(
-        level, error, own, False,
-        f"of flats at {seconds:g} s taken from a dark of {own:g} s, whose dark charge counts as black: "
+        return Black(level, error, seconds, True, said)
+    if alike(own, seconds, _ALIKE, _SHORT_S):
+        return near._replace(excess=None)
+    return near._replace(
+        certain=False, excess=None,
+        note=f"of flats at {seconds:g} s taken from a dark of {own:g} s, whose dark charge counts as black: "
         f"record a dark at {seconds:g} s",
     )  # fmt: skip
 
 
-def alike(first_s: float, second_s: float) -> bool:
+def _excess(dark: FrameStatistics, reference: FrameStatistics) -> PerChannel | None:
+    """Variance of the pixels of a dark beyond that of the reference dark, DN^2; each without pixels that are
+    far noisier than the others."""
+    if dark is reference:
+        return (0.0,) * 4
+    if dark.variance is None or reference.variance is None:
+        return None
+    parts = [
+        [
+            robust_mean_square(site(v, c), s.dof)[0]
+            for s, v in ((dark, dark.variance), (reference, reference.variance))
+        ]
+        for c in range(4)
+    ]
+    return per_channel(np.array([one - other for one, other in parts]))
+
+
+def _between(
+    darks: Sequence[FrameStatistics], seconds: float
+) -> tuple[tuple[FrameStatistics, FrameStatistics], float] | None:
+    """The darks next to an exposure, of most frames among equals, and the weight of the longer one; None
+    where it lies beyond all."""
+    order = sorted(darks, key=lambda s: (_seconds(s.recording) or 0.0, -s.recording.count))
+    below = [s for s in order if (_seconds(s.recording) or 0.0) < seconds]
+    above = [s for s in order if (_seconds(s.recording) or 0.0) > seconds]
+    if not below or not above:
+        return None
+    start, end = (_seconds(s.recording) or 0.0 for s in (below[-1], above[0]))
+    low = max(
+        (s for s in below if _seconds(s.recording) == start or not start), key=lambda s: s.recording.count
+    )
+    return (low, above[0]), (seconds - start) / (end - start)
+
+
+def _least_seconds(darks: Sequence[FrameStatistics]) -> float:
+    """The exposure below which darks hold no charge that matters: a tenth of a second, or none where darks
+    within it rise with their exposure."""
+    short = [
+        s for s in darks if (seconds := _seconds(s.recording)) is not None and seconds <= _ALIKE * _SHORT_S
+    ]
+    if len(short) < 2:
+        return _SHORT_S
+    first, last = (pick(short, key=lambda s: _seconds(s.recording) or 0.0) for pick in (min, max))
+    rise = last.frame_means.mean(0) - first.frame_means.mean(0)
+    error = np.hypot(_errors(last), _errors(first))
+    return 0.0 if float(np.mean(rise)) > _GROWN * float(np.sqrt(np.mean(error**2) / 4)) else _SHORT_S
+
+
+def alike(first_s: float, second_s: float, ratio: float = _ALIKE, least: float = _SHORT_S) -> bool:
     """Whether dark charge is about the same, or hardly matters, at two exposures."""
-    first, second = max(first_s, _SHORT_S), max(second_s, _SHORT_S)
-    return max(first, second) <= _ALIKE * min(first, second)
+    first, second = max(first_s, least), max(second_s, least)
+    return max(first, second) <= ratio * min(first, second)
 
 
 def mean_error(s: FrameStatistics, channel: int) -> float:
@@ -109,19 +244,18 @@ def mean_error(s: FrameStatistics, channel: int) -> float:
 
 
 def _nearest(statistics: Sequence[FrameStatistics], aim: float | None) -> FrameStatistics | None:
+    """The repeated dark nearest to an exposure, then of most frames; of unknown ones the reference."""
     repeated = [s for s in statistics if s.recording.kind in DARK and s.recording.count > 1]
+    known = [s for s in repeated if _seconds(s.recording) is not None]
+    if aim is None or not known:
+        return reference_dark(repeated)
+    least = max(_least_seconds(known), 1e-9)
 
-    def distance(s: FrameStatistics) -> tuple[float, float, int]:
-        exposure = s.recording.exposure_s
-        if exposure is None or exposure <= 0:
-            # Of darks of unknown exposures the darkest has the least dark charge.
-            bias = s.recording.kind == "bias"
-            return 0.0 if bias else 1.0, 0.0 if bias else float(s.frame_means.mean()), -s.recording.count
-        # Below a tenth of a second the number of frames counts more.
-        away = np.log10(max(exposure, _SHORT_S)) - np.log10(max(aim or _SHORT_S, _SHORT_S))
-        return abs(float(away)), 0.0, -s.recording.count
+    def distance(s: FrameStatistics) -> tuple[float, int]:
+        away = np.log(max(_seconds(s.recording) or 0.0, least) / max(aim, least))
+        return round(abs(float(away)), 6), -s.recording.count
 
-    return min(repeated, key=distance, default=None)
+    return min(known, key=distance)
 
 
 def _seconds(recording: Recording) -> float | None:

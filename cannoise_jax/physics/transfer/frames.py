@@ -48,6 +48,8 @@ class FrameStatistics:
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
       never change, likewise; None where there are none.
+    dark_s: the exposure of a flat whose dark charge beyond that of the reference dark is taken out
+      (`black.of_one_dark`); None: it is not.
     shot: what charge that the means are without, but the frames not, adds to the variances, DN^2; None where
       there is none.
     """
@@ -70,6 +72,7 @@ class FrameStatistics:
     hits: Hits | None = None
     unlit: Bool[np.ndarray, "H W"] | None = None
     dead: Bool[np.ndarray, "H W"] | None = None
+    dark_s: float | None = None
     shot: Float[np.ndarray, "H W"] | None = None
 
 

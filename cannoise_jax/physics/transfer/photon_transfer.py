@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
-from cannoise_jax.physics.transfer.black import Black, black_level, reference_dark
+from cannoise_jax.physics.transfer.black import Black, black_level, of_one_dark, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
 from cannoise_jax.physics.transfer.frames import (
@@ -39,6 +39,7 @@ from cannoise_jax.physics.transfer.quantities import (
     line_noise_quantity,
     noise_quantities,
     saturation_quantities,
+    series_of,
 )
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
@@ -100,7 +101,7 @@ def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
 def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
     _check_alike([s.recording for s in statistics])
-    statistics = without_unlit(with_measured_black(of_one_temperature(statistics)[0]))
+    statistics = of_one_dark(without_unlit(with_measured_black(of_one_temperature(statistics)[0])))
     first = statistics[0].recording
     step = _code_step(statistics)
     dark = reference_dark(statistics)
@@ -150,10 +151,11 @@ def _channel_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
     dark: FrameStatistics | None, black: Black,
 ) -> list[Quantity]:  # fmt: skip
+    series = series_of(c, line, statistics)
     return [
-        *noise_quantities(name, c, line, statistics, dark, _code_step(statistics), black),
+        *noise_quantities(name, c, line, statistics, dark, _code_step(statistics), black, series),
         *pattern_quantities(name, c, line, statistics, dark, black.level),
-        *dark_current_quantities(name, c, line, statistics),
+        *dark_current_quantities(name, c, line, statistics, series),
         *saturation_quantities(name, c, line, statistics, black.level),
     ]
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.black import Black
-from cannoise_jax.physics.transfer.dark import dark_currents, dark_series, unlike_charge
+from cannoise_jax.physics.transfer.dark import Series, dark_currents, dark_series, unlike_charge
 from cannoise_jax.physics.transfer.estimate import (
     Z90,
     Estimate,
@@ -51,6 +51,8 @@ SET_ASIDE = 0.1
 noisiest camera tried it is a fortieth."""
 _NOISIER = 1.0
 """Per cent of pixels set aside from which they are said."""
+_OWN = 0.04
+"""Share of the temporal variance of a dark from which its own dark charge is said: 2 % of the noise."""
 DIMMER = "values of all flats pile up at the highest code: record dimmer flats, 2 frames or more"
 RECORD_DARKS = (
     "record at least 2 frames of one exposure with the cap on (one alone shows no noise), best that of flats"
@@ -70,15 +72,17 @@ class Quantity:
 
 def noise_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
-    dark: FrameStatistics | None, step: float, black: Black,
+    dark: FrameStatistics | None, step: float, black: Black, series: Series | NotMeasurable,
 ) -> list[Quantity]:  # fmt: skip
     """Black level, gain, and temporal noise in the dark."""
     out: list[Quantity] = []
+    sigma = _read_noise(line, dark, step, c)
+    level_note, noise_note = _own_charge(dark, black, line, sigma, series)
     if dark is not None:
         level = scatter_estimate(dark.frame_means[:, c])
         if not np.isclose(black.level[c], level.value, rtol=1e-9, atol=0):
             level = normal_estimate(black.level[c], black.error[c])
-        out.append(Quantity("black level", "DN", name, level, black.note))
+        out.append(Quantity("black level", "DN", name, level, black.note or level_note))
     if isinstance(line, NotMeasurable):
         out += [Quantity("system gain", "DN/e-", name, line), Quantity("inverse gain", "e-/DN", name, line)]
     else:
@@ -90,8 +94,8 @@ def noise_quantities(
         note = "; ".join(filter(None, (set_aside(line), odd)))
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
-    sigma = _read_noise(line, dark, step, c)
     note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))
+    note = "; ".join(filter(None, (note, noise_note)))
     out.append(Quantity("temporal dark noise", "DN", name, sigma, note))
     out.append(Quantity("temporal dark noise", "e-", name, in_electrons(sigma, line)))
     if dark is not None and dark.total is not None:
@@ -180,13 +184,42 @@ def in_electrons(value: Outcome, line: Line | NotMeasurable) -> Outcome:
     return Estimate(ratio, error, (max(ratio - float(sides[0]), 0.0), ratio + float(sides[1])))
 
 
+def series_of(
+    c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics]
+) -> Series | NotMeasurable:
+    """The darks of one channel over their exposures, in electrons."""
+    darks = [s for s in statistics if s.recording.kind in DARK]
+    return line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
+
+
+def _own_charge(
+    dark: FrameStatistics | None, black: Black, line: Line | NotMeasurable, sigma: Outcome,
+    series: Series | NotMeasurable,
+) -> tuple[str, str]:  # fmt: skip
+    """What the black level and the temporal noise of a dark are without its own dark charge; empty where that
+    hardly matters, or is not known."""
+    seconds = None if dark is None else black.seconds
+    if not seconds or isinstance(line, NotMeasurable) or isinstance(series, NotMeasurable):
+        return "", ""
+    rate, _, agree, _ = dark_currents(series)
+    if isinstance(sigma, NotMeasurable) or not agree or not rate.significant:
+        return "", ""
+    gain, charge = line.slope.value, rate.value * seconds
+    square = (sigma.value / gain) ** 2
+    if charge < _OWN * square:
+        return "", ""
+    said = f"at {seconds:g} s, {charge:.3g} e- of dark charge in it; without "
+    level, read = float(np.mean(black.level)) - gain * charge, np.sqrt(max(square - charge, 0.0))
+    return f"{said}{level:.2f} DN", f"{said}{read:.3g} e-"
+
+
 def dark_current_quantities(
-    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics]
-) -> list[Quantity]:
+    name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
+    series: Series | NotMeasurable,
+) -> list[Quantity]:  # fmt: skip
     """Dark current by both ways."""
     darks = [s for s in statistics if s.recording.kind in DARK]
     names = ("dark current, by mean", "dark current, by variance")
-    series = line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
     if isinstance(series, NotMeasurable):
         return [Quantity(title, "e-/s", name, series) for title in names]
     assert isinstance(line, Line)

@@ -25,6 +25,8 @@ _NOISE_DOUBT = 0.05
 """Relative error granted to the noise that is taken out of the spread of pixels, besides chance."""
 _LAW_DOUBT = 0.03
 """Relative error granted to a spread of currents for where the tail of ordinary pixels is taken to end."""
+_SHORT = 0.5
+"""Of the longest exposure, up to which a dark is short beside it: the charge of half the time is left."""
 _SURE = 3.3
 """Standard errors from which on the spread of pixels counts."""
 
@@ -180,6 +182,9 @@ def _charge_and_law(
     """Charge of every pixel beyond what a glow shares out, e-, and its law."""
     charge, _ = charge_map(long, short, baseline)
     charge = above_level(charge)
+    if short is None:  # one exposure does not tell offsets of columns and rows from charge
+        for axis in (0, 1):
+            charge = charge - np.median(charge, axis=axis, keepdims=True) + np.median(charge)
     # Means of pixels jump by codes where frames are coarse.
     least = 0.5 * step_of(long) / float(np.mean(baseline.gain)) if coarse(long) else 0.0
     full = charge[_full(long)]
@@ -202,7 +207,7 @@ def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0,
 def _long_and_short(
     statistics: Sequence[FrameStatistics],
 ) -> tuple[FrameStatistics, FrameStatistics | None, float] | None:
-    """The longest dark, one of at most a tenth of its exposure if there is one, and the seconds between."""
+    """The longest dark, the shortest if it is of at most half its exposure, and the seconds between."""
     darks = darks_by_exposure(statistics)
     if not darks:
         return None
@@ -210,7 +215,7 @@ def _long_and_short(
     long_s, short_s = long.recording.exposure_s or 0.0, short.recording.exposure_s or 0.0
     if long_s <= 0:
         return None
-    return (long, short, long_s - short_s) if short_s <= 0.1 * long_s else (long, None, long_s)
+    return (long, short, long_s - short_s) if short_s <= _SHORT * long_s else (long, None, long_s)
 
 
 def charge_map(

@@ -78,7 +78,7 @@ def black_level_errors(statistics: Sequence[FrameStatistics]) -> tuple[Estimate,
             "darks are cut off at their lower end: record with a black level above the noise"
         )
     stated = np.asarray(dark.recording.black_level)
-    if black.note:
+    if black.note:  # darks are longer than the flats
         found = zip(np.subtract(black.level, stated), black.error, strict=True)
         return tuple(normal_estimate(value, error) for value, error in found)
     offsets = dark.frame_means - stated

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.mosaic_ops import shifted
-from cannoise_jax.physics.transfer.black import black_at, mean_error
+from cannoise_jax.physics.transfer.black import black_of, mean_error
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
     Estimates,
@@ -92,7 +92,7 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     flats = [s for s in statistics if s.recording.kind == "flat" and _exposure(s.recording) is not None]
     if len({_exposure(s.recording) for s in flats}) < 3:
         return _LEVELS
-    darks = [black_at(statistics, s.recording.exposure_s, s.recording.temperature_c) for s in flats]
+    darks = [black_of(statistics, s) for s in flats]
     for found in darks:
         if not found.certain:
             return NotMeasurable(f"black level {found.note}, or darks of three exposures")
