@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import optimize, special, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
@@ -34,8 +34,15 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
-_FREEDOMS = (3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0)
-"""Degrees of freedom tried for Student's law: above 4 its excess kurtosis is 6 / (nu - 4), at 120 0.05."""
+HEAVY = "heavy tails"
+"""The law of noise with more values far out than normal noise has."""
+_SHAPES = (0.12, 0.09, 0.06, 0.03, 0.0, -0.03, -0.06, -0.1, -0.14, -0.18, -0.22)
+"""Shapes of the Tukey lambda law that are tried (Joiner and Rosenblatt, J. Am. Stat. Assoc. 66, 394): at
+0.135 it has the fourth moment of a normal law, at 0 that of a logistic one, at -0.25 none."""
+_LONGEST = -0.2
+"""Shape beyond which tails are so long that no sample shows their fourth moment; that of this one is 19."""
+_PLACES = np.geomspace(1e-13, 0.6, 4000)
+"""Probabilities at which a law is tabulated; the other half is its mirror image."""
 
 
 _HE4_SKEWNESS = 14.7
@@ -76,16 +83,10 @@ def _capped(number: int) -> _Capped:
 
 def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | None:
     """Fourth moment beyond Poisson and rounding (tails=-1: short of them), weighted by the share of read
-    noise; gain of Student's t."""
+    noise; gain of Tukey's lambda law, which the simulator draws from."""
     doubt = u = squares = cubes = scatter = whole = 0.0
     pooled = []
-    used = []
-    for f in fields:
-        narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
-        # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
-        if f.static is None or np.median(f.sigma**2 * (1 - f.shot)) < narrow**2:
-            continue
-        used.append((f, f.static))
+    used = _told(fields)
     cap = _capped(max(sum(f.frames * f.mean.size for f, _ in used), 1))
     for f, static in used:
         base, share = known_kurtosis(f)
@@ -112,10 +113,15 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
     if kappa < tails * whole / squares < 2 * kappa:
         kappa = tails * whole / squares
     heavy = pooled and z > 0 and tails > 0
-    gain, nu = _student_gain(pooled, cap.at) if heavy else (0.5 * max(z, 0) ** 2, np.inf)
-    # Of very heavy tails the moment scatters too much to be used.
-    amplitude = 6 / (nu - 4) if kappa > 1 and 4 < nu < np.inf else max(kappa, 0.0)
-    error = float(np.sqrt(max(spread**2, scatter)) / (cap.shown * squares))
+    amplitude, error = max(kappa, 0.0), float(np.sqrt(max(spread**2, scatter)) / (cap.shown * squares))
+    gain = 0.5 * max(z, 0) ** 2
+    if heavy:
+        gain, shape, doubt = _tukey_gain(pooled, cap.at)
+        # Of very heavy tails the moment scatters too much to be used.
+        if kappa > 1 and gain > 0:
+            shape = max(shape, _LONGEST)
+            amplitude = _excess_kurtosis(shape)
+            error = float(doubt * abs(_excess_kurtosis(shape + 0.01) - amplitude) / 0.01)
     return Score(
         log_p=skewed_log_p(z, _HE4_SKEWNESS * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
         gain=gain,
@@ -127,6 +133,30 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
         parameters={"excess_kurtosis": (float(tails * amplitude), "1", error)},
         where={"axis": "signal", "range": [0.0, 0.0]},
     )
+
+
+def _told(fields: tuple[Fields, ...]) -> list[tuple[Fields, Float[np.ndarray, "h w"]]]:
+    """The recordings whose noise is not lost in rounding, with what stays in them."""
+    used = []
+    for f in fields:
+        narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
+        # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
+        if f.static is not None and np.median(f.sigma**2 * (1 - f.shot)) >= narrow**2:
+            used.append((f, f.static))
+    return used
+
+
+def one_noise(
+    fields: tuple[Fields, ...],
+) -> Iterator[tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]]:
+    """Every frame in the dark that tells the shape of noise, all of a recording of one noise, those far out
+    cut off, and the pixels to use."""
+    used = [(f, static) for f, static in _told(fields) if f.kind in DARK]
+    cap = _capped(max(sum(f.frames * f.mean.size for f, _ in used), 1)).at
+    for f, static in used:
+        keep = f.usable & (np.abs(static) < 7)
+        for values in _of_one_noise(f, keep.astype(np.float64), cap):
+            yield np.clip(values, -cap, cap), keep
 
 
 def _of_one_noise(
@@ -142,10 +172,18 @@ def _of_one_noise(
         yield values * np.float32(np.sqrt(middle / square))
 
 
-def _student_gain(pooled: list[tuple[np.ndarray, float]], cap: float) -> tuple[float, float]:
-    """Log-likelihood gain of the best scaled Student t over the best normal, and its freedoms. pooled: counts
-    of standardised values in `_EDGES` with the code step in the same units: each value stands for the
-    interval that was rounded to it, those at the cap for all beyond."""
+@lru_cache
+def _tabulated(shape: float) -> tuple[np.ndarray, np.ndarray]:
+    """Quantiles of the Tukey lambda law of unit variance, the lower half and a little more, and the logs
+    of their probabilities."""
+    quantiles = (_PLACES**shape - (1 - _PLACES) ** shape) / shape if shape else special.logit(_PLACES)
+    return quantiles / float(np.sqrt(stats.tukeylambda.stats(shape, moments="v"))), np.log(_PLACES)
+
+
+def _tukey_gain(pooled: list[tuple[np.ndarray, float]], cap: float) -> tuple[float, float, float]:
+    """Log-likelihood gain of the best scaled Tukey lambda law over the best normal one, its shape, and the
+    standard error of that. pooled: counts of standardised values in `_EDGES` with the code step in the same
+    units: each value stands for the interval that was rounded to it, those at the cap for all beyond."""
     middle = (_EDGES[1:] + _EDGES[:-1]) / 2
     merged: dict[float, np.ndarray] = {}
     for n, width in pooled:
@@ -161,13 +199,34 @@ def _student_gain(pooled: list[tuple[np.ndarray, float]], cap: float) -> tuple[f
             return -float(np.sum(counts * np.log(np.maximum(inside, 1e-300))))
 
         return -float(
-            optimize.minimize_scalar(loss, bounds=(0.5, 1.1), method="bounded", options={"xatol": 1e-3}).fun
+            optimize.minimize_scalar(loss, bounds=(0.5, 1.3), method="bounded", options={"xatol": 1e-3}).fun
         )
 
+    def tukey(shape: float) -> Callable[[np.ndarray], np.ndarray]:
+        places, logs = _tabulated(shape)
+
+        def cdf(x: np.ndarray) -> np.ndarray:
+            lower = np.exp(np.interp(-np.abs(x), places, logs, left=-np.inf))
+            return np.where(x > 0, 1 - lower, lower)
+
+        return cdf
+
     normal = fit(special.ndtr)
-    gains = np.array([fit(partial(special.stdtr, nu)) - normal for nu in _FREEDOMS])
+    gains = np.array([fit(tukey(shape)) - normal for shape in _SHAPES])
     k = int(np.argmax(gains))
-    return (float(gains[k]), parabola_peak(np.array(_FREEDOMS), gains, k)) if gains[k] > 0 else (0.0, np.inf)
+    if gains[k] <= 0:
+        return 0.0, 0.13, 0.0
+    at = slice(max(k - 1, 0), k + 2)
+    x, y = np.array(_SHAPES)[at], gains[at]
+    if len(x) < 3:
+        return float(gains[k]), float(_SHAPES[k]), float(np.ptp(_SHAPES[:2]))
+    bent, slope, _ = np.polyfit(x - _SHAPES[k], y, 2)
+    return float(gains[k]), float(_SHAPES[k] - slope / (2 * bent)), float(np.sqrt(-0.5 / bent))
+
+
+def _excess_kurtosis(shape: float) -> float:
+    """Of the Tukey lambda law."""
+    return float(stats.tukeylambda.stats(shape, moments="k"))
 
 
 def parabola_peak(grid: np.ndarray, values: np.ndarray, k: int) -> float:
@@ -217,26 +276,14 @@ def skew_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-_TAIL, _BODY = 0.9995, 0.9
-"""Quantiles by whose ratio two laws have the same tails: as far out as a frame of 20,000 pixels shows by
-ten of them."""
-
-
 def lambda_of(kurtosis: float) -> float:
-    """Shape of the Tukey lambda distribution with the tails of Student's t of this excess kurtosis, as far
-    out as many pixels show: both have heavy tails, but of the same fourth moment Tukey's are longer. Light
-    tails by the moment, which no Student's t has."""
-
-    def by_moment(shape: float) -> float:
-        return float(stats.tukeylambda.stats(shape, moments="k")) - kurtosis
-
-    def by_tails(shape: float) -> float:
-        return float(np.divide(*stats.tukeylambda.ppf((_TAIL, _BODY), shape))) - goal
-
-    if kurtosis <= 0:
-        return float(optimize.brentq(by_moment, 0.0, 1.0)) if by_moment(1.0) < 0 < by_moment(0.0) else 0.0
-    goal = float(np.divide(*stats.t.ppf((_TAIL, _BODY), 4 + 6 / kurtosis)))
-    return float(optimize.brentq(by_tails, -0.45, 0.2))
+    """Shape of the Tukey lambda law of this excess kurtosis; 1, the uniform law, of less than any has."""
+    low, high = -0.245, 1.0
+    if kurtosis <= _excess_kurtosis(high):
+        return high
+    if kurtosis >= _excess_kurtosis(low):
+        return low
+    return float(optimize.brentq(lambda shape: _excess_kurtosis(shape) - kurtosis, low, high))
 
 
 _READ_SHARE = 0.9
@@ -262,7 +309,7 @@ def tails(*, name: str, heavy: bool, covers: tuple[str, ...], smooth: tuple[str,
     of codes to be as smooth as those of normal noise, and its outliers to be as rare."""
     return Signature(
         name=name,
-        axes=Axes("readout", "pixel", "redrawn", "additive", "heavy tails" if heavy else "light tails"),
+        axes=Axes("readout", "pixel", "redrawn", "additive", HEAVY if heavy else "light tails"),
         reads=CONTRASTS | STATIC | {"mean", "signal", "shot"},
         score=partial(kurtosis_score, tails=1 if heavy else -1),
         absorb=unchanged,
@@ -278,6 +325,7 @@ def tails(*, name: str, heavy: bool, covers: tuple[str, ...], smooth: tuple[str,
         least=(lambda sets: pooled(s.frames * np.sum(s.tails**2) / 24 for s in sets))
         if heavy
         else NO_CLOSED_FORM,
+        form_free=heavy,  # Tukey's law stands for every law of tails
     )
 
 

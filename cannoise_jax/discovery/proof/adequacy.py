@@ -35,6 +35,7 @@ from cannoise_jax.discovery.proof.own_part import (
     owned,
 )
 from cannoise_jax.discovery.proof.shadow import LEFT_TOGETHER, SLACK, TRACE, outweighs, shadowed, undrawn
+from cannoise_jax.discovery.proof.shared_noise import shared
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -147,6 +148,7 @@ def doubts(
             or lasting(steps[n])
             or by_level(steps[n])
             or not_gaussian(steps, n)
+            or shared(steps[n])
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
             or (None if steps[n].named.signature.frozen else forgetful(one, own) or uneven(full, own))
         )

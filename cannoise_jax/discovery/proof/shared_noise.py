@@ -1,0 +1,60 @@
+"""Whether the tails that a name says are of every pixel by itself: not of noise that pixels next to it share.
+
+Noise whose strength changes from row to row, block to block or place to place is a mixture, and a mixture has
+tails that none of its parts has. Where the variance s^2 of pixels that lie side by side is one, their squares
+are correlated, by var(s^2), and the excess kurtosis of all is three times that. Tails of single pixels leave
+their squares independent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.signatures.shape import HEAVY, one_noise
+
+_LAGS = (2, 3, 4)
+"""Pixels apart: those next to each other share charge, those far apart no block."""
+_SHARE = 0.3
+"""Of the excess kurtosis, from which on it is the mixture's."""
+_SURE = 6.0
+"""Standard errors from which on the squares are correlated."""
+
+
+def shared(step: Step) -> Doubt | None:
+    """What speaks against a step that names heavy tails; None: nothing does, or it names none."""
+    if step.named.mechanism == UNKNOWN or step.named.signature.axes.law != HEAVY:
+        return None
+    products, errors, fourth = np.zeros(2), np.zeros(2), 0.0
+    pairs = number = 0.0
+    for frame, keep in one_noise(step.before):
+        square = np.where(keep, frame.astype(np.float64) ** 2, 0.0)
+        mean = float(square.sum() / keep.sum())
+        fourth += float(np.sum(square**2)) / mean**2 - 3 * float(keep.sum())
+        number += float(keep.sum())
+        off = np.where(keep, square / mean - 1, 0.0)
+        spread = float(np.mean(off[keep] ** 2))
+        for axis in (0, 1):
+            for lag in _LAGS:
+                one, other = (np.take(off, range(*ends), axis) for ends in _ends(off.shape[axis], lag))
+                products[axis] += float(np.sum(one * other))
+                errors[axis] += spread**2 * one.size
+        pairs += sum(off.size - lag * off.shape[1] for lag in _LAGS)
+    if fourth <= 0 or not pairs:
+        return None
+    z, share = products / np.sqrt(errors), 3 * products / pairs / (fourth / number)
+    worst = int(np.argmax(share))
+    if z[worst] < _SURE or share[worst] < _SHARE:
+        return None
+    along = ("in columns", "in rows")[worst]
+    said = (
+        f"pixels side by side {along} are loud together: {100 * min(share[worst], 1):.0f} % of the tails are"
+    )
+    return Doubt(
+        float(min(share[worst], 1.0)), (f"{said} those of noise that is stronger in places",), instead=True
+    )
+
+
+def _ends(size: int, lag: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (0, size - lag), (lag, size)
