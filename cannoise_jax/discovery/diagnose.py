@@ -27,16 +27,25 @@ from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
-from cannoise_jax.discovery.proof.excess import excess
+from cannoise_jax.discovery.proof.excess import Excess, excess
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
-from cannoise_jax.discovery.proof.judged import CALIBRATED, Judged, opened, own_effects, searched, without_own
+from cannoise_jax.discovery.proof.judged import (
+    CALIBRATED,
+    Judged,
+    opened,
+    own_effects,
+    searched,
+    with_less,
+    without_own,
+)
+from cannoise_jax.discovery.proof.lowered import at_shares, shares
 from cannoise_jax.discovery.proof.prove import prove, standing, unconfirmed, unproven
 from cannoise_jax.discovery.proof.quality import composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.proof.sides import Sides
 from cannoise_jax.discovery.report.save import save
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search import declare
-from cannoise_jax.discovery.search.fit import Fitted, stepwise
+from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.maps import beside_others
 from cannoise_jax.discovery.search.name import Doubt
@@ -106,6 +115,8 @@ def diagnose(
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, allowed, log_alpha)
+    too_much = excess(own, raw.looking)
+    judged, raw, own, kept = less_of(too_much, judged, raw, own, entries, allowed, log_alpha, key)
     splits = raw.less(partial(without_own, own=own))
     first = splits.looking
 
@@ -120,7 +131,7 @@ def diagnose(
     if splits.can_prove:
         tell("prove: on the frames held back")
         fitted, proven = standing(fitted, prove(fitted, splits), tell)
-    sides = judged.sides(first, fitted.steps, own)
+    sides = judged.sides(first, fitted.steps, kept, less=bool(too_much))
     gated = remains = quality = panel = None
     against: tuple[Doubt | None, ...] = (None,) * len(fitted.steps)
     model = sides.exported
@@ -166,8 +177,32 @@ def diagnose(
         remains,
         model is not sides.model,
         faults,
-        excess(own, raw.looking),
+        too_much,
     )
+
+
+def less_of(
+    too_much: Sequence[Excess],
+    judged: Judged,
+    raw: Splits,
+    own: tuple[Step, ...],
+    entries: tuple[Entry, ...],
+    allowed: frozenset[str],
+    log_alpha: float,
+    key: Key[Array, ""],
+) -> tuple[Judged, Splits, tuple[Step, ...], tuple[Step, ...]]:
+    """The simulator without what it has too much of, the recordings beside it, what it has beyond
+    Poisson-Gaussian noise then, and what of that goes into what is handed back. Of what is no camera model
+    only the last is changed."""
+    if not too_much:
+        return judged, raw, own, own
+    share = shares(too_much)
+    less = with_less(judged, share, key)
+    if less is None:
+        return judged, raw, own, at_shares(own, share)
+    again = splits_of(less.capture, less.stated, less.drawn, searched(entries))
+    own = own_effects(less.drawn, entries, allowed, log_alpha)
+    return less, again, own, own
 
 
 def judged_by(

@@ -72,24 +72,33 @@ def stated_score(
     )
 
 
+_FEWEST = 3
+"""Levels of light from which on a straight line through that of the darks can be missed by their order."""
+
+
 def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) -> Score | None:
-    """Temporal variance against signal: what a straight line per channel leaves."""
+    """Temporal variance against signal: what a straight line per channel leaves. Amplitude: rms relative
+    departure of the variance from it, beyond chance."""
     chi2, dof, at, worst = 0.0, 0, 0.0, 0.0
+    squares: list[float] = []
+    errors: list[float] = []
     for baseline in baselines:
         for c in range(4):
             levels = [
                 p for p in baseline.levels if p.channel == c and p.signal > 4 * step and not p.full and p.sure
             ]
-            if len(levels) < 4:
+            if len(levels) < _FEWEST:
                 continue
             model = (
                 baseline.read_noise[c] ** 2
                 + step**2 / 12
                 + baseline.gain[c] * np.array([p.signal for p in levels])
             )
-            z = (np.array([p.variance for p in levels]) / model - 1) / np.array(
-                [p.error / p.variance for p in levels]
-            )
+            off = np.array([p.variance for p in levels]) / model - 1
+            error = np.array([p.error / p.variance for p in levels])
+            z = off / error
+            squares += (off**2).tolist()
+            errors += (error**2).tolist()
             chi2 += float(np.sum(z**2))
             dof += len(levels) - 1
             k = int(np.argmax(np.abs(z)))
@@ -102,9 +111,9 @@ def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) ->
         log_p=chi2_log_sf(chi2, dof),
         gain=gain,
         penalty=OF_A_CURVE,
-        amplitude=float(np.sqrt(max(chi2 / dof - 1, 0))),
-        error=0.0,
-        shift=1.0,
+        amplitude=float(np.sqrt(max(np.mean(squares) - np.mean(errors), 0.0))),
+        error=float(np.sqrt(np.mean(errors) / 2 / len(errors))),
+        shift=float(np.sqrt(np.mean(errors) * np.sqrt(2 / dof))),
         power=2,
         parameters={},
         where={"axis": "signal", "range": [float(at), float(at)], "sign": float(np.sign(worst))},

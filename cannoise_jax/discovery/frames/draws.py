@@ -109,17 +109,3 @@ def spread_codes(field: Fields, rng: np.random.Generator) -> Float[np.ndarray, "
     frames = frame_fields(field)
     dither = rng.random(frames.shape, np.float32) - np.float32(0.5)
     return frames + dither * (field.step * field.weight).astype(np.float32)
-
-
-def changed(base: Drawing, plain: Drawing, extended: Drawing) -> Drawing:
-    """Draws of a simulator without a formula, changed by what mechanisms add: the difference that they make
-    to a sensor model with the same random numbers."""
-
-    def draw(number: int, clean, settings: Settings) -> np.ndarray | None:
-        parts = [d(number, clean, settings) for d in (base, extended, plain)]
-        if any(p is None for p in parts):
-            return None
-        own, more, less = (np.asarray(p, np.int64) for p in parts)
-        return np.clip(own + more - less, 0, 65535).astype(np.uint16)
-
-    return draw

@@ -16,6 +16,9 @@ _SURE = 4.0
 _LESS = 0.8
 """Share of what the simulator has, of which the recordings have less: a fit may be off by some per cent."""
 
+_LESS_OF_FEW = 0.5
+"""The same of what a few pixels have: two units of one camera have more and fewer."""
+
 
 class Excess(NamedTuple):
     """A mechanism of which the simulator has too much: its strength in the simulator's draws and in the
@@ -32,21 +35,22 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
     """Of what the simulator's own draws show, what the recordings show less of, strongest evidence first.
 
     recorded: a split of the recordings as they are. Left to the layer that knows no names is what is frozen
-    and no scatter of many pixels or lines: levels, which are judged beside the simulator where they are
-    looked for, and hot pixels, of which two units of one camera have more and fewer.
+    and no scatter of pixels or lines: levels, which are judged beside the simulator where they are looked
+    for.
     """
     known = {s.name: s for s in recorded.signatures}
     out: list[tuple[float, Excess]] = []
     for step in own:
         named, signature = step.named, known.get(step.named.signature.name)
-        few = named.signature.frozen and not np.isfinite(named.score.drawn)
-        if named.mechanism == UNKNOWN or signature is None or few:
+        rare = named.signature.rare
+        level = named.signature.frozen and not rare and not np.isfinite(named.score.drawn)
+        if named.mechanism == UNKNOWN or signature is None or level:
             continue
         there = _strength(named.signature.quoted(named.score, named.mechanism))
         score = signature.score(recorded.fields)
         here = (0.0, 0.0) if score is None else _strength(signature.quoted(score, named.mechanism))
         sigmas = (there[0] - here[0]) / max(float(np.hypot(there[1], here[1])), 1e-30)
-        if sigmas > _SURE and here[0] < _LESS * there[0]:
+        if sigmas > _SURE and here[0] < (_LESS_OF_FEW if rare else _LESS) * there[0]:
             out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1])))
     return tuple(e for _, e in sorted(out, key=lambda pair: -pair[0]))
 

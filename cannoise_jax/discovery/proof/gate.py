@@ -126,7 +126,7 @@ def gate(panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs) ->
     all_tried: list[Tried] = []
     sure = tuple(s for s, p in zip(steps, proofs.each, strict=True) if p.confirmed)
     for what, some, number in (("findings", steps, NAMED), ("confirmed findings", sure, SURE)):
-        if not some or (all_tried and len(some) == len(steps)):
+        if not (some or sides.lowered) or (all_tried and len(some) == len(steps)):
             continue
         candidate = sides.level(sides.of(some))
         looked = panel.look(of_model(candidate), number)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.frames.battery import Prepared, stated_parameters
 from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulator, simulate_like
 from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.discovery.proof.lowered import lowered
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
 from cannoise_jax.discovery.search.fit import Step, stepwise, without_all
 from cannoise_jax.mechanisms import ENTRIES
@@ -29,20 +30,37 @@ CALIBRATED, STATED = "poisson-gaussian", "nlf"
 class Judged:
     """The simulator that is judged, and the recordings that it can draw. stated: whether gain and read noise
     of the files are judged. handed, drawn: a simulator that was handed over, and frames of it like the
-    recordings."""
+    recordings. given: the camera model as it was handed over, where that has too much of something."""
 
     capture: CaptureSet
     label: str
     stated: bool
     handed: Simulator | None = None
     drawn: CaptureSet | None = None
+    given: SensorModel | None = None
 
-    def sides(self, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...]) -> Sides:
-        """The simulator before and after, as draws."""
+    def sides(
+        self, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...], less: bool = False
+    ) -> Sides:
+        """The simulator before and after, as draws. less: whether `own` lacks what it had too much of."""
         if self.handed is not None and self.drawn is not None:
-            return handed_simulators(self.capture, first, steps, own, self.handed, self.drawn)
+            return handed_simulators(
+                self.capture, first, steps, own, self.handed, self.drawn, self.given, less
+            )
         stated = stated_parameters(self.capture, first.baselines) if self.stated else None
         return simulators(self.capture, first, steps, stated)
+
+
+def with_less(judged: Judged, share: Mapping[str, float], key: Key[Array, ""]) -> Judged | None:
+    """The simulator at a share of the strength of what it has too much of; None where it is no camera model
+    or has no such mechanism."""
+    model = None if judged.handed is None else judged.handed.model
+    less = None if model is None else lowered(model, share)
+    if judged.handed is None or less is None:
+        return None
+    handed = judged.handed._replace(model=less, draw=less.sample)
+    drawn = simulate_like(judged.capture, handed.draw, jax.random.fold_in(key, 6), handed.dark)
+    return dataclasses.replace(judged, handed=handed, drawn=drawn, given=model)
 
 
 def opened(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Key
 
-from cannoise_jax.discovery.frames.battery import Prepared, drawn_parameters
-from cannoise_jax.discovery.frames.draws import Drawing, changed, drawing
+from cannoise_jax.discovery.frames.battery import Prepared
+from cannoise_jax.discovery.frames.draws import Drawing, drawing
 from cannoise_jax.discovery.frames.simulate import Simulator, codes_of
+from cannoise_jax.discovery.frames.simulated import drawn_parameters
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.maps import last_draw
 from cannoise_jax.discovery.search.model import baseline_model, extended_model
@@ -20,7 +21,6 @@ from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.discovery.search.pedestal import with_pedestals
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
-from cannoise_jax.signatures.fields import channel_index
 
 Drawings = Callable[[Key[Array, ""]], Drawing]
 """A simulator's draws by key."""
@@ -34,7 +34,8 @@ class Sides(NamedTuple):
     extended camera model. likelihood: whether the simulator has one. calibrated: whether it is the baseline
     itself. model: the judged simulator where it is a camera model. bare: the fitted baseline. of:
     the camera model with some of the findings alone. level: adds to it where its darks lie, exposure by
-    exposure; a camera model that was handed over has the levels that it has."""
+    exposure; a camera model that was handed over has the levels that it has. lowered: whether `of` starts
+    from less than what was judged, which has too much of something."""
 
     plain: Drawings
     extended: Drawings | None
@@ -47,6 +48,7 @@ class Sides(NamedTuple):
     bare: SensorModel
     of: Callable[..., SensorModel]
     level: Callable[[SensorModel], SensorModel] = lambda model: model
+    lowered: bool = False
 
 
 def of_model(model: SensorModel) -> Drawings:
@@ -75,81 +77,48 @@ def handed_simulators(
     own: tuple[Step, ...],
     handed: Simulator,
     drawn: CaptureSet,
+    given: SensorModel | None,
+    less: bool,
 ) -> Sides:
-    """Of a simulator that was handed over. A camera model is extended itself. A function or generator keeps
-    its own draws, changed by what the findings change in a camera model; what is exported for it is the
-    baseline with `own`, what its draws showed beyond that, and the findings."""
+    """Of a simulator that was handed over, of which frames like the recordings were drawn. A camera model is
+    extended itself; given: as it was, where it had too much of something. For a function or generator what is
+    exported, and drawn from, is the baseline with `own`, what its draws showed beyond that, and the findings.
+    less: whether it had too much of something."""
     bare = baseline_model(capture, first)
     control = of_model(bare)
     if handed.model is not None:
         of = partial(extended_model, capture, first, start=handed.model, drawn=last_draw())
-        model = of(steps)
-        extended = of_model(model) if steps else None
+        model, judged = of(steps), handed.model if given is None else given
+        changed = bool(steps) or judged is not handed.model
+        extended = of_model(model) if changed else None
         return Sides(
-            of_model(handed.model), extended, (), control, model, True, False, handed.model, bare, of
-        )
-    parameters = drawn_parameters(drawn, first.baselines, first.step)
+            of_model(judged), extended, (), control, model, True, False, judged, bare, of,
+            lowered=given is not None,
+        )  # fmt: skip
 
     def plain(key: Key[Array, ""]) -> Drawing:
         return codes_of(handed.draw, capture, key, first.step, handed.dark)
 
-    def changed_by(some: tuple[Step, ...]) -> Drawings:
-        model = extended_model(capture, first, some)
-        restated = {s.named.signature.restates for s in some if s.named.mechanism != UNKNOWN}
-        ratio = noise_ratio(capture, first, parameters, "gain" in restated, "read" in restated)
-
-        def draws(key: Key[Array, ""]) -> Drawing:
-            own_key, same = jax.random.split(key)
-            scaled = rescaled(plain(own_key), capture, first, ratio)
-            return (
-                scaled if not model.mechanisms else changed(scaled, drawing(bare, same), drawing(model, same))
-            )
-
-        return draws
-
-    less = tuple(changed_by(tuple(s for s in steps if s is not gone)) for gone in steps)
-
     def beside_own(some: tuple[Step, ...]) -> SensorModel:
-        return extended_model(capture, first, (*own, *some))
+        return with_pedestals(extended_model(capture, first, (*own, *some)), prepared=first)
 
-    extended = changed_by(steps) if steps else None
+    stated = drawn_parameters(drawn, first.baselines, first.step)
+
+    def without(gone: Step) -> SensorModel:
+        model = beside_own(tuple(s for s in steps if s is not gone))
+        kind = gone.named.signature.restates if gone.named.mechanism != UNKNOWN else None
+        return model if kind is None else as_stated(model, baseline_model(capture, first, stated), kind)
+
+    each = tuple(of_model(without(gone)) for gone in steps)
     exported = beside_own(steps)
-    return Sides(plain, extended, less, control, exported, False, False, None, bare, beside_own)
+    extended = of_model(exported) if steps or less else None
+    return Sides(plain, extended, each, control, exported, False, False, None, bare, beside_own)
 
 
-def noise_ratio(capture: CaptureSet, first: Prepared, drawn: tuple, gain_too: bool, read_too: bool) -> Ratio:
-    """How much noisier the recordings are than the draws by their wrong gain, read noise or both; `drawn`:
-    gain (DN/e-) and read noise (DN) of the draws per gain setting."""
-    order = {b.iso: n for n, b in enumerate(first.baselines)}
-
-    def ratio(number: int, clean: np.ndarray) -> np.ndarray | None:
-        recording = capture.recordings[number]
-        n = order[recording.iso]
-        gain, read = drawn[n]
-        if gain is None or not (gain_too or read_too):
-            return None
-        channel = channel_index(clean.shape)
-        baseline = first.baselines[n]
-        signal = clean * (recording.white_level - np.mean(baseline.black_level))
-        have = gain[channel] * signal + read[channel] ** 2
-        better = (baseline.gain if gain_too else gain)[channel] * signal
-        wanted = better + (baseline.read_noise if read_too else read)[channel] ** 2
-        return np.sqrt(wanted / np.maximum(have, 1e-9))
-
-    return ratio
-
-
-def rescaled(base: Drawing, capture: CaptureSet, first: Prepared, ratio: Ratio) -> Drawing:
-    """Draws with their noise about the expected value stretched, rounded to codes again."""
-
-    def draw(number: int, clean, settings) -> np.ndarray | None:
-        frames, factor = base(number, clean, settings), ratio(number, clean)
-        if frames is None or factor is None:
-            return frames
-        recording = capture.recordings[number]
-        expected = recording.black_map() + clean * (recording.white_level - recording.black_map())
-        values = expected + factor * (frames - expected)
-        highest = np.floor(min(recording.white_level, 65535.0) / first.step) * first.step
-        return np.clip(np.round(values / first.step) * first.step, 0, highest).astype(np.uint16)
-
-    return draw
+def as_stated(model: SensorModel, stated: SensorModel, kind: str) -> SensorModel:
+    """The model with the gain, or the read noise in DN, of another one."""
+    gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e)
+    theirs, noise = np.asarray(stated.gain_dn_per_e), np.asarray(stated.read_noise_e)
+    if kind == "gain":
+        return dataclasses.replace(model, gain_dn_per_e=theirs, read_noise_e=read * gain / theirs)
+    return dataclasses.replace(model, read_noise_e=noise * theirs / gain)

@@ -25,5 +25,5 @@ def too_much(found: Excess, term: Term) -> dict[str, Any]:
         "mechanism": found.mechanism,
         "simulated": simulated,
         "recorded": recorded,
-        "sentence": f"The simulator has {said} of {name}, the recordings at most {most}: lower it there.",
+        "sentence": f"The simulator has {said} of {name}, the recordings at most {most}.",
     }

@@ -1,0 +1,50 @@
+"""The simulator without what it has too much of: all that is found is then fitted beside what is there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+
+from cannoise_jax.discovery.proof.excess import Excess
+from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.physics.core.sensor import SensorModel
+
+_SURE = 2.0
+"""Standard errors from which on the recordings show some of it, and not none."""
+
+
+def shares(found: Iterable[Excess]) -> dict[str, float]:
+    """Of every mechanism that a simulator has too much of the share that the recordings show."""
+    return {
+        e.mechanism: e.recorded / e.simulated if e.recorded > _SURE * e.recorded_error else 0.0 for e in found
+    }
+
+
+def lowered(model: SensorModel, share: Mapping[str, float]) -> SensorModel | None:
+    """The camera model with mechanisms at a share of their strength; None where it has none of these."""
+    if not any(fitted.mechanism in share for fitted in model.mechanisms):
+        return None
+    kept = []
+    for fitted in model.mechanisms:
+        less = share.get(fitted.mechanism, 1.0)
+        if less == 1.0:
+            kept.append(fitted)
+        elif less > 0:
+            name = fitted.record.scales or fitted.record.parameters[0].name
+            values = {**fitted.parameters, name: fitted.parameters[name] * less}
+            kept.append(dataclasses.replace(fitted, parameters=values))
+    return dataclasses.replace(model, mechanisms=tuple(kept))
+
+
+def at_shares(steps: tuple[Step, ...], share: Mapping[str, float]) -> tuple[Step, ...]:
+    """What a simulator's own draws show, at a share of its strength."""
+    out = []
+    for step in steps:
+        less = share.get(step.named.mechanism, 1.0)
+        if less == 1.0:
+            out.append(step)
+        elif less > 0:
+            score = step.named.score
+            score = step.named.signature.at(score, less * score.amplitude)
+            out.append(step._replace(named=step.named._replace(score=score)))
+    return tuple(out)
