@@ -161,7 +161,10 @@ def _black_of(
     # A level stated to the nearest code may be off by half a code; the frame offsets scatter the mean.
     spread = np.sqrt(error**2 / 4 + jitter / frames)
     value, spread = float(difference.mean()) - rise * seconds, float(np.hypot(spread, doubt * seconds))
-    z = np.sign(value) * max(abs(value) - recorded.tolerance, 0.0) / spread
+    baseline = recorded.baselines[fields[0].group]
+    # Noise of less than a code stores another mean than its level, as does clipping.
+    stored = float(np.max(np.abs(baseline.pedestal - baseline.black_level))) * unit
+    z = np.sign(value) * max(abs(value) - recorded.tolerance - stored, 0.0) / spread
     return Score(
         log_p=student_log_p(z, jitter_freedom(fields, jitter / frames, error**2 / 4)),
         gain=0.5 * z**2,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge
@@ -30,6 +30,12 @@ from cannoise_jax.signatures.signature import (
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Relative spreads of the pixels' noise that are tried; a parabola goes between."""
+
+
+_OF_NO_LAW = 1e-3
+"""Share of the pixels whose noise may be any of these."""
+_LOUDEST = 12.0
+"""Logarithm of the variance of the noisiest of those, over that of most."""
 
 
 def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
@@ -103,14 +109,16 @@ def spread_score(fields: tuple[Fields, ...]) -> Score | None:
     counts, centre = histogram(squares)
     best, at = 0.0, 0.0
     gains = []
+    odd = np.log(_OF_NO_LAW) + _any_noise(centre, n)
+    alike = np.logaddexp(np.log1p(-_OF_NO_LAW), odd)
     for spread in _SPREADS:
         width = np.sqrt(np.log1p(spread**2))
         variance = np.exp(2 * (width * nodes - width**2))
         log_terms = -n / 2 * np.log(variance) + 0.5 * centre[:, None] * (1 - 1 / variance)
         top = log_terms.max(1, keepdims=True)
-        gains.append(
-            float(np.sum(counts * (top[:, 0] + np.log(np.exp(log_terms - top) @ (weights / weights.sum())))))
-        )
+        spreads = top[:, 0] + np.log(np.exp(log_terms - top) @ (weights / weights.sum()))
+        # A few pixels of any noise, as hits make them, are in both laws.
+        gains.append(float(np.sum(counts * (np.logaddexp(np.log1p(-_OF_NO_LAW) + spreads, odd) - alike))))
     k = int(np.argmax(gains))
     if gains[k] > 0:
         best, at = gains[k], parabola_peak(np.array(_SPREADS), np.array(gains), k)
@@ -128,6 +136,14 @@ def spread_score(fields: tuple[Fields, ...]) -> Score | None:
         parameters={"spread": (at, "1", float(error))},
         where={"axis": "pixel", "z": z},
     )
+
+
+def _any_noise(squares: np.ndarray, n: int) -> np.ndarray:
+    """Log-likelihood of sums of squares of louder noise, evenly in its logarithm, over that of the noise that
+    most have."""
+    logs = np.linspace(0.0, _LOUDEST, 60)
+    terms = -n / 2 * logs + 0.5 * squares[:, None] * (1 - np.exp(-logs))
+    return special.logsumexp(terms, axis=1) - np.log(logs.size)
 
 
 def _dispersion_variance(n: int) -> float:
@@ -177,8 +193,6 @@ def _dark_sigma(fields: Many) -> float:
 _TRIED = np.arange(-5, 12.01, 0.25)
 """Logarithms of a pixel's read noise that are tried, in widths of the law of all of them: the quietest are of
 that law, the noisiest need not be."""
-_OF_NO_LAW = 1e-3
-"""Share of the pixels whose noise may be any of these."""
 
 
 def noise_factors(fields: Many, spread: float, rng: np.random.Generator) -> np.ndarray:
