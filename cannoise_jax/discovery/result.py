@@ -59,11 +59,14 @@ class Result:
         """What all of it says together: findings, the layer that knows no names, and the two-sample test."""
         handed_back = self.gated.steps if self.gated else self.fitted.steps if self.entered else ()
         aside = part_of(self.fitted.steps)
-        kept = [
-            s.named.mechanism
+        each = [
+            (s.named.mechanism, s in handed_back, p.confirmed)
             for n, (s, p) in enumerate(zip(self.fitted.steps, self.proofs, strict=True))
-            if n not in aside and (s in handed_back or p.confirmed)
+            if n not in aside
         ]
+        sure = [mechanism for mechanism, _, confirmed in each if confirmed]
+        # What is not confirmed explains only where nothing is, and the simulator with it is better.
+        kept = sure or [mechanism for mechanism, there, _ in each if there and self.gained]
         before, after = (self.differs(which) for which in (0, 1))
         return verdict_of(
             # Where nothing may be named, what is left of the battery still looks for structures.
@@ -74,6 +77,11 @@ class Result:
             differs_after=after,
             remainder=self.gated is not None and self.gated.remainder,
         )
+
+    @property
+    def gained(self) -> bool:
+        """Whether the findings make the simulator better; where draws were not compared they may."""
+        return self.gated is None or any(t.entered and t.better for t in self.gated.tried if t.steps)
 
     def differs(self, which: int) -> bool | None:
         """Whether the simulator before (0) or after (1) is told from the recordings; None: unknown."""

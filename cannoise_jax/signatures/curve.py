@@ -120,12 +120,16 @@ def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) ->
     )
 
 
+_CURVE = 12
+"""Points of a curve, of four channels together, from which on it can be missed: darks and two levels."""
+
+
 def saturation_score(
     fields, *, baselines: tuple[GroupBaseline, ...], step: float, span: float
 ) -> Score | None:
     """Collapse of the temporal variance at the highest signals, below the converter's own rail."""
     full = [p for b in baselines for p in b.levels if p.full]
-    if not any(len(b.levels) >= 20 for b in baselines):
+    if not any(len(b.levels) >= _CURVE for b in baselines):
         return None
     z, value = 0.0, 1.0
     if full:

@@ -36,6 +36,8 @@ _LINEAR = 0.45
 upper half."""
 _PARTS = 16
 """Classes of like signal of a scene, per channel."""
+_LOST, _SHOWS = 0.5, 20.0
+"""Share of the light, and signal in code steps beyond which it shows, that a dead pixel is missing."""
 _FEWEST, _FEWEST_OF_CHANNEL = 200, 64
 """Pixels of a level, and of a channel, below which neither is looked at."""
 
@@ -61,13 +63,15 @@ def curve_of(stacked: Stack, black: np.ndarray) -> Curve:
     part = np.full(signal.shape, -1, np.int8)
     parts = _PARTS if kind == "scene" else 1
     channel = channel_index(signal.shape)
+    measured = signal if known else _mean(stacked, black) - mosaic_map(tuple(black), signal.shape)
+    # Of a flat pixels that miss most of the light, dead ones: their noise is of another level.
+    lost = (measured < _LOST * signal) & (signal > _SHOWS * stacked.step) & (kind == "flat")
     for c in range(4):
-        chosen = (channel == c) & stacked.usable
+        chosen = (channel == c) & stacked.usable & ~lost
         if chosen.sum() < _FEWEST_OF_CHANNEL:
             continue
         root = np.sqrt(np.maximum(signal[chosen], 0))
         part[chosen] = np.clip((root - root.min()) / max(np.ptp(root), 1e-9) * parts, 0, parts - 1)
-    measured = signal if known else _mean(stacked, black) - mosaic_map(tuple(black), signal.shape)
     return Curve(stacked, signal, known, measured, part, unshared(stacked, signal))
 
 

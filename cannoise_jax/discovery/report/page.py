@@ -107,6 +107,12 @@ def verdict(report: dict[str, Any]) -> str:
         return "Match: nothing that was tested differs from the simulator."
     left = _excess(report) + _largest(report)
     if said == NO_CAUSE:
+        named = [f for f in report["findings"] if f["mechanism"] != "unknown"]
+        if named:
+            return (
+                "Differs, and no cause was confirmed. Found, but not confirmed on frames held back: "
+                f"{_counted(named)}.{left}"
+            )
         return f"Differs, and no cause was found.{left}"
     sure = [f for f in report["findings"] if f["confirmed"]]
     rest = [f for f in report["findings"] if not f["confirmed"]]
