@@ -37,19 +37,15 @@ _LEAST_POWER = 0.05
 
 class Template(NamedTuple):
     """Correlation at each lag per unit of an amplitude, to first order, times the template's weight, and the
-    amplitude of a fitted first-order one: a blend with so many neighbours, or a share that each pixel gives
-    to its four."""
+    amplitude of a fitted first-order one: a blend with so many neighbours, or a share given to these."""
 
     lags: dict[Lag, float]
     blend: int = 0
-    shares: bool = False
 
     def amplitude(self, first_order: float) -> float:
         """The amplitude whose correlation this is to first order."""
         if self.blend:
             return _blend_weight(first_order, self.blend)
-        if self.shares:
-            return 1 - np.sqrt(max(1 - 2 * first_order, 0.0)) if first_order > 0 else first_order
         return first_order
 
     def error(self, first_order: float, error: float) -> float:
@@ -60,7 +56,7 @@ class Template(NamedTuple):
         return error * (slope or 1.0)
 
 
-GIVEN = Template({(0, 1): 0.5, (1, 0): 0.5}, shares=True)
+GIVEN = Template({(0, 1): 0.5, (1, 0): 0.5}, blend=4)
 """A share of the charge that goes to the four neighbours."""
 REPELLED = Template({(0, 1): 0.25, (1, 0): 0.25})
 """What a pixel loses of its variance is the covariance with its four neighbours."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy import special, stats
@@ -187,13 +188,17 @@ def standing_out(
     """A few pixels far above the others in the darks. maps: signatures of maps of all pixels, which are
     judged once the pixels that stand out from them are gone."""
     growing = scaling == "exposure"
+    offsets = placed(OFFSETS)
 
     def predict(fields: Many, score: Score[Heat]) -> Predicted | None:
         known = known_heat(fields, score.payload)
         return None if known is None else Predicted(known.mean, known.variance, scaling)
 
     def simulate(found: Found) -> Addition:
-        """At their places, e-/s; what does not grow with the exposure is an offset map."""
+        """At their places, e-/s; what does not grow with exposures that differ is an offset map, without the
+        shot noise of charge."""
+        if not growing and len({f.exposure_s for f in found.fields if not f.lit}) > 1:
+            return offsets(found)
         pattern = np.zeros(found.fields[0].mean.shape) if found.pattern is None else found.pattern
         heat = pattern / found.gain / found.seconds
         share = float(np.clip(np.mean(heat > 0), 1e-7, 0.5))
@@ -201,6 +206,11 @@ def standing_out(
         values = {"e_per_s": mean if growing else mean * found.seconds, "fraction": share}
         own = None if growing else Scaling(reference_exposure_s=found.seconds)
         return Addition(values, {"heat": as_map(heat / mean)}, own)
+
+    def says(entry: dict[str, Any]) -> tuple[str, tuple[float, float]]:
+        low, high = entry["amplitude"]["ci90"]
+        where = "A few pixels lie far above the others in the dark, at fixed places and whatever the exposure"
+        return f"{where}: {entry['amplitude']['value']:.3g} DN rms", (low, high)
 
     def at(score: Score[Heat], amplitude: float) -> Score[Heat]:
         """The mean heat goes with the strength."""
@@ -224,6 +234,7 @@ def standing_out(
         pattern=hot_map,
         simulate=simulate,
         place=placed(OFFSETS, by_exposure=growing),
+        says=None if growing else says,
         strength=heat_again,
         detectable=_detectable,
         decides=True,
