@@ -281,7 +281,7 @@ def currents(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     found = charge.currents(seen.statistics, seen.baseline)
     if found is None or not found.differ:
         return {}
-    shown, sigma = found.charge - found.law.mean, float(np.sqrt(found.spread))
+    shown, sigma = found.charge, float(np.sqrt(found.spread))
     field = shrunk(shown, sigma, found.noise, seen.draw(shown.shape))
     return {"pixels": np.where(found.out, 0.0, field)[None]}
 

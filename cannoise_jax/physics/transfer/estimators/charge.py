@@ -51,8 +51,9 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
 
 
 class Currents(NamedTuple):
-    """Charge of every pixel in the longest dark less the shortest, e-, its law, the variance of its noise,
-    e-^2, and the seconds between. spread: variance over ordinary pixels beyond that noise, and its error."""
+    """Charge of every pixel beyond the mean of ordinary ones, in the longest dark less the shortest, e-, its
+    law, the pixels that are hot or full, the variance of the noise, e-^2, and the seconds between. spread:
+    variance over ordinary pixels beyond that noise, and its error."""
 
     charge: Float[np.ndarray, "H W"]
     law: PixelLaw
@@ -84,7 +85,9 @@ def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None
         noise, total = float(np.mean(noises)), float(np.mean(squares))
         error = np.std(squares) / np.sqrt(squares.size)
     error = float(np.hypot(error, _NOISE_DOUBT * noise))
-    return Currents(charge, law, out, noise, seconds, total - noise, error)
+    # What is smooth is told from a glow by now, and else the pixels' own.
+    every = charge_map(long, short, baseline)[0]
+    return Currents(every - every[~out].mean(), law, out, noise, seconds, total - noise, error)
 
 
 def _variation(found: Currents | None, rate: Estimate) -> dict[str, Estimate]:
@@ -107,7 +110,7 @@ def grown(
         return None
     long, short, _ = pair
     share = seconds / found.seconds
-    added = np.where(long.clipped, 0.0, found.charge - found.law.mean) * share
+    added = np.where(long.clipped, 0.0, found.charge) * share
     for c in range(4):
         site(added, c)[...] *= baseline.gain[c]
     left = 0.0
