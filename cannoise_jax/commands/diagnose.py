@@ -66,7 +66,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"the mismatch of what is handed back is {left:.3g} times that of what was judged, in nats")
     entered = [finding["in_simulator"] for finding in report["findings"]]
     if entered and all(e is False for e in entered):
-        print("sensor.json has none of it: it would be no nearer to the recordings, see the report")
+        instead = report["remainder_share"] is not None
+        why = "has the remainder in its place, which is nearer to the recordings"
+        why = why if instead else "has none of it: it would be no nearer to the recordings"
+        print(f"sensor.json {why}, see the report")
     print(f"{arguments.out / 'report.html'}")
     return 0
 
