@@ -83,6 +83,10 @@ def _light(groups: Sequence[Group]) -> Sites | None:
     return light_of(lit, [s.sites for g in groups if g.kind in DARK for s in g.shots]) if lit else None
 
 
+_RISES = 3.0
+"""Codes by which darks have to rise from the shortest exposure to the longest for their charge to count."""
+
+
 def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:
     shots = [s for g in groups for s in g.shots]
     stated = [per_channel(s.known["black_level"]) for s in shots if "black_level" in s.known]
@@ -108,6 +112,14 @@ def _black(groups: Sequence[Group]) -> tuple[PerChannel | None, str]:
     if groups[0].mode[7] in ("MONO", None) and np.ptp(level) <= 2:
         level = per_channel(float(np.median(level)))
     exposure = first.settings["exposure_s"]
+    longest = max(dark, key=lambda g: g.settings["exposure_s"] or 0.0)
+    rise = np.median([s.medians for s in longest.shots]) - float(np.mean(level))
+    if exposure and rise >= _RISES and longest.settings["exposure_s"] > exposure:
+        # Dark charge is no black level: by a straight line to no exposure.
+        charge = rise * exposure / (longest.settings["exposure_s"] - exposure)
+        level = per_channel(np.round(np.asarray(level) - charge))
+        span = f"{seconds(exposure)} and {seconds(longest.settings['exposure_s'])}"
+        return level, f"black level {_four(level)} DN: darks of {span}, by a line to none"
     of = "" if exposure is None else f" of {seconds(exposure)}"
     what = "biases" if first.kind == "bias" else f"darks{of}"
     return level, f"black level {_four(level)} DN: median of the {what}"
