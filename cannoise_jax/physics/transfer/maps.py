@@ -38,8 +38,9 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     without_step,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 
 Statistics = Sequence[FrameStatistics]
@@ -66,7 +67,8 @@ def _is_charge(fitted: Fitted) -> bool:
 
 def _is_heat(fitted: Fitted) -> bool:
     """Whether it adds dark charge to few pixels, which the read noise leaves out."""
-    return _is_charge(fitted) and fitted.record.point.distribution == "sparse"
+    point = fitted.record.point
+    return _is_charge(fitted) and point.distribution == "sparse" and point.combine == "add"
 
 
 def _jumps(fitted: Fitted) -> bool:
@@ -168,7 +170,9 @@ def _in_electrons(fitted: Fitted, factor: float) -> Fitted:
     return dataclasses.replace(fitted, parameters=changed)
 
 
-def shrunk(shown: np.ndarray, sigma: float, noise_variance: float, rest: np.ndarray) -> np.ndarray:
+def shrunk(
+    shown: np.ndarray, sigma: float, noise_variance: float | np.ndarray, rest: np.ndarray
+) -> np.ndarray:
     """A pattern in units of its rms `sigma`: the seen one shrunk by its noise, filled up with standard normal
     numbers `rest`."""
     share = sigma**2 / (sigma**2 + noise_variance)
@@ -200,7 +204,9 @@ def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
         return {}
     found = response_pattern(flat, dark_map(seen.statistics, flat))
     rest = seen.draw(found.pixels.shape)
-    field = shrunk(found.pixels, values["sigma"], found.noise, rest)
+    # Where there is less light a pixel shows less of its sensitivity, and of its shot noise by the root.
+    light = np.maximum(found.light, 0.01)
+    field = shrunk(found.pixels / light, values["sigma"], found.noise / light, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 

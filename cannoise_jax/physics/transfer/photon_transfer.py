@@ -18,13 +18,7 @@ from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, of_one_dark, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
-from cannoise_jax.physics.transfer.frames import (
-    FrameStatistics,
-    frame_statistics,
-    of_variance,
-    pixel_variance,
-    with_all_sites,
-)
+from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
 from cannoise_jax.physics.transfer.patterns import pattern_quantities
@@ -50,6 +44,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit
+from cannoise_jax.physics.transfer.views import pixel_variance, with_all_sites
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 

@@ -24,7 +24,7 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
@@ -37,6 +37,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import is_cut_off
 from cannoise_jax.physics.transfer.several_gains import uneven_gain
 from cannoise_jax.physics.transfer.straight import bends
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
 

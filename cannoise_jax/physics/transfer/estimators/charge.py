@@ -138,7 +138,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         return NotMeasurable("every pixel of the longest dark is cut off: record a shorter one")
     charge, law = _charge_and_law(long, short, baseline)
     values = charge[~long.clipped]
-    full = int(np.sum(_full(long)))
+    full = int(np.sum(_full(long, short)))
     above = full + int(np.sum(law.is_hot(values) if law.shape else values > law.middle + FAR * law.scale))
     if above - full < 10 or (law.shape and not law.fraction):
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
@@ -172,8 +172,10 @@ def hot_map(
     return np.where(law.is_hot(charge), (charge - law.middle) / law.height, 0.0)
 
 
-def _full(long: FrameStatistics) -> Bool[np.ndarray, "H W"]:
-    return long.clipped & (long.mean > long.recording.white_level / 2)
+def _full(long: FrameStatistics, short: FrameStatistics | None) -> Bool[np.ndarray, "H W"]:
+    """Pixels that charge fills: those that are full in a short dark as well are stuck."""
+    full = long.clipped & (long.mean > long.recording.white_level / 2)
+    return full if short is None else full & ~(short.clipped & (short.mean > short.recording.white_level / 2))
 
 
 def _charge_and_law(
@@ -187,7 +189,7 @@ def _charge_and_law(
             charge = charge - np.median(charge, axis=axis, keepdims=True) + np.median(charge)
     # Means of pixels jump by codes where frames are coarse.
     least = 0.5 * step_of(long) / float(np.mean(baseline.gain)) if coarse(long) else 0.0
-    full = charge[_full(long)]
+    full = charge[_full(long, short)]
     values = charge[~long.clipped]
     top = float(np.median(full) - np.median(values)) if full.size else 0.0
     return charge, law_of(values, least=least, full=full.size, ceiling=max(top, 0.0))

@@ -25,10 +25,11 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     steady_pixels,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.quiet import TOO_FEW_CODES, coarse
 from cannoise_jax.physics.transfer.regions import uneven_noise
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.codes import code_histograms
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
