@@ -15,7 +15,7 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.bent import small_signal
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import light, maps, noise, particles
+from cannoise_jax.physics.transfer.estimators import light, maps, particles, telegraph
 from cannoise_jax.vocabulary import RMS, Term
 
 _JANESICK = "Janesick, Photon Transfer, SPIE Press 2007"
@@ -237,7 +237,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
                                     fixed="hot_additive", growing="hot_thermal"),
         ),
-        estimator=Estimator(noise.rts, law="telegraph", loud=noise.telegraph_sites,
+        estimator=Estimator(telegraph.rts, law="telegraph", loud=telegraph.telegraph_sites,
                             maps=measured.telegraph),
         examples=Examples("spread", shown={"jump_dn": 12.0, "fraction": 0.05}, dim=True,
                           strong={"jump_dn": 12.0, "fraction": 0.3},

@@ -25,8 +25,9 @@ from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_levels, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import charge, noise
+from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.estimators import glow as glows
+from cannoise_jax.physics.transfer.estimators import telegraph as telegraph_pixels
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
 from cannoise_jax.physics.transfer.estimators.pick import (
@@ -303,4 +304,4 @@ def telegraph(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"sites": noise.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}
+    return {"sites": telegraph_pixels.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}

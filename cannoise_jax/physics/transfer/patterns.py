@@ -38,7 +38,14 @@ from cannoise_jax.physics.transfer.spatial import (
     total_of,
 )
 from cannoise_jax.physics.transfer.unlit import UNLIT
-from cannoise_jax.physics.transfer.views import black_of, line_means, not_stuck, pixel_variance
+from cannoise_jax.physics.transfer.views import (
+    black_of,
+    line_means,
+    not_stuck,
+    pixel_variance,
+    quiet_mean_square,
+    quiet_pixels,
+)
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel
 
@@ -52,7 +59,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
     """Temporal variances of one channel of a repeated recording, for `spatial_split`. relative: of the
     signal, each frame divided by its mean above black, instead of DN."""
     rows, columns = line_means(s, c)
-    square, keep = robust_mean_square(pixel_variance(s, c), s.dof)
+    square, keep = quiet_mean_square(s, c)
     if relative:
         black = black_of(s.recording, c)
         level = s.frame_means[:, c] - black
@@ -66,8 +73,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
 def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
     if pattern_below_a_code(dark) or hidden_in_a_code(dark, step_of(dark), c):
         return NotMeasurable(BELOW_A_CODE)
-    _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
-    keep &= ~site(dark.clipped, c)
+    keep = quiet_pixels(dark, c) & ~site(dark.clipped, c)
     if not keep.any():
         return NotMeasurable(CUT_OFF)
     return spatial_split(site(dark.mean, c), keep, temporal_parts(dark, c))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
@@ -61,6 +62,36 @@ def line_means(s: FrameStatistics, channel: int) -> tuple[Float[np.ndarray, "T h
     if channel == ALL:
         return s.row_means.mean(-1), s.column_means.mean(1)
     return s.row_means[:, channel // 2 :: 2, channel % 2], s.column_means[:, channel // 2, channel % 2 :: 2]
+
+
+def unlike_sites(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
+    """The usual variance of the pixels of each mosaic site over that of all sites: of `ALL`, rows or columns
+    may take turns in noise; of one site 1."""
+    out = np.ones(site(s.mean, channel).shape)
+    if channel == ALL:
+        middles = np.array([float(np.median(pixel_variance(s, c))) for c in range(4)])
+        for c, middle in enumerate(middles):
+            site(out, c)[...] = middle / max(float(middles.mean()), 1e-12)
+    return out
+
+
+def quiet_mean_square(
+    s: FrameStatistics, channel: int, rounding: float = 0.0
+) -> tuple[float, Bool[np.ndarray, "h w"]]:
+    """Mean temporal variance of one channel by the outlier rule, DN^2, and the pixels kept; of `ALL` each
+    mosaic site by itself. rounding: see `fit.robust_mean_square`."""
+    if channel != ALL:
+        return robust_mean_square(pixel_variance(s, channel), s.dof, rounding=rounding)
+    squares, keep = [], np.zeros(s.mean.shape, bool)
+    for c in range(4):
+        square, site(keep, c)[...] = robust_mean_square(pixel_variance(s, c), s.dof, rounding=rounding)
+        squares.append(square)
+    return float(np.mean(squares)), keep
+
+
+def quiet_pixels(s: FrameStatistics, channel: int, rounding: float = 0.0) -> Bool[np.ndarray, "h w"]:
+    """Pixels of a repeated dark that the outlier rule keeps."""
+    return quiet_mean_square(s, channel, rounding)[1]
 
 
 def black_of(recording: Recording, channel: int) -> float:
