@@ -66,7 +66,8 @@ def rails(histogram: np.ndarray, step: float, white_level: float) -> tuple[float
     """Codes at which values pile up at the bottom and top of one channel's histogram, nan where none do.
 
     A pile-up: the end code holds at least 20 values and four times as many as any of the three codes next to
-    it on the lattice of `step`. The white level counts as the top whenever a value reaches it.
+    it on the lattice of `step`, and of the three that occur, which a table may put far apart. The white level
+    counts as the top whenever a value reaches it.
     """
     codes = np.flatnonzero(histogram)
     if not len(codes):
@@ -75,6 +76,7 @@ def rails(histogram: np.ndarray, step: float, white_level: float) -> tuple[float
     def piled(end: int, direction: int) -> bool:
         near = end + direction * step * np.arange(1, 4)
         near = near[(near >= 0) & (near < len(histogram))].astype(int)
+        near = np.concatenate([near, codes[::direction][1:4]])
         return histogram[end] >= 20 and histogram[end] > 4 * histogram[near].max(initial=0)
 
     low = float(codes[0]) if piled(codes[0], 1) else np.nan
