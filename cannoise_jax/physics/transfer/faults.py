@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark
+from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
 from cannoise_jax.physics.transfer.defects import defects_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import Line
@@ -63,10 +63,17 @@ def _uneven(statistics: Sequence[FrameStatistics]) -> str:
 
 
 def _longer(statistics: Sequence[FrameStatistics]) -> str:
-    """Which darks, far longer than the flats, the read noise is taken from; empty where shorter ones are."""
+    """Which darks of another exposure than the flats stand for some as long, or, far longer, tell the read
+    noise; empty where others do."""
     darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
     seconds, flat = [s.recording.exposure_s for s in darks], flat_seconds(statistics)
     known = [t for t in seconds if t is not None]
+    if instead := stand_in(statistics):
+        own, dark = instead
+        return (
+            f"flats of {own:g} s are measured above darks of {dark:g} s, whose dark charge counts as that of "
+            f"the flats: where it matters record darks of {own:g} s"
+        )
     # Of several exposures the dark current is told.
     if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
         return ""

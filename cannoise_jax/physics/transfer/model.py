@@ -30,6 +30,7 @@ from cannoise_jax.physics.transfer.estimators.loudness import explanation
 from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
+from cannoise_jax.physics.transfer.one_sensor import of_one_sensor
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
 from cannoise_jax.physics.transfer.table import aligned, format_outcome
 from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
@@ -203,7 +204,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
 
     Raises BadInput where no setting has a baseline, with what to record.
     """
-    measured = [(t, t.baseline) for t in transfers if isinstance(t.baseline, Baseline)]
+    measured = [(t, of_one_sensor(t, t.baseline)) for t in transfers if isinstance(t.baseline, Baseline)]
     if not measured:
         raise BadInput(_no_baseline(transfers))
     for finding in findings:
