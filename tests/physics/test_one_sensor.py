@@ -55,3 +55,22 @@ def test_a_dark_of_another_exposure_that_stands_for_one_as_long_is_said(dark_s, 
     statistics = [frame_statistics(r) for r in captures(dark_s=dark_s).recordings]
     assert stand_in(statistics) == ((1.0, dark_s) if said else None)
     assert ("dark charge counts as that of the flats" in faults(statistics).longer) == said
+
+
+def test_row_noise_of_even_and_odd_columns_leaves_no_other():
+    """Two converters read the even and the odd columns of a row, each with row noise of its own."""
+    rng = np.random.default_rng(9)
+    frames = 300 + 3 * rng.standard_normal((10, 96, 128))
+    for k in (0, 1):
+        frames[:, :, k::2] += 1.5 * rng.standard_normal((10, 96, 1))
+    flats = 300 + 0.5 * rng.poisson(3000, (6, 96, 128)) + 3 * rng.standard_normal((6, 96, 128))
+    own = [
+        Recording(np.rint(v).astype(np.uint16), "MONO", (300.0,) * 4, 4095.0, "c", kind, exposure_s=1.0)
+        for kind, v in (("dark", frames), ("flat", flats))
+    ]
+    transfers, findings = calibrate(CaptureSet("c", tuple(own)))
+    found = {f.mechanism: f for f in findings}
+    assert found["row_noise"].measured["sigma_dn"].value == pytest.approx(1.5, rel=0.06)
+    assert found["column_noise"].measured is None and found["dsnu"].measured is None
+    for pattern in of_all_pixels(transfers[0]).outcomes("DSNU1288", "DN"):
+        assert pattern.ci90[0] == 0

@@ -50,16 +50,18 @@ class TemporalParts:
     frames: int
 
 
-def temporal_mean_square(means: Float[np.ndarray, "T n"]) -> tuple[float, float]:
+def temporal_mean_square(means: Float[np.ndarray, "T n"], turns: int = 1) -> tuple[float, float]:
     """Temporal mean square of row (or column) means over frames, and its degrees of freedom.
 
-    What a frame does as a whole is taken out. Neighbours may be correlated, and values heavy-tailed: both
-    reduce the degrees of freedom.
+    What a frame does as a whole is taken out, and with turns = 2 what its even and its odd lines do: lines
+    across them that are read apart leave their mean there. Neighbours may be correlated, and values
+    heavy-tailed: both reduce the degrees of freedom.
     """
     frames, count = means.shape
     rest = means - means.mean(0)
-    rest = rest - rest.mean(1, keepdims=True)
-    plain = (frames - 1) * (count - 1)
+    for k in range(turns):
+        rest[:, k::turns] -= rest[:, k::turns].mean(1, keepdims=True)
+    plain = (frames - 1) * (count - turns)
     square = float(np.sum(rest**2) / plain)
     if square <= 0:
         return 0.0, float(plain)
@@ -81,12 +83,16 @@ def correlation_loss(rest: Float[np.ndarray, "T n"], lags: int = 8) -> float:
 
 
 def spatial_split(
-    pattern: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"], temporal: TemporalParts
+    pattern: Float[np.ndarray, "h w"],
+    keep: Bool[np.ndarray, "h w"],
+    temporal: TemporalParts,
+    turns: int = 1,
 ) -> Split:
     """Fixed-pattern variances of an average of frames, whose mean may be anything.
 
     keep: the pixels to use; the others are filled with their row and column means, and not counted, nor are
-    lines of nothing else.
+    lines of nothing else. turns: of columns (and rows) that have row (and column) means of their own, which
+    are not the pixels'.
     """
     centre = pattern[keep].mean() if keep.any() else 0.0
     offsets = np.where(keep, pattern - centre, 0.0)
@@ -94,7 +100,12 @@ def spatial_split(
     rows = offsets.sum(1, keepdims=True) / np.maximum(in_row, 1)
     columns = offsets.sum(0, keepdims=True) / np.maximum(in_column, 1)
     rest = np.where(keep, pattern - centre - rows - columns, 0.0)
-    inner = max(int(keep.sum() - (in_row > 0).sum() - (in_column > 0).sum() + 1), 1)
+    for k in range(turns if turns > 1 else 0):
+        for axis, part in ((1, np.s_[:, k::turns]), (0, np.s_[k::turns])):
+            number = np.maximum(keep[part].sum(axis, keepdims=True), 1)
+            rest[part] -= np.where(keep[part], rest[part].sum(axis, keepdims=True) / number, 0.0)
+    lines = turns * int((in_row > 0).sum() + (in_column > 0).sum())
+    inner = max(int(keep.sum()) - lines + turns**2, 1)
     interaction = float(np.sum(rest**2) / inner)
     frames = temporal.frames
     inner_dof = heavy_dof(rest[keep], inner)

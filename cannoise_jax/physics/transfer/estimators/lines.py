@@ -153,7 +153,7 @@ def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
 def line_noise(dark: FrameStatistics, axis: int) -> Estimate:
     """Temporal noise that whole rows (axis 0) or columns (axis 1) of repeated frames share, DN."""
     means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
-    square, dof = temporal_mean_square(means)
+    square, dof = temporal_mean_square(means, turns=2)
     groups = row_groups(dark) if axis == 0 else None
     if groups is not None:  # the likeness that thins them out is not that of a stationary sequence
         dof = min(dof, (len(means) - 1) * (means.shape[1] // groups[0]))
