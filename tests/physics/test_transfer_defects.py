@@ -11,7 +11,7 @@ from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
-from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 SIZE, GAIN, READ_E, BLACK, WHITE, PRNU = (96, 128), 0.8, 3.0, 120.0, 4095, 0.01
 
@@ -83,3 +83,21 @@ def test_no_defects_are_no_line(caplog):
     assert "of the pixels" not in caplog.text
     dead = next(f for f in findings if f.mechanism == "dead_pixels")
     assert dead.verdict == "not there" and MECHANISMS["dead_pixels"].estimator is not None
+
+
+def test_text_in_the_picture_is_told_from_darks_that_are_cut_off():
+    """The first is a part of the frame, the second is all over it."""
+    rng = np.random.default_rng(3)
+    text = rng.integers(0, 2, (6, 10, 60)) * 900.0
+
+    def written(codes, dark):
+        codes = codes.copy()
+        codes[:, 80:90, 20:80] = (
+            text[: len(codes)] if len(codes) <= 6 else np.tile(text, (2, 1, 1))[: len(codes)]
+        )
+        return codes
+
+    with pytest.raises(BadInput, match="all within rows 81 to 90, columns 21 to 80: text"):
+        calibrate(recordings(written))
+    with pytest.raises(BadInput, match="darks are cut off at 0"):
+        calibrate(recordings(lambda codes, dark: codes - BLACK))
