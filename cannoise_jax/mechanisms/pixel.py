@@ -13,7 +13,7 @@ from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Para
 from cannoise_jax.physics.core.mosaic_ops import cut_above, shifted
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer import maps as measured
-from cannoise_jax.physics.transfer.bent import small_signal
+from cannoise_jax.physics.transfer.bent import of_straight, small_signal
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import light, maps, particles, telegraph
 from cannoise_jax.vocabulary import RMS, Term
@@ -223,7 +223,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.curvature.curved(recorded, name="curvature", parameter="loss",
                                    covers=(*looks.SCALES, looks.BENT)),
         ),
-        estimator=Estimator(light.nonlinearity, least=3e-3, corrects=small_signal),
+        estimator=Estimator(light.nonlinearity, least=3e-3, corrects=small_signal, straight=of_straight),
         examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},
                           cases=(Case({"loss": 0.03}, LADDER),)),
     ),

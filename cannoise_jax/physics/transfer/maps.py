@@ -24,12 +24,18 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_levels, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimate import root
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.estimators import glow as glows
 from cannoise_jax.physics.transfer.estimators import telegraph as telegraph_pixels
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
-from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
+from cannoise_jax.physics.transfer.estimators.maps import (
+    column_part,
+    offset_pattern,
+    pixel_part,
+    response_pattern,
+)
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
     column_offsets,
@@ -207,7 +213,9 @@ def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     rest = seen.draw(found.pixels.shape)
     # Where there is less light a pixel shows less of its sensitivity, and of its shot noise by the root.
     light = np.maximum(found.light, 0.01)
-    field = shrunk(found.pixels / light, values["sigma"], found.noise / light, rest)
+    # Of the strength as it is recorded: a response that bends may have changed it.
+    sigma = root(pixel_part(found)).value or values["sigma"]
+    field = shrunk(found.pixels / light, sigma, found.noise / light, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 
@@ -219,7 +227,8 @@ def column_response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarr
     found = response_pattern(flat, dark_map(seen.statistics, flat))
     height, width = found.pixels.shape
     share = float(np.mean(found.pixels[found.keep] ** 2)) / height
-    field = shrunk(found.columns.mean(0), values["sigma"], share, seen.draw((width,)))
+    sigma = root(column_part(found)).value or values["sigma"]
+    field = shrunk(found.columns.mean(0), sigma, share, seen.draw((width,)))
     return {"field": field[None, None]}
 
 

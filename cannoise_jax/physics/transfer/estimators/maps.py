@@ -111,7 +111,7 @@ def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
         return repeated_darks(statistics)
     if hidden := pattern_below_a_code(dark):
         return NotMeasurable(hidden)
-    return {"sigma_dn": root(_pixel_part(offset_pattern(dark, grown(statistics, baseline, dark))))}
+    return {"sigma_dn": root(pixel_part(offset_pattern(dark, grown(statistics, baseline, dark))))}
 
 
 def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -120,7 +120,7 @@ def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     if flat is None:
         return REPEATED_FLATS
     dark = dark_map(statistics, flat)
-    pixels = _pixel_part(response_pattern(flat, dark))
+    pixels = pixel_part(response_pattern(flat, dark))
     return {"sigma": root(pixels.of_which(_unseen(statistics, flat, dark)))}
 
 
@@ -132,7 +132,7 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     if flat.recording.size[1] < _COLUMNS:
         return NotMeasurable(f"record frames of at least {_COLUMNS} columns")
     dark = dark_map(statistics, flat)
-    columns = _column_part(response_pattern(flat, dark))
+    columns = column_part(response_pattern(flat, dark))
     return {"sigma": root(columns.of_which(_unseen(statistics, flat, dark)))}
 
 
@@ -262,7 +262,7 @@ def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> t
     return pixels, columns
 
 
-def _pixel_part(pattern: Pattern) -> Estimate:
+def pixel_part(pattern: Pattern) -> Estimate:
     """Variance of the pixels' own fixed pattern."""
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
@@ -271,7 +271,7 @@ def _pixel_part(pattern: Pattern) -> Estimate:
     return variance_difference(square, heavy_dof(inside, count), pattern.noise, pattern.noise_dof)
 
 
-def _column_part(pattern: Pattern) -> Estimate:
+def column_part(pattern: Pattern) -> Estimate:
     """Variance of the fixed pattern of columns, both row parities of a column together."""
     means = pattern.columns.mean(0)
     height, width = pattern.pixels.shape
