@@ -50,6 +50,9 @@ from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, 
 
 _ENOUGH = 0.05
 """Share of the pixels of a channel that have to be left of a recording."""
+_MANY = 256
+"""Pixels that have to be left of a flat without those that are noisy in the dark: a line through fewer is
+better with them."""
 _TOLD = 4
 """Frames of a dark from which a pixel of three times the noise of the others is told, mostly."""
 
@@ -204,7 +207,8 @@ def _levels(
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
         usable = below_rail(s, c)
         if usable.mean() > _ENOUGH:
-            usable &= quiet if (usable & quiet).mean() > _ENOUGH else True
+            if (usable & quiet).sum() >= _MANY:
+                usable = usable & quiet
             levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
         # Charge that a longer dark holds beyond black has shot noise like any other.
