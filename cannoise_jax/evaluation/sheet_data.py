@@ -14,10 +14,11 @@ import numpy as np
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, with_all_sites
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channels_of, of_all_pixels
 from cannoise_jax.physics.transfer.table import format_outcome
+from cannoise_jax.physics.transfer.views import pixel_variance, with_all_sites
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK, per_channel
 

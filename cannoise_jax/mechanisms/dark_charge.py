@@ -277,7 +277,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("clock_induced_charge",
              "Spurious charge of the clocking, the same in every exposure time.",
-             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=33,
+             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=34,
              says_exposure=True),
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",

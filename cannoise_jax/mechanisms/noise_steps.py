@@ -230,7 +230,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("poisson_skew",
              "Shot noise is Poisson, with its skewness, where a Gaussian was assumed.",
-             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=31),
+             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=32),
         POISSON_SKEW,
         needs="a simulator whose shot noise is Gaussian (that of the baseline is Poisson)",
         examples=Examples("tail", shown={"strength": 0.0}, dim=True),

@@ -13,7 +13,7 @@ from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import maps
+from cannoise_jax.physics.transfer.estimators import dead, maps
 from cannoise_jax.recordings.packing import green_sites
 from cannoise_jax.vocabulary import FRACTION, Term
 
@@ -123,7 +123,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lens_shading",
              "Sensitivity falls smoothly towards the corners.",
-             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=36),
+             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=37),
         LENS_SHADING,
         needs="flats with a reference of the light falling on the sensor (clean)",
         signatures=lambda recorded: (
@@ -141,7 +141,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.patterns.pixel("signal", name="pixel_relative_static", parameter="sigma",
                 covers=looks.LIGHT_LEVELS),
         ),
-        estimator=Estimator(maps.prnu, least=1e-3, maps=measured.response),
+        estimator=Estimator(maps.prnu, least=1e-3, of_light=True, maps=measured.response),
         examples=Examples("spatial", shown={"sigma": 0.03}, strong={"sigma": 0.1},
                           cases=(Case({"sigma": 0.005}, FLAT),)),
     ),
@@ -155,7 +155,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.line_maps.frozen("column", "signal", name="column_relative_static", parameter="sigma",
                 covers=looks.LIGHT_LEVELS),
         ),
-        estimator=Estimator(maps.column_gain, least=3e-4, maps=measured.column_response),
+        estimator=Estimator(maps.column_gain, least=3e-4, of_light=True, maps=measured.column_response),
         examples=Examples("columns", shown={"sigma": 0.02}, strong={"sigma": 0.1},
                           cases=(Case({"sigma": 0.002}, FLAT),)),
     ),
@@ -176,12 +176,14 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dead_pixels",
              "A few pixels do not respond to light.",
-             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=37),
+             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=31),
         DEAD_PIXELS,
         needs="flats at two levels, with a hundred dead pixels or more in the frame",
         signatures=looks.always(
             looks.defects.dead(name="dead", lifted_by=imprints.NO_RESPONSE),
         ),
-        examples=Examples("mean", shown={"fraction": 0.003}, strong={"fraction": 0.1}),
+        estimator=Estimator(dead.dead_pixels, maps=dead.dead_map),
+        examples=Examples("mean", shown={"fraction": 0.003}, strong={"fraction": 0.1},
+                          cases=(Case({"fraction": 0.005}, FLAT),)),
     ),
 )  # fmt: skip

@@ -13,9 +13,9 @@ from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Para
 from cannoise_jax.physics.core.mosaic_ops import cut_above, shifted
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer import maps as measured
-from cannoise_jax.physics.transfer.bent import small_signal
+from cannoise_jax.physics.transfer.bent import of_straight, small_signal
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import light, maps, noise, particles
+from cannoise_jax.physics.transfer.estimators import light, maps, particles, telegraph
 from cannoise_jax.vocabulary import RMS, Term
 
 _JANESICK = "Janesick, Photon Transfer, SPIE Press 2007"
@@ -204,7 +204,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("excess_noise",
              "Random gain of an electron multiplier raises the shot noise.",
-             3, "sensor", "1", "excess noise factor F^2, minus one", listed=32),
+             3, "sensor", "1", "excess noise factor F^2, minus one", listed=33),
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
         signatures=looks.always(
@@ -223,7 +223,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.curvature.curved(recorded, name="curvature", parameter="loss",
                                    covers=(*looks.SCALES, looks.BENT)),
         ),
-        estimator=Estimator(light.nonlinearity, least=3e-3, corrects=small_signal),
+        estimator=Estimator(light.nonlinearity, least=3e-3, corrects=small_signal, straight=of_straight),
         examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},
                           cases=(Case({"loss": 0.03}, LADDER),)),
     ),
@@ -237,7 +237,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
                                     fixed="hot_additive", growing="hot_thermal"),
         ),
-        estimator=Estimator(noise.rts, law="telegraph", loud=noise.telegraph_sites,
+        estimator=Estimator(telegraph.rts, law="telegraph", loud=telegraph.telegraph_sites,
                             maps=measured.telegraph),
         examples=Examples("spread", shown={"jump_dn": 12.0, "fraction": 0.05}, dim=True,
                           strong={"jump_dn": 12.0, "fraction": 0.3},

@@ -331,7 +331,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dual_gain",
              "The conversion gain switches at an ISO or at a signal level.",
-             7, "sensor", "1", "relative step of the gain at the switch", listed=34),
+             7, "sensor", "1", "relative step of the gain at the switch", listed=35),
         DUAL_GAIN,
         needs="flats and darks at five ISO values or more",
         signatures=lambda recorded: (

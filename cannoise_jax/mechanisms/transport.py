@@ -139,7 +139,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("brighter_fatter",
              "Collected charge repels further charge: shot noise correlates.",
              12, "sensor", "1/e-", "minus a00: relative loss of shot-noise variance per electron",
-             listed=35),
+             listed=36),
         BRIGHTER_FATTER,
         needs="two frames or more of bright flats",
         signatures=looks.always(

@@ -102,7 +102,7 @@ def words(recording: Recording, found: Apart, number: Sequence[int]) -> str:
     """Which frames are of another noise than which others, and what they may be; number: of every frame as
     the file counts them, from 0."""
     odd, others = found.numbers, found.others
-    names = _short(recording.sources) if len(recording.sources) == recording.count else ()
+    names = short_names(recording.sources) if len(recording.sources) == recording.count else ()
     reason = " light reached them (they are brighter too), or" if found.lit else ""
     reason = " an average, or" if found.ratio < 1 else reason
     which = numbered([number[k] + 1 for k in odd])
@@ -115,7 +115,7 @@ def words(recording: Recording, found: Apart, number: Sequence[int]) -> str:
     )
 
 
-def _short(files: Sequence[str]) -> list[str]:
+def short_names(files: Sequence[str]) -> list[str]:
     """The files below the folder that holds them all."""
     parents = [Path(file).parent for file in files]
     shared = os.path.commonpath(parents) if len(set(parents)) > 1 else parents[0]

@@ -11,7 +11,8 @@ import numpy as np
 
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
-from cannoise_jax.recordings.one_noise import apart, numbered, words
+from cannoise_jax.recordings.one_light import odd_pictures, told
+from cannoise_jax.recordings.one_noise import apart, numbered, short_names, words
 from cannoise_jax.recordings.over_time import check_single_exposures
 from cannoise_jax.recordings.plausible import check_kinds
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
@@ -41,8 +42,9 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     unsteady: frames that are noisier than others stay, as long as no gain setting is that far from the next:
     they are what is looked for.
 
-    Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, and the
-    few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
+    Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, the few of
+    which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), and
+    the few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
     recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
     none at all, for frames that are too small, for a recording of frames of several noises none of which is
     the rule, for frames averaged over time (see `over_time`), for flats all darker than all darks, and where
@@ -60,6 +62,8 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     # First of all: of frames averaged over time the last ones look as if they had another noise.
     check_single_exposures([_some(recording, good) for recording, good, _ in judged if good])
     for recording, good, why in judged:
+        lines += why
+        good, why = (good, []) if unsteady else _of_one_picture(recording, good)
         lines += why
         good, why = _of_one_noise(recording, good, unsteady)
         lines += why
@@ -170,6 +174,19 @@ def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tupl
     if not found.few:
         raise BadInput(f"{line}: leave them out (--leave-out), or put them in a folder of their own")
     return [good[k] for k in found.others], [line]
+
+
+def _of_one_picture(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
+    """The frames of one picture among the good ones, and what parts of others are another."""
+    left = _some(recording, good) if good else recording
+    odd = odd_pictures(left) if good else []
+    names = short_names(left.sources) if len(left.sources) == left.count else ()
+    lines = []
+    for found in odd:
+        which = numbered([good[found.number] + 1]) + (f" ({names[found.number]})" if names else "")
+        lines.append(f"{recording.path or recording.camera}: {which}: {told(left, found)}")
+    dropped = {found.number for found in odd}
+    return [n for k, n in enumerate(good) if k not in dropped], lines
 
 
 def _check_size(recording: Recording) -> None:

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
@@ -14,7 +15,8 @@ from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms
-from cannoise_jax.recordings.recording import Recording, per_channel
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
+from cannoise_jax.recordings.recording import CaptureSet, Recording, per_channel
 
 TRUTH = {
     "heavy_tails": {"tukey_lambda": -0.1},
@@ -103,3 +105,50 @@ def test_a_strength_that_is_uncertain_by_more_than_its_range_is_not_measured():
     vague = dataclasses.replace(entry.estimator, measure=lambda *a: wide)
     (finding,) = find_mechanisms([], assumed_baseline(), [dataclasses.replace(entry, estimator=vague)])
     assert finding.verdict == "not looked for" and "more than its whole range" in finding.estimates.record
+
+
+LIT = (("dark", 0.0, 16), ("flat", 400.0, 6), ("flat", 1500.0, 6))
+
+
+def plain(noise, seed=5, size=(80, 96), gain=0.5):
+    """Findings and gain of a camera in plain NumPy. noise(rng, shape) -> noise in the dark, DN."""
+    rng = np.random.default_rng(seed)
+    taken = []
+    for kind, light, frames in LIT:
+        values = 300 + gain * rng.poisson(light, (frames, *size)) + noise(rng, (frames, *size))
+        codes = np.clip(np.rint(values), 0, 16383).astype(np.uint16)
+        taken.append(Recording(codes, "MONO", (300.0,) * 4, 16383.0, "plain", kind, exposure_s=1.0))
+    transfers, findings = calibrate(CaptureSet("plain", tuple(taken)))
+    table = of_all_pixels(transfers[0])
+    return {f.mechanism: f for f in findings}, {(q.name, q.unit): q.outcome for q in table.quantities}
+
+
+def test_rows_that_take_turns_in_noise_hold_no_jumps():
+    sigma = np.where(np.arange(80) % 2, 5.0, 2.0)[:, None]
+    found, table = plain(lambda rng, shape: sigma * rng.standard_normal(shape))
+    assert not found["rts"].measured and not found["pixel_read_noise_map"].measured
+    assert table["temporal dark noise", "DN"].value == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.01)
+    assert table["DSNU1288", "DN"].ci90[0] == 0
+
+
+def test_pixels_of_larger_gaussian_noise_do_not_jump_and_leave_the_gain():
+    loud = np.random.default_rng(6).random((80, 96)) < 0.06
+    sigma = np.where(loud, 7.5, 2.5)
+    found, table = plain(lambda rng, shape: sigma * rng.standard_normal(shape))
+    assert not found["rts"].measured and found["pixel_read_noise_map"].measured
+    gain = table["system gain", "DN/e-"]
+    assert abs(gain.value - 0.5) < 3 * gain.stderr and gain.stderr < 0.004
+
+
+def test_pixels_that_jump_to_one_side_are_no_particle_hits():
+    """1.5 % of pixels 25 DN up in a quarter of the frames."""
+    jumping = np.random.default_rng(7).random((80, 96)) < 0.015
+
+    def noise(rng, shape):
+        return 2 * rng.standard_normal(shape) + 25 * jumping * (rng.random(shape) < 0.25)
+
+    found, _ = plain(noise)
+    assert isinstance(found["cosmic_rays"].estimates, NotMeasurable) and not found["hot_pixels"].measured
+    assert found["rts"].measured["jump_dn"].value == pytest.approx(25, rel=0.02)
+    assert found["rts"].measured["fraction"].value == pytest.approx(jumping.mean(), rel=0.1)
+    assert not found["pixel_read_noise_map"].measured

@@ -9,8 +9,9 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.physics.transfer.ends import rails
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, variance_difference
-from cannoise_jax.physics.transfer.frames import frame_statistics, rails
+from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
 from cannoise_jax.physics.transfer.table import format_transfer

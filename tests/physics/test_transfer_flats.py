@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
-from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.mechanisms import LISTED, MECHANISMS
+from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.full_well import full_signal
+from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer, transfer_at
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
@@ -139,3 +142,25 @@ def test_steady_light_that_is_dim_does_not_flicker(electrons, read_dn, size):
     (transfer,) = photon_transfer(CaptureSet("dim", tuple(own)))
     for rows in transfer.outcomes("PRNU1288, rows"):
         assert not isinstance(rows, NotMeasurable)
+
+
+def test_sensitivities_are_those_before_the_response_bends():
+    """At white a quarter of the slope is lost: the brightest flat shows less of the sensitivities than there
+    is, and a model that bends the light again has them once."""
+    full = (4095 - BLACK) / GAIN
+    camera = Camera(8, curve=lambda x: x * (1 - 0.12 * x / full))
+    statistics = [camera.taken("flat", 1500.0 * t, t) for t in (0.5, 1.0, 2.0, 3.0, 4.0)]
+    statistics += [camera.taken("dark", 0.0, t, 12) for t in (0.5, 4.0)]
+    statistics = transfer_at(statistics)
+    findings = find_mechanisms(statistics.statistics, statistics.baseline, LISTED)
+    found = {f.mechanism: f.measured for f in findings}
+    assert found["nonlinearity"]["loss"].value == pytest.approx(0.12, rel=0.05)
+    low, high = found["prnu"]["sigma"].ci90
+    truth = camera.response.std()
+    assert low - 0.01 * truth < truth < high + 0.01 * truth
+    model = sensor_model([statistics], findings)
+    light = np.full(SIZE, 6000.0 * GAIN / (4095 - BLACK))
+    drawn = np.asarray(model.sample(jax.random.key(2), light, Settings(100.0, 1.0, frames=8)))
+    recorded = next(s for s in statistics.statistics if s.recording.exposure_s == 4.0).recording.frames
+    spread = [np.asarray(f, float).mean(0).std() for f in (drawn, recorded)]
+    assert spread[0] == pytest.approx(spread[1], rel=0.1)

@@ -8,7 +8,7 @@ import pytest
 
 from cannoise_jax.mechanisms.coverage import assumed_baseline
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
-from cannoise_jax.physics.transfer.estimators import maps, noise, particles
+from cannoise_jax.physics.transfer.estimators import maps, noise, particles, telegraph
 from cannoise_jax.physics.transfer.estimators.neighbours import in_camera_denoising
 from cannoise_jax.physics.transfer.estimators.spectra import pink_noise
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -58,7 +58,7 @@ def test_hits_are_taken_out_and_noise_stays(count, gain, per_frame):
     s = frame_statistics(own)
     assert np.sqrt(s.variance.mean()) == pytest.approx(np.sqrt((4 * gain) ** 2 + 1 / 12), rel=0.03)
     if count >= 8:
-        assert isinstance(noise.rts([s], baseline(gain, 4.0)), NotMeasurable)
+        assert isinstance(telegraph.rts([s], baseline(gain, 4.0)), NotMeasurable)
         assert abs(in_camera_denoising([s])["weight"].value) < 0.01
         assert pink_noise([s])["sigma_dn"].value < 0.3 * 4 * gain
 
@@ -112,7 +112,7 @@ def test_hot_pixels_are_no_telegraph_pixels_nor_noisy_ones(gain, read, heat):
         10, 16, gain, read, charge=np.where(rng.random(SIZE) < 0.01, rng.exponential(heat, SIZE), 0)
     )
     s, base = frame_statistics(own), baseline(gain, read)
-    assert isinstance(noise.rts([s], base), NotMeasurable)
+    assert isinstance(telegraph.rts([s], base), NotMeasurable)
     assert noise.heavy_tails([s], base)["tukey_lambda"].value == pytest.approx(0.135, abs=0.02)
     assert maps.pixel_read_noise_map([s], base)["spread"].value < 0.08
 
@@ -121,6 +121,6 @@ def test_telegraph_pixels_are_found_beside_hot_ones():
     rng = np.random.default_rng(11)
     hot = np.where(rng.random(SIZE) < 0.01, rng.exponential(300, SIZE), 0)
     own, _ = dark(12, 16, charge=hot, jumps=50.0)
-    found = noise.rts([frame_statistics(own)], baseline(0.8, 4.0))
+    found = telegraph.rts([frame_statistics(own)], baseline(0.8, 4.0))
     assert found["jump_dn"].value == pytest.approx(40.0, rel=0.1)
     assert found["fraction"].value == pytest.approx(0.02, rel=0.3)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cannoise_jax.physics.transfer.response import response_of
 from cannoise_jax.physics.transfer.spatial import (
     TemporalParts,
     correlation_loss,
@@ -14,9 +15,31 @@ from cannoise_jax.physics.transfer.spatial import (
 def test_shading_keeps_pixels_and_takes_the_slope():
     y, x = np.mgrid[-1:1:64j, -1:1:96j]
     surface = 1 + 0.3 * x - 0.2 * y * x + 0.1 * y**2
-    assert np.abs(shading(surface) - surface).max() < 1e-3
+    assert np.abs(shading(surface).surface - surface).max() < 1e-9
     noise = np.random.default_rng(12).normal(size=(64, 96))
-    assert shading(noise).std() < 0.1
+    found = shading(noise)
+    assert found.surface.std() < 0.1 and found.degree == 4
+
+
+def test_dark_corners_are_no_pattern():
+    """cos^4 down to a fifth of the light, and 1 % of sensitivities under it."""
+    y, x = np.mgrid[-1:1:120j, -1:1:160j]
+    light = 0.2 ** ((y**2 + x**2) / 2)
+    found = shading(light / light.mean())
+    assert found.degree > 4 and np.abs(found.surface - light / light.mean()).max() < 3e-3
+    patterns = 1 + 0.01 * np.random.default_rng(3).standard_normal((5, *light.shape))
+    for gains in light * patterns / light.mean():
+        response = response_of(gains, np.ones(light.shape, bool))
+        spread = np.sqrt(np.mean(response.pattern**2) / response.square)
+        assert abs(spread - 0.01) < 3 * 0.01 / np.sqrt(light.size)
+
+
+def test_pixels_that_answer_oddly_bend_no_light():
+    rng = np.random.default_rng(4)
+    gains = 1 + 0.005 * rng.standard_normal((80, 100))
+    odd = rng.random(gains.shape) < 0.01
+    response = response_of(np.where(odd, 0.02, gains), np.ones(gains.shape, bool))
+    assert np.array_equal(~response.keep, odd) and np.abs(response.light - 1).max() < 2e-3
 
 
 def test_correlation_thins_out_degrees_of_freedom():

@@ -3,6 +3,7 @@
 Photon transfer fits a straight line of variance over mean. Where the mean signal is y = x (1 - a x / S) of
 the linear signal x (DN, S from black to white, `nonlinearity`), the variance is K x (1 - 2 a x / S)^2: the
 slope of the line is smaller than K, the gain of small signals, which a camera model with that mechanism has.
+Where pixels differ in sensitivity by a share p, y differs by the share p (1 - 2 a x / S) / (1 - a x / S).
 """
 
 from __future__ import annotations
@@ -14,8 +15,21 @@ import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate
+from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.rails import LINEAR
+
+
+def of_straight(
+    statistics: Sequence[FrameStatistics], baseline: Baseline, estimates: Mapping[str, Estimate]
+) -> float:
+    """By what factor sensitivities differ more than the brightest flat shows, on which they are measured."""
+    flat, loss = brightest_flat(statistics), estimates["loss"].value
+    if flat is None:
+        return 1.0
+    share = float(np.mean(np.asarray(flat.level) / (baseline.white_level - baseline.black_level)))
+    root = np.sqrt(max(1 - 4 * loss * share, 0.01))
+    return float((1 + root) / 2 / root)
 
 
 def small_signal(

@@ -177,6 +177,23 @@ def black_at(
     )  # fmt: skip
 
 
+def stand_in(statistics: Sequence[FrameStatistics]) -> tuple[float, float] | None:
+    """The exposure of a flat and that of the dark, up to twice as long or short, that stands for one as long:
+    the first of which that is so; None where darks tell the black level of all."""
+    darks = [s for s in statistics if s.recording.kind in DARK]
+    repeated = [s for s in darks if s.variance is not None]
+    times = {t for s in darks if (t := _seconds(s.recording)) is not None}
+    least = _least_seconds(darks)
+    for seconds in sorted({s.recording.exposure_s or 0.0 for s in statistics if s.recording.kind == "flat"}):
+        dark = _nearest(darks, seconds or None)
+        own = None if dark is None else _seconds(dark.recording)
+        if not seconds or own is None or len(times) >= 3 or _between(repeated, seconds):
+            continue
+        if not alike(own, seconds, _SAME, least) and alike(own, seconds, _ALIKE, _SHORT_S):
+            return seconds, own
+    return None
+
+
 def _excess(dark: FrameStatistics, reference: FrameStatistics) -> PerChannel | None:
     """Variance of the pixels of a dark beyond that of the reference dark, DN^2; each without pixels that are
     far noisier than the others."""

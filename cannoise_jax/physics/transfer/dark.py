@@ -20,8 +20,9 @@ from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.dark_pixels import FAR, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.fit import median_quotient, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, dither
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 
 RECORD = (

@@ -25,6 +25,9 @@ _LEAST_NATS = 12.0
 """Log likelihood that a part of a law has to gain: ln n of a frame of a tenth of a megapixel."""
 MOST_HOT = 0.5
 """Share of hot pixels, the largest: of more of them the others would be cold."""
+_STAND_OUT = 0.25
+"""Of the hot pixels of a law, how many have to be more likely hot than ordinary: of real ones half and more
+are, of the tail of ordinary pixels, where it is no quite log-normal one, a twentieth to a tenth."""
 _STRAY = 1e-6
 """Share of pixels that may be anywhere, so that one that is dead decides nothing."""
 _CELL = 32
@@ -144,7 +147,8 @@ def law_of(
         # Of full pixels a law without hot ones has no place, so that these always count.
         if full:
             law = law._replace(nats=np.inf)
-        told = full > 0 or (law.nats > _LEAST_NATS and number >= _FEW)
+        least = max(_FEW, _STAND_OUT * law.fraction * (full + values.size))
+        told = full > 0 or (law.nats > _LEAST_NATS and number >= least)
         return (beside[0], law, *beside[2:]) if told else bare
 
     normal, skewed = best(False), best(True)

@@ -51,7 +51,9 @@ class Estimator:
       placed(estimates, dark) -> its place, where that is not the usual one. beside(estimates, point, dark) ->
       whether a mechanism at that place makes what it sees. maps(parameters, seen) -> frozen maps of the unit
       that was recorded.
-    corrects(baseline, statistics, estimates) -> the baseline that a model with it has.
+    corrects(baseline, statistics, estimates) -> the baseline that a model with it has. of_light: the strength
+      is a share of the light as it was recorded. straight(statistics, baseline, estimates) -> by what factor
+      such a share is larger of the light itself, where this bends the response.
     """
 
     measure: Callable[..., Estimates]
@@ -73,6 +75,8 @@ class Estimator:
     beside: Callable[[Measured, Point, FrameStatistics], bool] | None = None
     maps: Callable[..., dict[str, np.ndarray]] | None = None
     corrects: Callable[[Baseline, Statistics, Measured], Baseline] | None = None
+    of_light: bool = False
+    straight: Callable[[Statistics, Baseline, Measured], float] | None = None
 
     def __call__(self, statistics: Statistics, baseline: Baseline) -> Estimates:
         """The estimates of `measure`."""

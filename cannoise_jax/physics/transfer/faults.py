@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark
+from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
+from cannoise_jax.physics.transfer.defects import defects_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -27,7 +28,7 @@ class Faults(NamedTuple):
     cut_off: darks show neither read noise nor black level. unlike: flats and darks are of two gains. moves:
     scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
-    uneven: it differs between parts of the frame.
+    uneven: it differs between parts of the frame. defects: pixels that show nothing.
     """
 
     cut_off: str = ""
@@ -38,6 +39,7 @@ class Faults(NamedTuple):
     unlit: str = ""
     longer: str = ""
     uneven: str = ""
+    defects: str = ""
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -51,7 +53,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     parted = without_unlit(statistics)
     return Faults(
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
-        unlit_line(parted), _longer(statistics), _uneven(parted),
+        unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
     )  # fmt: skip
 
 
@@ -61,10 +63,17 @@ def _uneven(statistics: Sequence[FrameStatistics]) -> str:
 
 
 def _longer(statistics: Sequence[FrameStatistics]) -> str:
-    """Which darks, far longer than the flats, the read noise is taken from; empty where shorter ones are."""
+    """Which darks of another exposure than the flats stand for some as long, or, far longer, tell the read
+    noise; empty where others do."""
     darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
     seconds, flat = [s.recording.exposure_s for s in darks], flat_seconds(statistics)
     known = [t for t in seconds if t is not None]
+    if instead := stand_in(statistics):
+        own, dark = instead
+        return (
+            f"flats of {own:g} s are measured above darks of {dark:g} s, whose dark charge counts as that of "
+            f"the flats: where it matters record darks of {own:g} s"
+        )
     # Of several exposures the dark current is told.
     if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
         return ""

@@ -44,7 +44,8 @@ its square, 9 %, and three errors reach zero."""
 class ChannelMaps(NamedTuple):
     """One channel of one recording: signal above dark and temporal variance of every pixel, DN and DN^2.
 
-    known_signal: the signal is known not to vary (darks: zero), so its map carries no error.
+    known_signal: the signal is known not to vary (darks: zero), so its map carries no error. unlike: by what
+    factor the variance of a pixel is that of all, where kinds of pixels are known to differ.
     """
 
     signal: Float[np.ndarray, "h w"]
@@ -53,6 +54,7 @@ class ChannelMaps(NamedTuple):
     frames: int
     dof: float
     known_signal: bool
+    unlike: Float[np.ndarray, "h w"] | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def _block_sums(
     """Normal equations of each block of the image: [B, 2, 2] and [B, 2] for (offset, slope)."""
     cut, loss = cut_and_loss(level.dof)
     fitted = np.maximum(slope * level.signal + offset, max(0.1 * offset, rounding, 1e-9))
-    keep = level.usable & (level.variance <= cut * np.maximum(fitted, HALF_A_CODE * rounding))
+    keep = level.usable & (level.variance <= cut * np.maximum(fitted * level.unlike, HALF_A_CODE * rounding))
     weight = np.where(keep, level.dof / fitted**2, 0.0)
     variance = level.variance / loss
     signal = level.signal

@@ -13,18 +13,19 @@ difference); all others use the sample variance over frames. Memory does not gro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.ends import Extremes, lowest_share, rails, stuck_pixels, without_stuck
 from cannoise_jax.physics.transfer.hits import Hits, without_hits
 from cannoise_jax.recordings.codes import code_histograms, code_lattice
 from cannoise_jax.recordings.metadata import chunks
-from cannoise_jax.recordings.packing import ALL, site
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
 
 _CHUNK_BYTES = 1 << 23
@@ -45,6 +46,8 @@ class FrameStatistics:
     lowest: share of the values of each channel at its lowest code, without pixels that are 0 in every frame,
       which are masked or dead; 0 where that code is neither 0 nor `low`.
     clipped: pixels that touched such a code, or the white level, or were hit by a particle, in any frame.
+    stuck: pixels at an end of the codes in every frame, far from the level of the others (`ends`), among
+      `clipped`; no means but `mean` hold them. None where there are none.
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
       never change, likewise; None where there are none.
@@ -74,60 +77,7 @@ class FrameStatistics:
     dead: Bool[np.ndarray, "H W"] | None = None
     dark_s: float | None = None
     shot: Float[np.ndarray, "H W"] | None = None
-
-
-def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
-    """Temporal variance of the pixels of one channel. Raises ValueError for a single frame."""
-    if s.variance is None:
-        raise ValueError("one frame has no temporal variance: at least two are needed")
-    return site(s.variance, channel)
-
-
-def with_all_sites(s: FrameStatistics) -> FrameStatistics:
-    """The statistics with one more channel, `ALL`: the pixels of the four sites together."""
-    own: dict[str, Any] = {
-        "frame_means": np.concatenate([s.frame_means, s.frame_means.mean(1, keepdims=True)], 1),
-        "level": (*s.level, float(np.mean(s.level))),
-        # A code at which one site piles up is an end of all.
-        "low": (*s.low, _end(s.low, min)),
-        "high": (*s.high, _end(s.high, max)),
-        "lowest": (*s.lowest, float(np.mean(s.lowest))),
-    }
-    return replace(s, **own)
-
-
-def _end(codes: PerChannel, pick: Callable[[list[float]], float]) -> float:
-    known = [c for c in codes if np.isfinite(c)]
-    return pick(known) if known else float("nan")
-
-
-def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], gain: float) -> FrameStatistics:
-    """The statistics without charge that every frame holds, DN; the recording keeps it, and all keep its shot
-    noise, which stands in `shot` then. gain: DN/e-."""
-    rows = np.stack([added[:, p::2].mean(1) for p in (0, 1)], -1)
-    columns = np.stack([added[p::2].mean(0) for p in (0, 1)])
-    means = np.array([float(site(added, c).mean()) for c in range(4)])
-    own: dict[str, Any] = {
-        "mean": s.mean - added,
-        "frame_means": s.frame_means - means,
-        "row_means": s.row_means - rows,
-        "column_means": s.column_means - columns,
-        "level": per_channel(np.asarray(s.level) - means),
-        "shot": gain * added if s.shot is None else s.shot + gain * added,
-    }
-    return replace(s, **own)
-
-
-def line_means(s: FrameStatistics, channel: int) -> tuple[Float[np.ndarray, "T h"], Float[np.ndarray, "T w"]]:
-    """Means of the rows and of the columns of one channel in every frame."""
-    if channel == ALL:
-        return s.row_means.mean(-1), s.column_means.mean(1)
-    return s.row_means[:, channel // 2 :: 2, channel % 2], s.column_means[:, channel // 2, channel % 2 :: 2]
-
-
-def black_of(recording: Recording, channel: int) -> float:
-    """The black level that a recording states for one channel, DN."""
-    return float(np.mean(recording.black_level)) if channel == ALL else recording.black_level[channel]
+    stuck: Bool[np.ndarray, "H W"] | None = None
 
 
 def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
@@ -192,17 +142,30 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     if min(recording.size) < 4:
         raise ValueError(f"frames of {recording.size} pixels are too small for statistics")
     recording, hits = without_hits(recording)
-    rows, columns, histograms = _first_pass(recording)
+    rows, columns, histograms, seen = _first_pass(recording)
     step = recording.code_step
     if step is None:
         step = code_lattice(histograms.sum(0)).step
-    low, high = zip(*(rails(h, max(step, 1.0), recording.white_level) for h in histograms), strict=True)
+    stuck, others = np.zeros(recording.size, bool), histograms
+    if recording.count > 1 and recording.kind != "scene":
+        frame = np.asarray(recording.frames[:1])[0].astype(np.float64)
+        stuck = stuck_pixels(frame, seen, max(step, 1.0))
+        rows, columns = without_stuck(rows, columns, frame, stuck)
+        held = [site(frame, c)[site(stuck, c)].astype(np.int64) for c in range(4)]
+        others = histograms - recording.count * np.stack([np.bincount(v, minlength=1 << 16) for v in held])
+    ends = (max(step, 1.0), recording.white_level)
+    # Stuck pixels at the top show where codes end; at the bottom they are masked, and cut nothing off.
+    high = [rails(h, *ends)[1] for h in histograms]
+    low = [rails(h, *ends)[0] for h in others]
     signal = _row_signal(recording, rows)
     relative = _is_lit(recording, signal)
     mean, variance, total, clipped = _second_pass(recording, rows, columns, relative, low, high)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
     count = recording.count
-    lowest = [_lowest(h, low[c], int((site(mean, c) == 0).sum()) * count) for c, h in enumerate(histograms)]
+    dead = [count * int((site((mean == 0) & ~stuck, c)).sum()) for c in range(4)]
+    lowest = [lowest_share(h, low[c], dead[c]) for c, h in enumerate(others)]
+    clipped |= stuck
+    variance, total = (v if v is None else _filled(v, stuck) for v in (variance, total))
     dof = 2 * (count - 1) ** 2 / (3 * count - 4) if recording.kind == "scene" and count > 1 else count - 1.0
     level = per_channel(frame_means.mean(0) - np.asarray(recording.black_level))
     if hits is not None:
@@ -210,47 +173,30 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     return FrameStatistics(
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
-        per_channel(np.array(lowest)), clipped, hits,
+        per_channel(np.array(lowest)), clipped, hits, stuck=stuck if stuck.any() else None,
     )  # fmt: skip
 
 
-def rails(histogram: np.ndarray, step: float, white_level: float) -> tuple[float, float]:
-    """Codes at which values pile up at the bottom and top of one channel's histogram, nan where none do.
-
-    A pile-up: the end code holds at least 20 values and four times as many as any of the three codes next to
-    it on the lattice of `step`. The white level counts as the top whenever a value reaches it.
-    """
-    codes = np.flatnonzero(histogram)
-    if not len(codes):
-        return np.nan, np.nan
-
-    def piled(end: int, direction: int) -> bool:
-        near = end + direction * step * np.arange(1, 4)
-        near = near[(near >= 0) & (near < len(histogram))].astype(int)
-        return histogram[end] >= 20 and histogram[end] > 4 * histogram[near].max(initial=0)
-
-    low = float(codes[0]) if piled(codes[0], 1) else np.nan
-    high = float(codes[-1]) if piled(codes[-1], -1) else np.nan
-    if codes[-1] >= white_level:
-        high = min(float(white_level), high) if np.isfinite(high) else float(white_level)
-    return low, high
+def _filled(variance: Float[np.ndarray, "H W"], stuck: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """With the median of their channel for stuck pixels, which show no noise: so they neither raise nor lower
+    that of the others."""
+    if stuck.any():
+        for c in range(4):
+            values, held = site(variance, c), site(stuck, c)
+            values[held] = np.median(values[~held])
+    return variance
 
 
-def _lowest(histogram: np.ndarray, low: float, dead: int) -> float:
-    """Share of the values at code 0, or at `low`; dead: values 0 of pixels that are never anything else."""
-    end = 0 if np.isnan(low) else int(low)
-    dead = dead if end == 0 else 0
-    return float((histogram[end] - dead) / max(histogram.sum() - dead, 1))
-
-
-def _first_pass(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _first_pass(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, Extremes]:
     rows, columns, histograms = [], [], np.zeros((4, 1 << 16), np.int64)
+    lowest, highest = np.full(recording.size, np.inf), np.full(recording.size, -np.inf)
     for part in chunks(recording.frames, _CHUNK_BYTES):
         histograms += code_histograms(part)
         values = part.astype(np.float64)
         rows.append(np.stack([values[..., p::2].mean(-1) for p in (0, 1)], -1))
         columns.append(np.stack([values[:, p::2].mean(1) for p in (0, 1)], 1))
-    return np.concatenate(rows), np.concatenate(columns), histograms
+        lowest, highest = np.minimum(lowest, part.min(0)), np.maximum(highest, part.max(0))
+    return np.concatenate(rows), np.concatenate(columns), histograms, Extremes(lowest, highest)
 
 
 def _is_lit(recording: Recording, signal: Float[np.ndarray, "T H 2"]) -> bool:

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.views import pixel_variance
 
 _COLLAPSED = 0.25
 """Variance of a full flat over that of a dimmer one, at most: shot noise grows with the signal, and of a

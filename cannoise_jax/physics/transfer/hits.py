@@ -49,6 +49,9 @@ _ENOUGH = 6
 """Frames from which the two highest values of a pixel can be spared to tell its noise."""
 _BY_CHANCE = 1e-5
 """Chance of as many far above as there are, were those far below as many."""
+_OVERLAP = 2.0
+"""Pairs of hits, half of the square of their number, and how often a hit overlaps another within four times
+its own area."""
 _MOST = 0.05
 """Share of a frame that particles hit at most: what is more is another exposure, a ghost or a light."""
 _MOST_PIXELS = 0.5
@@ -92,10 +95,12 @@ def without_hits(recording: Recording) -> tuple[Recording, Hits | None]:
 
 class _Rest(NamedTuple):
     """Of every pixel: the frame in which it is highest (or lowest), by how much, DN, above the mean of its
-    other frames, that mean, and the variance of those (0 where they are too few)."""
+    other frames, that mean, and the variance of those (0 where they are too few). again: by how much the next
+    highest value is, where those others are without it too; else 0."""
 
     frame: Int[np.ndarray, "H W"]
     away: Float[np.ndarray, "H W"]
+    again: Float[np.ndarray, "H W"]
     mean: Float[np.ndarray, "H W"]
     variance: Float[np.ndarray, "H W"]
 
@@ -110,7 +115,7 @@ def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None
     step = _step(recording)
     noise = _noise(recording, up, step)
     above, below = up.away / noise, -down.away / _noise(recording, down, step)
-    far = _of_particles(up, above, below)
+    far = _of_particles(up, above, up.again / noise, below)
     shares = np.bincount(up.frame[far], minlength=recording.count) / far.size
     if not shares.any() or shares.max() > _MOST:
         return None
@@ -131,10 +136,18 @@ def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None
     return places, np.concatenate(charges)
 
 
-def _of_particles(up: _Rest, above: np.ndarray, below: np.ndarray) -> Bool[np.ndarray, "H W"]:
+def _of_particles(
+    up: _Rest, above: np.ndarray, again: np.ndarray, below: np.ndarray
+) -> Bool[np.ndarray, "H W"]:
     """Which pixels were hit, by how many standard deviations the highest value of each lies above its others,
-    and the lowest below."""
+    the next highest too, and the lowest below."""
     far, deep = above > _FAR, below[below > _FAR]
+    # Particles hit the same pixels twice by chance alone; pixels that jump do it again, and as high.
+    twice = again > _FAR
+    (_, times), (_, number) = ndimage.label(twice, np.ones((3, 3))), ndimage.label(far, np.ones((3, 3)))
+    if stats.poisson.sf(times - 1, _OVERLAP * number * float(far.mean())) < _BY_CHANCE:
+        deep = np.concatenate([deep, above[twice]])
+        far = far & ~twice
     least = max(_MIRRORED * float(np.quantile(deep, _DEEPEST)), _FAR) if len(deep) else _FAR
     if stats.binom.sf(far.sum() - 1, far.sum() + len(deep), 0.5) > _BY_CHANCE:
         least *= _BEYOND_DOUBT
@@ -190,7 +203,8 @@ def _extremes(recording: Recording) -> tuple[_Rest, _Rest]:
         left_out = values[:spared]
         mean = (total - left_out.sum(0)) / others
         squares = square - (left_out**2).sum(0) - others * mean**2
-        return _Rest(frame, values[0] - mean, mean + level, np.maximum(squares, 0.0) / others)
+        again = values[1] - mean if spared > 1 else np.zeros(size)
+        return _Rest(frame, values[0] - mean, again, mean + level, np.maximum(squares, 0.0) / others)
 
     return rest(most, highest), rest(least, lowest)
 

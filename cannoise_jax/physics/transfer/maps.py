@@ -24,11 +24,18 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_levels, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.physics.transfer.estimate import root
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import charge, noise
+from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.estimators import glow as glows
+from cannoise_jax.physics.transfer.estimators import telegraph as telegraph_pixels
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
-from cannoise_jax.physics.transfer.estimators.maps import offset_pattern, response_pattern
+from cannoise_jax.physics.transfer.estimators.maps import (
+    column_part,
+    offset_pattern,
+    pixel_part,
+    response_pattern,
+)
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
     column_offsets,
@@ -38,8 +45,9 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     without_step,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 
 Statistics = Sequence[FrameStatistics]
@@ -66,7 +74,8 @@ def _is_charge(fitted: Fitted) -> bool:
 
 def _is_heat(fitted: Fitted) -> bool:
     """Whether it adds dark charge to few pixels, which the read noise leaves out."""
-    return _is_charge(fitted) and fitted.record.point.distribution == "sparse"
+    point = fitted.record.point
+    return _is_charge(fitted) and point.distribution == "sparse" and point.combine == "add"
 
 
 def _jumps(fitted: Fitted) -> bool:
@@ -168,7 +177,9 @@ def _in_electrons(fitted: Fitted, factor: float) -> Fitted:
     return dataclasses.replace(fitted, parameters=changed)
 
 
-def shrunk(shown: np.ndarray, sigma: float, noise_variance: float, rest: np.ndarray) -> np.ndarray:
+def shrunk(
+    shown: np.ndarray, sigma: float, noise_variance: float | np.ndarray, rest: np.ndarray
+) -> np.ndarray:
     """A pattern in units of its rms `sigma`: the seen one shrunk by its noise, filled up with standard normal
     numbers `rest`."""
     share = sigma**2 / (sigma**2 + noise_variance)
@@ -200,7 +211,11 @@ def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
         return {}
     found = response_pattern(flat, dark_map(seen.statistics, flat))
     rest = seen.draw(found.pixels.shape)
-    field = shrunk(found.pixels, values["sigma"], found.noise, rest)
+    # Where there is less light a pixel shows less of its sensitivity, and of its shot noise by the root.
+    light = np.maximum(found.light, 0.01)
+    # Of the strength as it is recorded: a response that bends may have changed it.
+    sigma = root(pixel_part(found)).value or values["sigma"]
+    field = shrunk(found.pixels / light, sigma, found.noise / light, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 
@@ -212,7 +227,8 @@ def column_response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarr
     found = response_pattern(flat, dark_map(seen.statistics, flat))
     height, width = found.pixels.shape
     share = float(np.mean(found.pixels[found.keep] ** 2)) / height
-    field = shrunk(found.columns.mean(0), values["sigma"], share, seen.draw((width,)))
+    sigma = root(column_part(found)).value or values["sigma"]
+    field = shrunk(found.columns.mean(0), sigma, share, seen.draw((width,)))
     return {"field": field[None, None]}
 
 
@@ -297,4 +313,4 @@ def telegraph(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"sites": noise.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}
+    return {"sites": telegraph_pixels.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}

@@ -30,6 +30,7 @@ from cannoise_jax.physics.transfer.estimators.loudness import explanation
 from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
+from cannoise_jax.physics.transfer.one_sensor import of_one_sensor
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
 from cannoise_jax.physics.transfer.table import aligned, format_outcome
 from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
@@ -93,6 +94,7 @@ def find_mechanisms(
         for rival in finding.estimator.gives_way_to:
             if finding.measured and rival in found and found[rival].measured:
                 found[id] = finding._replace(verdict="explained by", because=rival)
+    found |= _of_the_light(found, statistics, baseline)
     dark = darkest(statistics)
     if dark is not None:
         found |= _causes(found, dark, statistics, baseline)
@@ -100,6 +102,24 @@ def find_mechanisms(
         elsewhere = {id: f.point for id, f in found.items() if f.point is not None}
         found = {id: _beside(finding, elsewhere, dark) for id, finding in found.items()}
     return tuple(found.values())
+
+
+def _of_the_light(
+    found: Mapping[str, Finding], statistics: Sequence[FrameStatistics], baseline: Baseline
+) -> dict[str, Finding]:
+    """Shares of the light that a response which bends has changed, as they are before it."""
+    bends = next((f for f in found.values() if f.estimator.straight and f.measured), None)
+    if bends is None or bends.estimator.straight is None or bends.measured is None:
+        return {}
+    factor, said = (
+        bends.estimator.straight(statistics, baseline, bends.measured),
+        "(of a straight response)",
+    )
+    return {
+        id: f._replace(estimates={n: e.scaled(factor) for n, e in f.measured.items()}, because=said)
+        for id, f in found.items()
+        if f.estimator.of_light and f.measured
+    }
 
 
 def less_known(
@@ -203,7 +223,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
 
     Raises BadInput where no setting has a baseline, with what to record.
     """
-    measured = [(t, t.baseline) for t in transfers if isinstance(t.baseline, Baseline)]
+    measured = [(t, of_one_sensor(t, t.baseline)) for t in transfers if isinstance(t.baseline, Baseline)]
     if not measured:
         raise BadInput(_no_baseline(transfers))
     for finding in findings:

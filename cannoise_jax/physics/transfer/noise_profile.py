@@ -51,7 +51,7 @@ def profile_csv(rows: Sequence[dict[str, Any]]) -> str:
 
 def darktable_profiles(camera: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The layout of darktable's noiseprofiles.json: a and b of the variance a x + b for red, green and
-    blue of each ISO, greens averaged. Of raw values before demosaicing."""
+    blue of each ISO, greens averaged; an ISO that is not stated is null. Of raw values before demosaicing."""
     maker, _, model = camera.partition(" ")
     profiles = []
     for iso in dict.fromkeys(row["iso"] for row in rows):
@@ -61,11 +61,11 @@ def darktable_profiles(camera: str, rows: Sequence[dict[str, Any]]) -> dict[str,
             fits = [r[name] for r in own if str(r["channel"]).startswith(colour)]
             return float(np.mean(fits or [r[name] for r in own]))
 
-        number = 100 if iso is None else round(iso)
         profiles.append(
             {
-                "name": f"{camera} iso {number}",
-                "iso": number,
+                # Where no file states an ISO, none is made up: it is to be filled in.
+                "name": camera if iso is None else f"{camera} iso {round(iso)}",
+                "iso": None if iso is None else round(iso),
                 "a": [mean("shot", colour) for colour in "RGB"],
                 "b": [mean("read", colour) for colour in "RGB"],
             }

@@ -11,7 +11,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, Outcome, root
 from cannoise_jax.physics.transfer.estimators.dark_map import DarkMap, dark_map
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, line_means, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quantities import (
     CUT_OFF,
@@ -29,16 +29,24 @@ from cannoise_jax.physics.transfer.quiet import (
     unseen_offsets,
 )
 from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail
+from cannoise_jax.physics.transfer.response import Response, response_of
 from cannoise_jax.physics.transfer.spatial import (
     Split,
     TemporalParts,
-    shading,
     spatial_split,
     temporal_mean_square,
     total_of,
 )
 from cannoise_jax.physics.transfer.unlit import UNLIT
-from cannoise_jax.recordings.packing import site
+from cannoise_jax.physics.transfer.views import (
+    black_of,
+    line_means,
+    not_stuck,
+    pixel_variance,
+    quiet_mean_square,
+    quiet_pixels,
+)
+from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import PerChannel
 
 _OTHER = 1.2
@@ -51,7 +59,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
     """Temporal variances of one channel of a repeated recording, for `spatial_split`. relative: of the
     signal, each frame divided by its mean above black, instead of DN."""
     rows, columns = line_means(s, c)
-    square, keep = robust_mean_square(pixel_variance(s, c), s.dof)
+    square, keep = quiet_mean_square(s, c)
     if relative:
         black = black_of(s.recording, c)
         level = s.frame_means[:, c] - black
@@ -65,21 +73,31 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
 def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
     if pattern_below_a_code(dark) or hidden_in_a_code(dark, step_of(dark), c):
         return NotMeasurable(BELOW_A_CODE)
-    _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
-    keep &= ~site(dark.clipped, c)
+    keep = quiet_pixels(dark, c) & ~site(dark.clipped, c)
     if not keep.any():
         return NotMeasurable(CUT_OFF)
-    return spatial_split(site(dark.mean, c), keep, temporal_parts(dark, c))
+    # Row noise that even and odd columns do not share is a pattern of pixels to those that look at all.
+    return spatial_split(site(dark.mean, c), keep, temporal_parts(dark, c), turns=2 if c == ALL else 1)
 
 
 def _left_out(dark: FrameStatistics, sigma: float, c: int) -> str:
     """What the pattern of all pixels is, where hot and loud ones that are left out make another of it."""
-    pixels = ~site(dark.clipped, c)
+    pixels = np.ones(site(dark.mean, c).shape, bool) if dark.dead is None else ~site(dark.dead, c)
     noise = float(pixel_variance(dark, c)[pixels].mean()) / dark.recording.count
     whole = float(np.sqrt(max(site(dark.mean, c)[pixels].var() - noise, 0.0)))
-    if whole < _OTHER * sigma:
+    if whole <= _OTHER * sigma:
         return ""
-    return f"without pixels that are hot or far noisier; {whole:.3g} DN with them, as EMVA 1288 has it"
+    return f"without pixels that are hot, stuck or far noisier; {whole:.3g} DN with them, as EMVA 1288 has it"
+
+
+def _odd_left_out(response: Response, flat: FrameStatistics, noise: float, sigma: float, c: int) -> str:
+    """What the spread of the sensitivities of all pixels is, where a few that answer light oddly make another
+    of it. noise: relative variance that the average of frames still holds."""
+    lit = site(not_stuck(flat) if flat.unlit is None else not_stuck(flat) & ~flat.unlit, c)
+    whole = float(np.sqrt(max(response.pattern[lit].var() - noise, 0.0) / response.square))
+    if whole <= _OTHER * sigma:
+        return ""
+    return f"; without pixels that answer light oddly; {100 * whole:.2g} % with them, as EMVA 1288 has it"
 
 
 def pattern_quantities(
@@ -140,21 +158,23 @@ def _prnu(
         signal, keep = signal - site(dark.offsets, c), keep & site(dark.keep, c)
         unseen = max(unseen, dark.rounding(c))
         parts = _beside_dark(parts, dark, c, level)
-    gains = signal / level
-    gains = gains - shading(gains)
+    response = response_of(signal / level, keep)
+    gains = response.pattern
     if unsteady:
         gains = gains - gains.mean(1, keepdims=True)
-    split = spatial_split(gains, keep, parts)
+    split = spatial_split(gains, response.keep, parts)
     found = split._asdict()
     if unsteady:
         found["total"] = total_of(split.column, split.pixel)
+    sigmas = {
+        part: root(estimate.of_which(unseen / level**2)).scaled(100.0 / np.sqrt(response.square))
+        for part, estimate in found.items()
+    }
     note = f"at {level:.0f} DN, shading taken out" + (
         "; rows left out: the light flickers" if unsteady else ""
     )
-    out: dict[str, tuple[Outcome, str]] = {
-        part: (root(estimate.of_which(unseen / level**2)).scaled(100.0), note)
-        for part, estimate in found.items()
-    }
+    note += _odd_left_out(response, flat, parts.pixel / parts.frames, sigmas["total"].value / 100, c)
+    out: dict[str, tuple[Outcome, str]] = {part: (sigma, note) for part, sigma in sigmas.items()}
     if unsteady:
         lacking = "the light flickers between rows: use direct-current light, or whole mains periods"
         out["row"] = NotMeasurable(lacking), ""

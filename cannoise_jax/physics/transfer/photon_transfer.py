@@ -18,13 +18,7 @@ from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, of_one_dark, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
-from cannoise_jax.physics.transfer.frames import (
-    FrameStatistics,
-    frame_statistics,
-    of_variance,
-    pixel_variance,
-    with_all_sites,
-)
+from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
 from cannoise_jax.physics.transfer.patterns import pattern_quantities
@@ -50,11 +44,17 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit
+from cannoise_jax.physics.transfer.views import pixel_variance, quiet_pixels, unlike_sites, with_all_sites
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
 _ENOUGH = 0.05
 """Share of the pixels of a channel that have to be left of a recording."""
+_MANY = 256
+"""Pixels that have to be left of a flat without those that are noisy in the dark: a line through fewer is
+better with them."""
+_TOLD = 4
+"""Frames of a dark from which a pixel of three times the noise of the others is told, mostly."""
 
 
 @dataclass(frozen=True)
@@ -192,6 +192,12 @@ def _levels(
 ) -> list[ChannelMaps]:
     levels = []
     full = full_signal(lit, c)
+    # The line goes from the noise of the quiet pixels of the dark through that of the same pixels in light.
+    quiet = (
+        quiet_pixels(dark, c, step**2 / 12)
+        if dark is not None and dark.recording.count >= _TOLD
+        else np.True_
+    )
     within = [
         s for s in lit
         if s.variance is not None and s.level[c] < LINEAR * (s.recording.white_level - black[c])
@@ -201,19 +207,23 @@ def _levels(
         signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
         usable = below_rail(s, c)
         if usable.mean() > _ENOUGH:
+            if (usable & quiet).sum() >= _MANY:
+                usable = usable & quiet
             levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
         # Charge that a longer dark holds beyond black has shot noise like any other.
         charge = max(float(dark.frame_means[:, c].mean()) - black[c], 0.0)
         zero = np.full(site(dark.mean, c).shape, charge)
         usable, variance = ~site(dark.clipped, c), pixel_variance(dark, c)
-        if quiet := noise_below_a_code(dark, step, c):
+        if below := noise_below_a_code(dark, step, c):
             # Rounding adds step^2 / 12 to flats, and something else to noise of less than a code.
-            own = quiet.read.value**2 + step**2 / 12
-            variance = variance + (own - quiet.square)
+            own = below.read.value**2 + step**2 / 12
+            variance = variance + (own - below.square)
             if hidden_in_a_code(dark, step, c):  # most pixels are at a code where values pile up
                 usable, variance = np.ones(usable.shape, bool), np.full(variance.shape, own)
-        levels.append(ChannelMaps(zero, variance, usable, dark.recording.count, dark.dof, True))
+        levels.append(
+            ChannelMaps(zero, variance, usable, dark.recording.count, dark.dof, True, unlike_sites(dark, c))
+        )
     return levels
 
 

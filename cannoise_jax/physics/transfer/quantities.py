@@ -6,7 +6,7 @@ Definitions follow EMVA 1288 release 4.0; `transfer` puts the lines together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -23,8 +23,8 @@ from cannoise_jax.physics.transfer.estimate import (
     scatter_estimate,
 )
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
-from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.fit import Line
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
@@ -37,6 +37,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import is_cut_off
 from cannoise_jax.physics.transfer.several_gains import uneven_gain
 from cannoise_jax.physics.transfer.straight import bends
+from cannoise_jax.physics.transfer.views import pixel_variance, quiet_mean_square, quiet_pixels
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
 
@@ -122,8 +123,8 @@ def _with_rows(
             float(np.sqrt(v**2 + rows)) for v in (pixels.ci90[0], pixels.value, pixels.ci90[1])
         )
         return Estimate(value, max(pixels.stderr, rows_error * rows / max(value, 1e-9) / 2), (low, high))
-    total, _ = robust_mean_square(values, dark.recording.count - 1.0)
-    pixel, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
+    total, _ = quiet_mean_square(replace(dark, variance=each, dof=dark.recording.count - 1.0), c)
+    pixel, _ = quiet_mean_square(dark, c)
     count = values.size * (dark.recording.count - 1)
     value = float(np.sqrt(max(total - step**2 / 12, 0)))
     error = 0.5 * np.sqrt(2 / count) * total / max(value, 1e-9)
@@ -135,8 +136,7 @@ def _left_out(dark: FrameStatistics, c: int) -> str:
     """How many noisier pixels the noise of the others is told without, where they are no few."""
     if dark.variance is None:
         return ""
-    _, keep = robust_mean_square(pixel_variance(dark, c), dark.dof)
-    share = 100 * (1 - float(keep.mean()))
+    share = 100 * (1 - float(quiet_pixels(dark, c).mean()))
     return f"; {share:.1f} % of pixels are far noisier and set aside" if share > _NOISIER else ""
 
 

@@ -12,8 +12,9 @@ from scipy import special
 from cannoise_jax.physics.core.rounding import COARSE, before_rounding, level_and_spread
 from cannoise_jax.physics.transfer.estimate import Estimate, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.rails import is_cut_off
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.codes import code_histograms
 from cannoise_jax.recordings.packing import ALL, site
 

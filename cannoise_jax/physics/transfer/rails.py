@@ -12,7 +12,8 @@ from jaxtyping import Bool
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
-from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
+from cannoise_jax.physics.transfer.views import not_stuck, pixel_variance
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK, Recording
 
@@ -28,6 +29,9 @@ _CUT, _BELOW = 0.01, 2.33
 """Share of the values of a dark at its lowest code beyond which it is cut off, and how many standard
 deviations below its level a normal law has so much: cut there it keeps 98.5 % of its width, cut further in it
 loses more than an interval of 90 % holds."""
+_LOOKED_AT, _PART = 16, 0.25
+"""Frames in which values at 0 are looked for, and the share of a frame within which they lie where noise that
+is cut off has not made them."""
 MOVES = 0.1
 """Share of the change between frames of a scene that is none of noise beyond which it tells no gain: that is
 off by as much, several times what an interval of 90 % holds."""
@@ -95,7 +99,7 @@ def moving(r: Recording, c: int) -> float:
 def is_below_rail(s: FrameStatistics, c: int) -> bool:
     """Whether so few pixels of a repeated flat are near the code at which values pile up that its map of
     sensitivities is that of the sensor."""
-    return bool(below_rail(s, c).mean() >= _ALMOST_ALL)
+    return bool(below_rail(s, c)[site(not_stuck(s), c)].mean() >= _ALMOST_ALL)
 
 
 def is_cut_off(s: FrameStatistics, c: int) -> bool:
@@ -120,10 +124,26 @@ def cut_off(statistics: Sequence[FrameStatistics]) -> str:
     share, name = 100 * float(np.mean(at_zero)), dark.recording.path or dark.recording.camera
     if not share:
         return ""
+    if part := _at_zero(dark.recording):
+        return (
+            f"{name}: values of darks are 0 ({share:.0f} %), all within {part}: text written into the "
+            "picture, or a part that was not read: cut that part off all frames, or leave those frames out"
+        )
     return (
         f"{name}: darks are cut off at 0 ({share:.0f} % of their values), so that neither read noise nor "
         "black level shows: raise the camera's offset and record again"
     )
+
+
+def _at_zero(recording: Recording) -> str:
+    """The rows and columns, counted from 1, that hold all values 0 of the first frames; empty where these are
+    all over the frame."""
+    zero = (np.asarray(recording.frames[:_LOOKED_AT]) == 0).any(0)
+    spans = [np.flatnonzero(zero.any(axis)) for axis in (1, 0)]
+    if not zero.any() or np.prod([s[-1] - s[0] + 1 for s in spans]) > _PART * zero.size:
+        return ""
+    rows, columns = (f"{s[0] + 1} to {s[-1] + 1}" for s in spans)
+    return f"rows {rows}, columns {columns}"
 
 
 def contradicted_black(statistics: Sequence[FrameStatistics]) -> str:

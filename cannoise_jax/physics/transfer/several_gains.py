@@ -9,9 +9,10 @@ import numpy as np
 
 from cannoise_jax.physics.transfer.black import reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
-from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.rails import LINEAR, below_rail
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 

@@ -26,6 +26,7 @@ from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.physics.transfer.views import left_in_lines
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
@@ -164,7 +165,7 @@ def _rows(dark: FrameStatistics) -> list[Quantity]:
     of what is in the frames, nothing of which is taken for row noise (see `line_noise`)."""
     means = dark.row_means.mean(-1)
     square, dof = temporal_mean_square(means)
-    white = float(np.mean(dark.total)) / dark.recording.size[1] if dark.total is not None else np.nan
+    white = float(np.mean(dark.total)) * left_in_lines(dark, 0) if dark.total is not None else np.nan
     rest = means - means.mean(0)
     rest = rest - rest.mean(1, keepdims=True)
     power, product = np.mean(rest**2, 1), np.mean(rest[:, 1:] * rest[:, :-1], 1)

@@ -88,7 +88,7 @@ def unlit_line(statistics: Sequence[FrameStatistics]) -> str:
     if not parts:
         return ""
     mask, s = max(parts, key=lambda part: float(part[0].mean()))
-    where = _lines("columns", mask, 0) or _lines("rows", mask, 1)
+    where = lines_of("columns", mask, 0) or lines_of("rows", mask, 1)
     name = s.recording.path or s.recording.camera
     return (
         f"{name}: no light reaches {100 * mask.mean():.1f} % of its pixels{where}: they take no part in gain "
@@ -96,7 +96,7 @@ def unlit_line(statistics: Sequence[FrameStatistics]) -> str:
     )
 
 
-def _lines(what: str, mask: Bool[np.ndarray, "H W"], axis: int) -> str:
+def lines_of(what: str, mask: Bool[np.ndarray, "H W"], axis: int) -> str:
     """The lines, counted from 1, where they are all that is unlit, and wholly; empty else."""
     whole = mask.all(axis)
     if not np.array_equal(mask, np.broadcast_to(np.expand_dims(whole, axis), mask.shape)):

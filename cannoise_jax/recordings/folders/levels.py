@@ -13,6 +13,10 @@ from cannoise_jax.recordings.folders.sites import Sites, greens_apart, light_of,
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
+_SHIFTS = (4, 16, 64, 256)
+"""Distances of the codes of converters of 14, 12, 10 and 8 bits that are shifted to 16. Of any other distance
+no converter is common: there the codes have to reach beyond half of 16 bits."""
+_HALF = 32767
 
 
 class Levels(NamedTuple):
@@ -137,17 +141,20 @@ def _white(groups: Sequence[Group]) -> tuple[float | None, str]:
         s.about.get("bits") == 8 for s in shots
     )  # dim frames of a wider word are no camera of 8 bits
     depth = next(d for d in _DEPTHS[0 if narrow else 1 :] if top <= d)
-    if step > 1 and (step & (step - 1)) == 0:  # codes shifted left: the highest code of a full word
+    if step in _SHIFTS or (top > _HALF and (step & (step - 1)) == 0 and step > 1):
+        # Codes shifted left: the highest code of a full word.
         highest = 65536 - step
         return float(highest), f"white level {highest} DN: codes {step} apart, shifted to 16 bits"
+    highest = top if step > depth else top + (depth - top) // step * step
     if all(g.kind in DARK for g in groups) and top < depth:  # hot pixels may reach the highest code
         return None, (
             f"the white level: darks alone, here of {top} DN at most, do not show it: add flats, or state it "
             "with --white-level"
         )
-    return float(depth), (
-        f"white level {depth} DN: the highest value is {top}, so of {depth.bit_length()} bits; where the "
-        "sensor saturates elsewhere, state it with --white-level"
+    apart = f", codes {step} apart" if step > 1 else ""
+    return float(highest), (
+        f"white level {highest} DN: the highest value is {top}{apart}, so of {depth.bit_length()} bits; "
+        "where the sensor saturates elsewhere, state it with --white-level"
     )
 
 

@@ -243,6 +243,19 @@ def test_dim_frames_of_a_wider_word_are_no_camera_of_8_bits(tmp_path):
     assert "white level 1023 DN: the highest value is 109, so of 10 bits" in notes(plan)
 
 
+@pytest.mark.parametrize(
+    ("step", "top", "white"),
+    [(2, 900, 1022), (2, 3000, 4094), (16, 3000, 65520), (2, 40000, 65534), (8, 900, 1016)],
+)
+def test_codes_apart_are_shifted_where_a_converter_has_them(tmp_path, step, top, white):
+    """No converter of 15 or 13 bits is common: such codes are some of those of a shorter word."""
+    for n in range(2):
+        values = np.random.default_rng(n).integers(64 // step, top // step, (24, 32)).astype(np.uint16) * step
+        fits.PrimaryHDU(values, fits.Header({"IMAGETYP": "Flat"})).writeto(tmp_path / f"flat_{n}.fits")
+    plan = plan_folder(tmp_path, {"cfa": "MONO", "black_level": 32.0})
+    assert plan.sets[0].levels.values["white_level"] == white
+
+
 def test_files_of_8_bits_are_kept_apart_from_those_of_16(tmp_path):
     """Their values are in other units."""
     night(tmp_path)

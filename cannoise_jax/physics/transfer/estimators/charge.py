@@ -15,6 +15,7 @@ from cannoise_jax.physics.transfer.dark_pixels import FAR, MOST_HOT, PixelLaw, a
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
+from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, step_of
 from cannoise_jax.recordings.packing import site
@@ -27,6 +28,9 @@ _LAW_DOUBT = 0.03
 """Relative error granted to a spread of currents for where the tail of ordinary pixels is taken to end."""
 _SHORT = 0.5
 """Of the longest exposure, up to which a dark is short beside it: the charge of half the time is left."""
+_OF_A_JUMP = 1.5
+"""Standard deviations of its jumps up to which the mean of a pixel lies above its lower level: that of one in
+its upper level for two frames of three is 1.4."""
 _SURE = 3.3
 """Standard errors from which on the spread of pixels counts."""
 
@@ -141,7 +145,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         return NotMeasurable("every pixel of the longest dark is cut off: record a shorter one")
     charge, law = _charge_and_law(long, short, baseline)
     values = charge[~long.clipped]
-    full = int(np.sum(_full(long)))
+    full = int(np.sum(_full(long, short)))
     above = full + int(np.sum(law.is_hot(values) if law.shape else values > law.middle + FAR * law.scale))
     if above - full < 10 or (law.shape and not law.fraction):
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
@@ -175,25 +179,45 @@ def hot_map(
     return np.where(law.is_hot(charge), (charge - law.middle) / law.height, 0.0)
 
 
-def _full(long: FrameStatistics) -> Bool[np.ndarray, "H W"]:
-    return long.clipped & (long.mean > long.recording.white_level / 2)
+def _full(long: FrameStatistics, short: FrameStatistics | None) -> Bool[np.ndarray, "H W"]:
+    """Pixels that charge fills: those that are full in a short dark as well are stuck."""
+    full = long.clipped & (long.mean > long.recording.white_level / 2)
+    return full if short is None else full & ~(short.clipped & (short.mean > short.recording.white_level / 2))
 
 
 def _charge_and_law(
     long: FrameStatistics, short: FrameStatistics | None, baseline
 ) -> tuple[Float[np.ndarray, "H W"], PixelLaw]:
-    """Charge of every pixel beyond what a glow shares out, e-, and its law."""
+    """Charge of every pixel beyond what a glow shares out, e-, and its law. Pixels that jump, whose level
+    that is rather than charge, count as ordinary."""
     charge, _ = charge_map(long, short, baseline)
     charge = above_level(charge)
+    charge = np.where(_jumps(long, charge, baseline), np.median(charge), charge)
     if short is None:  # one exposure does not tell offsets of columns and rows from charge
         for axis in (0, 1):
             charge = charge - np.median(charge, axis=axis, keepdims=True) + np.median(charge)
     # Means of pixels jump by codes where frames are coarse.
     least = 0.5 * step_of(long) / float(np.mean(baseline.gain)) if coarse(long) else 0.0
-    full = charge[_full(long)]
+    full = charge[_full(long, short)]
     values = charge[~long.clipped]
     top = float(np.median(full) - np.median(values)) if full.size else 0.0
     return charge, law_of(values, least=least, full=full.size, ceiling=max(top, 0.0))
+
+
+def _jumps(long: FrameStatistics, charge: Float[np.ndarray, "H W"], baseline) -> Bool[np.ndarray, "H W"]:
+    """Pixels that change from frame to frame by more than the shot noise of their charge, and by as much as
+    they lie above the others: they jump between the level of those and a higher one."""
+    out = np.zeros(charge.shape, bool)
+    if long.variance is None:
+        return out
+    cut, _ = cut_and_loss(long.dof)
+    for c in range(4):
+        variance, gain = site(long.variance, c), baseline.gain[c]
+        above = gain * (site(charge, c) - float(np.median(charge)))
+        expected = robust_mean_square(variance, long.dof)[0] + gain * np.maximum(above, 0.0)
+        excess = np.sqrt(np.maximum(variance - expected, 0.0))
+        site(out, c)[...] = (variance > cut * expected) & (above < _OF_A_JUMP * excess)
+    return out
 
 
 def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0, np.inf)) -> Estimate:

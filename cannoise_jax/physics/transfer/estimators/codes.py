@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Int
 from scipy import stats
 
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
@@ -18,9 +19,13 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimators.pick import column_offsets, darkest, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.recordings.codes import code_histogram
+from cannoise_jax.recordings.codes import code_histogram, code_lattice
 
 _POPULATED = 50  # counts on both sides that make an empty code a missing one
+_RUN = 10
+"""Gaps in a row whose median tells how far apart codes lie there."""
+_BESIDE = 3.0
+"""Of the median gap, up to which two codes are neighbours."""
 
 
 def quantization(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -32,11 +37,15 @@ def quantization(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
 
 
 def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """period: median distance in code steps of codes that never occur between populated ones; exact."""
+    """period: median distance in code steps of codes that never occur between populated ones; exact. Codes of
+    a table or a digital gain lie further apart everywhere, or in a part of the range: no code of a converter
+    is missing then."""
+    histogram = np.sum([code_histogram(s.recording.frames) for s in statistics], axis=0)
+    if why := spread_apart(histogram):
+        return NotMeasurable(why, answered=True)
     step = int(min((s.code_step for s in statistics if s.code_step > 0), default=0))
     if not step:
         return NotMeasurable("the codes lie on no lattice: record more frames at several levels")
-    histogram = np.sum([code_histogram(s.recording.frames) for s in statistics], axis=0)
     codes = np.flatnonzero(histogram)
     counts = histogram[np.arange(codes[0], codes[-1] + 1, step)]
     around = np.minimum(np.roll(counts, 1), np.roll(counts, -1))
@@ -46,6 +55,23 @@ def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estim
         populated = int(np.sum(counts >= _POPULATED))
         return NotMeasurable(f"no missing codes among {populated} well-populated ones", answered=True)
     return {"period": _exact(float(np.median(np.diff(missing))))}
+
+
+def spread_apart(histogram: Int[np.ndarray, "65536"]) -> str:
+    """How codes lie further apart than their step where a table or a digital gain made them; empty where they
+    do not. Where codes are well populated a gap is none of sparse light."""
+    codes = np.flatnonzero(histogram)
+    crowded = histogram[codes] >= _POPULATED
+    gaps = np.diff(codes)[crowded[1:] & crowded[:-1]] / max(code_lattice(histogram).step, 1.0)
+    # Between levels of the light nothing is recorded.
+    wide = gaps[gaps <= _BESIDE * np.median(gaps)] if len(gaps) else gaps
+    parts = [p for p in np.array_split(gaps, max(len(gaps) // _RUN, 1)) if len(p)]
+    usual = [int(np.median(p)) for p in parts]
+    if len(wide) < _RUN or max(usual) < 2 or (len(set(usual)) == 1 and len(set(wide.tolist())) == 1):
+        return ""
+    low, high = min(usual), max(usual)
+    apart = f"{low}" if low == high else f"{low} to {high}"
+    return f"codes lie {apart} steps apart, as of a table or a digital gain: none of a converter is missing"
 
 
 def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:

@@ -16,8 +16,9 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import reference_dark
 from cannoise_jax.physics.transfer.estimators.pick import steady_pixels
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import rounding_of_offsets, unchanging
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 

@@ -19,8 +19,9 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
-from cannoise_jax.physics.transfer.frames import FrameStatistics, less
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, step_of
+from cannoise_jax.physics.transfer.views import less
 from cannoise_jax.recordings.packing import site
 
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")

@@ -23,9 +23,10 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
 )
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import Recording
 

@@ -35,6 +35,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import pattern_below_a_code
 from cannoise_jax.physics.transfer.spatial import correlation_loss, temporal_mean_square
+from cannoise_jax.physics.transfer.views import left_in_lines
 from cannoise_jax.recordings.packing import SITES
 
 _MOST_ROWS = 8  # read together
@@ -123,7 +124,7 @@ def odd_even_row_noise(statistics: Sequence[FrameStatistics], baseline=None) -> 
         return repeated_darks(statistics)
     square, dof = temporal_mean_square((dark.row_means[..., 0] - dark.row_means[..., 1]) / 2)
     pixel, pixel_dof = mean_variance(dark)
-    return {"sigma_dn": root(variance_difference(square, dof, pixel / dark.recording.size[1], pixel_dof))}
+    return {"sigma_dn": root(variance_difference(square, dof, pixel * left_in_lines(dark, 0), pixel_dof))}
 
 
 def beside_rows_apart(parted: Mapping[str, Estimate], place: Point, dark: FrameStatistics) -> bool:
@@ -139,7 +140,7 @@ def columns_apart(dark: FrameStatistics) -> bool:
     even, odd = rest[..., 0], rest[..., 1]
     alike = float(np.mean(even * odd) / np.sqrt(np.mean(even**2) * np.mean(odd**2)))
     variance, _ = mean_variance(dark)
-    white = 2 * variance / dark.recording.size[1]
+    white = 2 * variance * left_in_lines(dark, 0)
     shares = [float(np.mean(r**2)) * frames / (frames - 1) / white for r in (even, odd)]
     return min(shares) > 2 and max(shares) < 2 * min(shares) and abs(alike) < max(0.1, 3 / np.sqrt(rest.size))
 
@@ -152,12 +153,12 @@ def _temporal(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
 def line_noise(dark: FrameStatistics, axis: int) -> Estimate:
     """Temporal noise that whole rows (axis 0) or columns (axis 1) of repeated frames share, DN."""
     means = dark.row_means.mean(-1) if axis == 0 else dark.column_means.mean(1)
-    square, dof = temporal_mean_square(means)
+    square, dof = temporal_mean_square(means, turns=2)
     groups = row_groups(dark) if axis == 0 else None
     if groups is not None:  # the likeness that thins them out is not that of a stationary sequence
         dof = min(dof, (len(means) - 1) * (means.shape[1] // groups[0]))
     pixel, pixel_dof = mean_variance(dark)
-    white = pixel / dark.recording.size[1 - axis]
+    white = pixel * left_in_lines(dark, axis)
     return root(variance_difference(square, dof, white, pixel_dof))
 
 
@@ -169,12 +170,11 @@ def _fixed(statistics: Sequence[FrameStatistics], axis: int) -> Estimates:
         return NotMeasurable(hidden)
     offsets = row_offsets(dark) if axis == 0 else column_offsets(dark)
     frames, count = offsets.shape
-    across = dark.recording.size[1 - axis]
     temporal, dof = temporal_mean_square(offsets)
     pixel, _ = pooled_variance(dark)
     # Hot pixels are no offset of their line: neither they nor their noise counts.
     keep = steady_pixels(dark)
-    temporal = max(temporal - max(mean_variance(dark)[0] - pixel, 0.0) / across, 0.0)
+    temporal = max(temporal - max(mean_variance(dark)[0] - pixel, 0.0) * left_in_lines(dark, axis), 0.0)
     rest = np.where(keep, dark.mean, 0.0)
     for c in range(4):
         part, kept = rest[SITES[c]], keep[SITES[c]]

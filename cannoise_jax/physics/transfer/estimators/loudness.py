@@ -19,8 +19,8 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.dark_pixels import hessian
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate
 from cannoise_jax.physics.transfer.estimator import Law
-from cannoise_jax.physics.transfer.estimators.noise import pixels_in_order, standardised, telegraph_odds
 from cannoise_jax.physics.transfer.estimators.pick import odd_by_charge
+from cannoise_jax.physics.transfer.estimators.telegraph import pixels_in_order, standardised, telegraph_odds
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 
 LAWS: tuple[Law, ...] = ("tails", "spread", "telegraph")

@@ -29,10 +29,12 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     repeated_darks,
     steady_pixels,
 )
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance, steady_frames
+from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
 from cannoise_jax.physics.transfer.quiet import coarse, pattern_below_a_code, unseen_offsets
 from cannoise_jax.physics.transfer.regions import uneven_noise
-from cannoise_jax.physics.transfer.spatial import SHADING_DEGREE, correlation_loss, shading
+from cannoise_jax.physics.transfer.response import response_of
+from cannoise_jax.physics.transfer.spatial import correlation_loss, shading
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import green_sites, site
 from cannoise_jax.recordings.recording import DARK
 
@@ -50,7 +52,7 @@ class Pattern(NamedTuple):
 
     pixels: with channel, row and column means taken out. columns: means per row parity. keep: which pixels
     count. noise: temporal variance that the average of frames still holds. smooth: degree of the shading
-    taken out.
+    taken out. light: smooth light of a flat, 1 on average.
     """
 
     pixels: Float[np.ndarray, "H W"]
@@ -59,6 +61,7 @@ class Pattern(NamedTuple):
     noise: float
     noise_dof: float
     smooth: int = 0
+    light: Float[np.ndarray, "H W"] | float = 1.0
 
 
 def offset_pattern(
@@ -77,23 +80,28 @@ def offset_pattern(
 
 
 def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
-    """The fixed relative sensitivities of a flat less its dark; smooth shading is taken out."""
-    relative = np.empty(flat.mean.shape)
+    """The fixed relative sensitivities of a flat less its dark; smooth shading is taken out, and pixels that
+    answer oddly do not count (`transfer.response`)."""
+    relative, light = np.empty(flat.mean.shape), np.empty(flat.mean.shape)
     keep = steady_pixels(flat) if dark is None else steady_pixels(flat) & dark.keep
-    noise, dof = 0.0, 0.0
+    noise, dof, degree = 0.0, 0.0, 0
     for c in range(4):
         level = flat.level[c]
         signal = site(flat.mean, c) - flat.recording.black_level[c]
         if dark is not None:
             signal = signal - site(dark.offsets, c)
-        gains = signal / level
-        site(relative, c)[...] = gains - shading(gains)
-        variance = pixel_variance(flat, c)[site(keep, c)]
+        found = response_of(signal / level, site(keep, c))
+        scale = float(np.sqrt(found.square))
+        site(relative, c)[...] = found.pattern / scale
+        site(light, c)[...] = found.light / scale
+        site(keep, c)[...] = found.keep
+        degree = max(degree, found.degree)
+        variance = pixel_variance(flat, c)[found.keep]
         left = float(variance.mean()) / flat.recording.count + (0.0 if dark is None else dark.noise(c))
-        noise += left / level**2 / 4
+        noise += left / (level * scale) ** 2 / 4
         dof += variance.size * flat.dof
     pixels, columns = _split(relative, keep)
-    return Pattern(pixels, columns, keep, noise, dof, SHADING_DEGREE)
+    return Pattern(pixels, columns, keep, noise, dof, degree, light)
 
 
 def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -103,7 +111,7 @@ def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
         return repeated_darks(statistics)
     if hidden := pattern_below_a_code(dark):
         return NotMeasurable(hidden)
-    return {"sigma_dn": root(_pixel_part(offset_pattern(dark, grown(statistics, baseline, dark))))}
+    return {"sigma_dn": root(pixel_part(offset_pattern(dark, grown(statistics, baseline, dark))))}
 
 
 def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -112,7 +120,7 @@ def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     if flat is None:
         return REPEATED_FLATS
     dark = dark_map(statistics, flat)
-    pixels = _pixel_part(response_pattern(flat, dark))
+    pixels = pixel_part(response_pattern(flat, dark))
     return {"sigma": root(pixels.of_which(_unseen(statistics, flat, dark)))}
 
 
@@ -124,7 +132,7 @@ def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     if flat.recording.size[1] < _COLUMNS:
         return NotMeasurable(f"record frames of at least {_COLUMNS} columns")
     dark = dark_map(statistics, flat)
-    columns = _column_part(response_pattern(flat, dark))
+    columns = column_part(response_pattern(flat, dark))
     return {"sigma": root(columns.of_which(_unseen(statistics, flat, dark)))}
 
 
@@ -235,7 +243,7 @@ def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Est
     spread = 0.0
     for c in (first, second):
         gains = (site(flat.mean, c) - black[c]) / flat.level[c]
-        spread += float(np.var(gains - shading(gains))) / gains.size
+        spread += float(np.var(gains - shading(gains).surface)) / gains.size
     return {"sigma": normal_estimate(float(np.tanh(ratio / 2)), float(np.sqrt(spread)) / 2)}
 
 
@@ -254,7 +262,7 @@ def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> t
     return pixels, columns
 
 
-def _pixel_part(pattern: Pattern) -> Estimate:
+def pixel_part(pattern: Pattern) -> Estimate:
     """Variance of the pixels' own fixed pattern."""
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
@@ -263,7 +271,7 @@ def _pixel_part(pattern: Pattern) -> Estimate:
     return variance_difference(square, heavy_dof(inside, count), pattern.noise, pattern.noise_dof)
 
 
-def _column_part(pattern: Pattern) -> Estimate:
+def column_part(pattern: Pattern) -> Estimate:
     """Variance of the fixed pattern of columns, both row parities of a column together."""
     means = pattern.columns.mean(0)
     height, width = pattern.pixels.shape

@@ -1,17 +1,15 @@
-"""Size and shape of the noise of single pixels: errors of a baseline, heavy tails, telegraph pixels."""
+"""Size and shape of the noise of single pixels: errors of a baseline, heavy tails."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
-from scipy import optimize, special
+from jaxtyping import Float, Int
+from scipy import special
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.transfer.dark_pixels import fit_errors, hessian
 from cannoise_jax.physics.transfer.estimate import (
-    Z90,
     Estimate,
     Estimates,
     NotMeasurable,
@@ -22,13 +20,13 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     darkest,
     odd_by_charge,
     repeated_darks,
-    steady_pixels,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.quiet import TOO_FEW_CODES, coarse
 from cannoise_jax.physics.transfer.regions import uneven_noise
+from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.codes import code_histograms
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
@@ -101,69 +99,10 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     return {"tukey_lambda": _weighted(found)}
 
 
-def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """jump_dn, fraction and rate: maximum likelihood of two-state Markov chains in Gaussian noise, mixed with
-    quiet pixels; the level of every pixel is that of its channel. Warm pixels, whose own charge explains
-    their noise, do not count."""
-    dark = darkest(statistics)
-    if dark is None or dark.recording.count < 8:
-        return repeated_darks(statistics, 8, 100)
-    if why := uneven_noise(dark) or coarse(dark):
-        return NotMeasurable(why)
-    series, sigma = standardised(dark)
-    series = series[:, ~pixels_in_order(odd_by_charge(dark, None if baseline is None else baseline.gain))]
-    spread = series.std(0)
-    loud = spread > 2.0
-    if loud.sum() < 10:
-        return NotMeasurable("fewer than ten pixels jump visibly: record more darks, or a larger frame")
-    jump = float(2 * np.median(spread[loud]))
-    start = np.array([np.log(jump), special.logit(min(2 * loud.mean(), 0.4)), special.logit(0.2)])
-
-    def negative(p: np.ndarray) -> float:
-        return -_telegraph_loglik(
-            series, float(np.exp(p[0])), float(special.expit(p[1])), float(special.expit(p[2]))
-        )
-
-    fit = optimize.minimize(
-        negative, start, method="Nelder-Mead", options={"xatol": 2e-4, "fatol": 2e-3, "maxfev": 250}
-    )
-    errors = fit_errors(hessian(negative, fit.x, np.array([0.03, 0.05, 0.05])))
-    if errors is None:
-        return NotMeasurable("jumps of so many pixels are not told from unlike noise: record more darks")
-    sides = np.array([-Z90, 0.0, Z90])
-    jumps = np.exp(fit.x[0] + errors[0] * sides) * sigma
-    shares = [special.expit(fit.x[k] + errors[k] * sides) for k in (1, 2)]
-    return {
-        "jump_dn": Estimate(float(jumps[1]), float(jumps[1] * errors[0]), (float(jumps[0]), float(jumps[2]))),
-        **{
-            name: Estimate(float(v[1]), float(e * v[1] * (1 - v[1])), (float(v[0]), float(v[2])))
-            for name, v, e in zip(("fraction", "rate"), shares, errors[1:], strict=True)
-        },
-    }
-
-
 def no_heavier(tails: Mapping[str, Estimate], statistics: Sequence[FrameStatistics]) -> str:
     """What speaks against heavy tails: a shape on the light side of a Gaussian."""
     light = next(iter(tails.values())).value > tukey_lambda.GAUSSIAN
     return "(no heavier than a Gaussian)" if light else ""
-
-
-def telegraph_sites(
-    dark: FrameStatistics,
-    jump_dn: float,
-    fraction: float,
-    rate: float,
-    gain: Float[np.ndarray, "4"] | None = None,
-) -> Float[np.ndarray, "H W"]:
-    """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0. gain: DN/e-, by
-    which warm pixels are told from them."""
-    series, sigma = standardised(dark)
-    odds = telegraph_odds(series, jump_dn / sigma, rate) + np.log(fraction) - np.log1p(-fraction)
-    odds[pixels_in_order(odd_by_charge(dark, gain))] = -np.inf
-    sites = np.zeros(dark.mean.shape)
-    for c, part in enumerate(np.split(odds > 0, 4)):
-        site(sites, c)[...] = part.reshape(site(sites, c).shape)
-    return sites
 
 
 def _weighted(found: list[Estimate]) -> Estimate:
@@ -227,52 +166,3 @@ def _tail_shape(edges: Float[np.ndarray, "n-1"], counts: Float[np.ndarray, "n"])
         if np.all(np.abs(move) < 1e-2 * steps):
             break
     return normal_estimate(float(at[2]), float(np.sqrt(np.linalg.inv(information)[2, 2])))
-
-
-def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float]:
-    """Pixels over frames less their channel's level, in units of the quiet pixels' noise, and that noise."""
-    squares = [robust_mean_square(pixel_variance(dark, c), dark.dof)[0] for c in range(4)]
-    keep = steady_pixels(dark)
-    levels = [float(site(dark.mean, c)[site(keep, c)].mean()) for c in range(4)]
-    middle = np.median([np.median(pixel_variance(dark, c)) for c in range(4)])
-    sigma = float(np.sqrt(min(np.mean(squares), middle / _median_share(dark.dof))))
-    frames = np.concatenate([part.astype(np.float64) for part in chunks(dark.recording.frames)])
-    columns = []
-    for c in range(4):
-        values = site(frames, c) - levels[c]
-        # Rows are levelled by their quiet pixels alone, for a jump would move the mean of its row.
-        quiet = np.sqrt(pixel_variance(dark, c)) < 2 * sigma
-        rows = np.sum(values * quiet, -1) / np.maximum(quiet.sum(-1), 1)
-        columns.append((values - (rows - rows.mean(0))[..., None]).reshape(len(frames), -1))
-    return np.concatenate(columns, 1) / sigma, sigma
-
-
-def pixels_in_order(values: Shaped[np.ndarray, "H W"]) -> Shaped[np.ndarray, "n"]:
-    """One value a pixel in the order of `standardised`: channel by channel."""
-    return np.concatenate([site(values, c).ravel() for c in range(4)])
-
-
-def _median_share(dof: float) -> float:
-    return float(special.gammaincinv(dof / 2, 0.5) * 2 / dof)
-
-
-def _telegraph_loglik(series: Float[np.ndarray, "T n"], jump: float, fraction: float, rate: float) -> float:
-    """Log-likelihood of pixels that are telegraph signals of +-jump/2 with chance `fraction`, else quiet, all
-    with unit noise, up to a constant (each frame's exp(-x^2/2))."""
-    odds = telegraph_odds(series, jump, rate)
-    return float(np.sum(np.logaddexp(np.log1p(-fraction), np.log(fraction) + odds)))
-
-
-def telegraph_odds(series: Float[np.ndarray, "T n"], jump: float, rate: float) -> Float[np.ndarray, "n"]:
-    """Log-likelihood of each pixel as a telegraph signal less that as a quiet one; forward recursion."""
-    half = jump / 2
-    up, down = np.full(series.shape[1], 0.5), np.full(series.shape[1], 0.5)
-    loglik = np.zeros(series.shape[1])
-    for x in series:
-        lean = np.clip(half * x, -300, 300)
-        up, down = up * np.exp(lean), down * np.exp(-lean)
-        total = up + down
-        loglik += np.log(total) - half**2 / 2
-        up, down = up / total, down / total
-        up, down = up + rate * (down - up), down + rate * (up - down)
-    return loglik

@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics, black_of, pixel_variance
+from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quiet import BELOW_A_CODE, unchanging
+from cannoise_jax.physics.transfer.views import black_of, not_stuck, pixel_variance
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
@@ -60,7 +61,7 @@ def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | N
     full = [full_signal(statistics, c) for c in range(4)]
     flats = [
         s for s in statistics
-        if s.recording.kind == "flat" and s.variance is not None and s.clipped.mean() < 1e-3
+        if s.recording.kind == "flat" and s.variance is not None and s.clipped[not_stuck(s)].mean() < 1e-3
         and all(below_full(s, full[c], black_of(s.recording, c), c) for c in range(4))
     ]  # fmt: skip
     return max(flats, key=lambda s: float(np.mean(s.level)), default=None)

@@ -29,6 +29,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 )
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.views import left_in_lines
 from cannoise_jax.recordings.metadata import chunks
 
 _MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
@@ -57,7 +58,7 @@ def row_pink_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Esti
     rest = rest - rest.mean(1, keepdims=True)
     scatter, dof = rest.T @ rest, len(rest) - 1
     variance, _ = mean_variance(dark)
-    white = variance / dark.recording.size[1]
+    white = variance * left_in_lines(dark, 0)
     sigmas = _STRENGTHS * np.sqrt(np.trace(scatter) / (dof * len(scatter)))
     loglik = [_line_loglik(scatter, dof, white, sigmas, height, a) for a in _EXPONENTS]
     return _profiles(np.array(loglik), sigmas, _EXPONENTS)

@@ -1,0 +1,113 @@
+"""What is read off the statistics of one recording: single channels, lines, all sites together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.packing import ALL, site
+from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
+
+
+def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
+    """Temporal variance of the pixels of one channel. Raises ValueError for a single frame."""
+    if s.variance is None:
+        raise ValueError("one frame has no temporal variance: at least two are needed")
+    return site(s.variance, channel)
+
+
+def with_all_sites(s: FrameStatistics) -> FrameStatistics:
+    """The statistics with one more channel, `ALL`: the pixels of the four sites together."""
+    own: dict[str, Any] = {
+        "frame_means": np.concatenate([s.frame_means, s.frame_means.mean(1, keepdims=True)], 1),
+        "level": (*s.level, float(np.mean(s.level))),
+        # A code at which one site piles up is an end of all.
+        "low": (*s.low, _end(s.low, min)),
+        "high": (*s.high, _end(s.high, max)),
+        "lowest": (*s.lowest, float(np.mean(s.lowest))),
+    }
+    return replace(s, **own)
+
+
+def _end(codes: PerChannel, pick: Callable[[list[float]], float]) -> float:
+    known = [c for c in codes if np.isfinite(c)]
+    return pick(known) if known else float("nan")
+
+
+def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], gain: float) -> FrameStatistics:
+    """The statistics without charge that every frame holds, DN; the recording keeps it, and all keep its shot
+    noise, which stands in `shot` then. gain: DN/e-."""
+    rows = np.stack([added[:, p::2].mean(1) for p in (0, 1)], -1)
+    columns = np.stack([added[p::2].mean(0) for p in (0, 1)])
+    means = np.array([float(site(added, c).mean()) for c in range(4)])
+    own: dict[str, Any] = {
+        "mean": s.mean - added,
+        "frame_means": s.frame_means - means,
+        "row_means": s.row_means - rows,
+        "column_means": s.column_means - columns,
+        "level": per_channel(np.asarray(s.level) - means),
+        "shot": gain * added if s.shot is None else s.shot + gain * added,
+    }
+    return replace(s, **own)
+
+
+def line_means(s: FrameStatistics, channel: int) -> tuple[Float[np.ndarray, "T h"], Float[np.ndarray, "T w"]]:
+    """Means of the rows and of the columns of one channel in every frame."""
+    if channel == ALL:
+        return s.row_means.mean(-1), s.column_means.mean(1)
+    return s.row_means[:, channel // 2 :: 2, channel % 2], s.column_means[:, channel // 2, channel % 2 :: 2]
+
+
+def unlike_sites(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
+    """The usual variance of the pixels of each mosaic site over that of all sites: of `ALL`, rows or columns
+    may take turns in noise; of one site 1."""
+    out = np.ones(site(s.mean, channel).shape)
+    if channel == ALL:
+        middles = np.array([float(np.median(pixel_variance(s, c))) for c in range(4)])
+        for c, middle in enumerate(middles):
+            site(out, c)[...] = middle / max(float(middles.mean()), 1e-12)
+    return out
+
+
+def quiet_mean_square(
+    s: FrameStatistics, channel: int, rounding: float = 0.0
+) -> tuple[float, Bool[np.ndarray, "h w"]]:
+    """Mean temporal variance of one channel by the outlier rule, DN^2, and the pixels kept; of `ALL` each
+    mosaic site by itself. rounding: see `fit.robust_mean_square`."""
+    if channel != ALL:
+        return robust_mean_square(pixel_variance(s, channel), s.dof, rounding=rounding)
+    squares, keep = [], np.zeros(s.mean.shape, bool)
+    for c in range(4):
+        square, site(keep, c)[...] = robust_mean_square(pixel_variance(s, c), s.dof, rounding=rounding)
+        squares.append(square)
+    return float(np.mean(squares)), keep
+
+
+def quiet_pixels(s: FrameStatistics, channel: int, rounding: float = 0.0) -> Bool[np.ndarray, "h w"]:
+    """Pixels of a repeated dark that the outlier rule keeps."""
+    return quiet_mean_square(s, channel, rounding)[1]
+
+
+def black_of(recording: Recording, channel: int) -> float:
+    """The black level that a recording states for one channel, DN."""
+    return float(np.mean(recording.black_level)) if channel == ALL else recording.black_level[channel]
+
+
+def not_stuck(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
+    """Pixels that are not stuck."""
+    return np.ones(s.mean.shape, bool) if s.stuck is None else ~s.stuck
+
+
+def left_in_lines(s: FrameStatistics, axis: int) -> float:
+    """Of the variance of white noise, what the mean of a row (axis 0) or column (axis 1) holds, over all of
+    them: one over its pixels that are not stuck, 0 of lines that have none."""
+    if s.stuck is None:
+        return 1 / s.mean.shape[1 - axis]
+    counts = (~s.stuck).sum(1 - axis)
+    return float(np.mean(np.where(counts > 0, 1 / np.maximum(counts, 1), 0.0)))

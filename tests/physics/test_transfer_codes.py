@@ -1,0 +1,65 @@
+"""Codes that a table, a digital gain or two converters put apart are told from missing ones and from ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.physics.transfer.ends import rails
+from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.photon_transfer import transfer_at
+from cannoise_jax.recordings.recording import Recording
+
+
+def taken(stored, seed=2, levels=(0.0, 600.0, 1400.0, 2400.0)):
+    """Recordings of a camera whose values pass through `stored` at last."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for light in levels:
+        values = 200 + rng.poisson(light, (6, 64, 96)) + 5 * rng.standard_normal((6, 64, 96))
+        codes = np.clip(np.rint(stored(values)), 0, 65535).astype(np.uint16)
+        kind = "flat" if light else "dark"
+        out.append(
+            frame_statistics(Recording(codes, "MONO", (200.0,) * 4, 65535.0, "c", kind, exposure_s=1.0))
+        )
+    return out
+
+
+def companded(values):
+    return np.rint(np.rint(np.sqrt(np.clip(values, 0, None) / 4095) * 127) ** 2 / 127**2 * 4095)
+
+
+@pytest.mark.parametrize(
+    ("stored", "apart"),
+    [
+        (lambda v: np.rint(v) * 21.35, True),
+        (companded, True),
+        (lambda v: np.where(v > 1200, 8 * np.rint(v / 8), v), True),
+        (lambda v: v, False),
+        (lambda v: 8 * np.rint(v), False),
+    ],
+    ids=["scaled", "table", "two gains", "plain", "shifted"],
+)
+def test_codes_that_lie_apart_are_said(stored, apart):
+    found = MECHANISMS["missing_codes"].estimator(taken(stored), None)
+    assert isinstance(found, NotMeasurable) and ("apart" in found.record) == apart
+
+
+def test_one_code_in_nine_that_never_occurs_is_missing():
+    found = MECHANISMS["missing_codes"].estimator(taken(lambda v: np.rint(v) + (np.rint(v) % 9 == 4)), None)
+    assert found["period"].value == 9
+
+
+def test_codes_of_a_table_pile_up_nowhere():
+    """The tail of a level ends at one of few codes; a brighter flat lies far above."""
+    statistics = taken(companded)
+    assert all(np.isnan(s.high).all() for s in statistics)
+    end = [q for q in transfer_at(statistics).quantities if q.name == "saturation level"]
+    assert all(isinstance(q.outcome, NotMeasurable) for q in end)
+    histogram = np.zeros(1 << 16, np.int64)
+    histogram[[100, 130, 160, 190]] = 4, 60, 90, 3000
+    assert rails(histogram, 1.0, 1023.0)[1] == 190
+    histogram[160] = 800
+    assert np.isnan(rails(histogram, 1.0, 1023.0)[1])
