@@ -111,7 +111,7 @@ def curve_score(fields, *, baselines: tuple[GroupBaseline, ...], step: float) ->
         log_p=chi2_log_sf(chi2, dof),
         gain=gain,
         penalty=OF_A_CURVE,
-        amplitude=float(np.sqrt(max(np.mean(squares) - np.mean(errors), 0.0))),
+        amplitude=float(np.sqrt(max(float(np.mean(squares) - np.mean(errors)), 0.0))),
         error=float(np.sqrt(np.mean(errors) / 2 / len(errors))),
         shift=float(np.sqrt(np.mean(errors) * np.sqrt(2 / dof))),
         power=2,

@@ -166,8 +166,7 @@ def black_at(
         excess = sum(w * np.asarray(_excess(s, reference)) for w, s in parts)
         return Black(per_channel(level), per_channel(error), seconds, True, said, per_channel(excess))
     if len(times) >= 3:
-        level, error = _extended(series, seconds)
-        return Black(level, error, seconds, True, said)
+        return Black(*_extended(series, seconds), seconds, True, said)
     if alike(own, seconds, _ALIKE, _SHORT_S):
         return near._replace(excess=None)
     return near._replace(

@@ -103,7 +103,8 @@ def law_of(
     """
     low, middle, high = np.percentile(values, (25, 50, 75))
     start = PixelLaw(float(middle), max(float(high - low) / 1.349, least, 1e-9))
-    start = start._replace(**_tails(values - start.middle, start.scale))
+    share, reach = _tails(values - start.middle, start.scale)
+    start = start._replace(share=share, reach=reach)
     at, counts = _histogram(values, start)
     span = float(at[-1] - at[0])
     # Lower ones are ordinary, higher ones beyond all that was seen.
@@ -184,15 +185,15 @@ def _shape(values: np.ndarray) -> float:
     return float(np.clip(np.log(max(ratio, 1e-9)) / stats.norm.isf(0.1), 0.02, 2.0))
 
 
-def _tails(beyond: np.ndarray, sigma: float) -> dict[str, float]:
+def _tails(beyond: np.ndarray, sigma: float) -> tuple[float, float]:
     """Share and reach of Laplace tails, from the pixels far below the median; fewer than ten, whose law is
     unknown, count as none."""
     below = -beyond[beyond < -FAR * sigma]
     if below.size < _FEW:
-        return {}
+        return 0.0, 1.0
     reach = float(np.mean(below)) - FAR * sigma
     share = 2 * below.size / beyond.size * np.exp(min(FAR * sigma / reach, 50.0))
-    return {"share": min(float(share), 0.5), "reach": reach}
+    return min(float(share), 0.5), reach
 
 
 def _histogram(values: np.ndarray, start: PixelLaw) -> tuple[np.ndarray, np.ndarray]:

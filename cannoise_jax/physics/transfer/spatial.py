@@ -111,7 +111,7 @@ def spatial_split(
     inner_dof = heavy_dof(rest[keep], inner)
     pixel = variance_difference(interaction, inner_dof, temporal.pixel / frames, temporal.pixel_dof)
 
-    def part(means: np.ndarray, across: np.ndarray, whole: float, dof: float) -> Estimate:
+    def of_lines(means: np.ndarray, across: np.ndarray, whole: float, dof: float) -> Estimate:
         # Row means hold the fixed row pattern, temporal row noise / T, and the pixels' fixed pattern / W.
         means, across = (means[across > 0], across[across > 0]) if (across > 0).sum() > 1 else (means, across)
         frozen = max(interaction - temporal.pixel / frames, 0.0) * float(np.mean(1 / np.maximum(across, 1)))
@@ -120,8 +120,8 @@ def spatial_split(
             means.var(ddof=1), max(first_dof, 2.0), whole / frames + frozen, max(dof, 2.0)
         )
 
-    row = part(rows, in_row, temporal.row_mean, temporal.row_dof)
-    column = part(columns, in_column, temporal.column_mean, temporal.column_dof)
+    row = of_lines(rows, in_row, temporal.row_mean, temporal.row_dof)
+    column = of_lines(columns, in_column, temporal.column_mean, temporal.column_dof)
     return Split(total_of(row, column, pixel), row, column, pixel)
 
 

@@ -112,13 +112,13 @@ def grown(
     seconds = dark.recording.exposure_s
     if found is None or not found.differ or pair is None or pair[1] is None or seconds is None:
         return None
-    long, short, _ = pair
+    long, short = pair[:2]
     share = seconds / found.seconds
     added = np.where(long.clipped, 0.0, found.charge) * share
     for c in range(4):
         site(added, c)[...] *= baseline.gain[c]
     left = 0.0
-    for s in {id(s): s for s in (dark, long, short)}.values():
+    for s in {id(s): s for s in (dark, long, short) if s is not None}.values():
         part = float(s is dark) - share * float(s is long) + share * float(s is short)
         left += part**2 * _noise_of_mean(s, baseline)
     return added, left / _noise_of_mean(dark, baseline)
