@@ -15,13 +15,15 @@ from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfe
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 GAIN, READ, BLACK, LIGHT = 0.4, 5.0, 60.0, 9000.0
+PRNU = 0.01
+RESPONSE = 1 + PRNU * np.random.default_rng(0).standard_normal((72, 96))
 
 
 def taken(seed, kind, seconds, rate, light=LIGHT, frames=4):
     """A linear camera under one steady light, e-/s, with a dark current of `rate` e-/s."""
     rng, size = np.random.default_rng(seed), (frames, 72, 96)
     lit = light if kind == "flat" else 0.0
-    charge = rng.poisson((lit + rate) * seconds, size) + rng.normal(0, READ, size)
+    charge = rng.poisson(np.broadcast_to((lit * RESPONSE + rate) * seconds, size)) + rng.normal(0, READ, size)
     codes = np.clip(np.rint(BLACK + GAIN * charge), 0, 4095).astype(np.uint16)
     return Recording(
         codes, "MONO", per_channel(BLACK), 4095.0, kind=kind, exposure_s=None if kind == "bias" else seconds
@@ -59,6 +61,9 @@ def test_a_linear_camera_is_linear_and_its_gain_right(times, rate, more):
     loss = found["nonlinearity"].estimates["loss"]
     assert abs(loss.value) < 4 * loss.stderr and loss.stderr < 0.02
     assert found["dark_current"].estimates["e_per_s"].value == pytest.approx(rate, rel=0.1)
+    # Noise of the dark charge, which stays in the flats, is no sensitivity.
+    low, high = found["prnu"].estimates["sigma"].ci90
+    assert low - 0.002 < PRNU < high + 0.002
     for s in (s for s in transfer.statistics if s.recording.kind == "flat"):
         assert np.mean(s.level[:4]) + np.mean(s.recording.black_level) - np.mean(base.black_level) == (
             pytest.approx(GAIN * LIGHT * s.recording.exposure_s, rel=0.01)

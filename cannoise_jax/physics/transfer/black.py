@@ -90,8 +90,9 @@ def black_level(statistics: Sequence[FrameStatistics]) -> Black:
 
 
 def of_one_dark(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
-    """The statistics with every flat above the reference dark: less what darks of its own exposure have
-    beyond that one, in the mean and in the variance. Flats for which no dark near tells stay as they are."""
+    """The statistics with every flat above the reference dark: its means less what darks of its own exposure
+    have beyond that one, what they have in the variance stated beside it. Flats for which no dark near tells
+    stay as they are."""
     dark = reference_dark(statistics)
     if dark is None or black_level(statistics).note:
         return list(statistics)
@@ -99,16 +100,16 @@ def of_one_dark(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
     out = []
     for s in statistics:
         own = s.recording
-        if own.kind == "flat" and own.exposure_s and s.dark_s is None:
+        if own.kind == "flat" and own.exposure_s and s.dark_noise is None:
             black = black_at(statistics, own.exposure_s, own.temperature_c)
             if black.certain and black.excess is not None:
-                s = _above(s, np.asarray(black.level) - level, np.asarray(black.excess), own.exposure_s)
+                s = _above(s, np.asarray(black.level) - level, black.excess)
         out.append(s)
     return out
 
 
-def _above(s: FrameStatistics, charge: np.ndarray, excess: np.ndarray, seconds: float) -> FrameStatistics:
-    """The statistics of a flat less a level and a variance of every channel. seconds: its exposure."""
+def _above(s: FrameStatistics, charge: np.ndarray, excess: PerChannel) -> FrameStatistics:
+    """The statistics of a flat less a level of every channel, whose noise stays in its frames."""
     cells = charge.reshape(2, 2)
     rows, columns = (np.arange(n) % 2 for n in s.mean.shape)
     own: dict[str, Any] = {
@@ -117,11 +118,8 @@ def _above(s: FrameStatistics, charge: np.ndarray, excess: np.ndarray, seconds: 
         "row_means": s.row_means - cells[rows],
         "column_means": s.column_means - cells[:, columns],
         "level": per_channel(np.asarray(s.level) - charge),
-        "dark_s": seconds,
+        "dark_noise": excess,
     }
-    if s.variance is not None and s.total is not None:
-        noise = excess.reshape(2, 2)[np.ix_(rows, columns)]
-        own |= {"variance": s.variance - noise, "total": s.total - noise}
     return replace(s, **own)
 
 
@@ -130,7 +128,7 @@ def black_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Bl
     reference dark (`of_one_dark`), of that one with the errors of both."""
     black = black_at(statistics, flat.recording.exposure_s, flat.recording.temperature_c)
     dark = reference_dark(statistics)
-    if flat.dark_s is None or dark is None:
+    if flat.dark_noise is None or dark is None:
         return black
     return black._replace(level=per_channel(dark.frame_means.mean(0)))
 

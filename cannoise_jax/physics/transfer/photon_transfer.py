@@ -44,7 +44,13 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit
-from cannoise_jax.physics.transfer.views import pixel_variance, quiet_pixels, unlike_sites, with_all_sites
+from cannoise_jax.physics.transfer.views import (
+    dark_noise,
+    pixel_variance,
+    quiet_pixels,
+    unlike_sites,
+    with_all_sites,
+)
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
 
@@ -204,7 +210,8 @@ def _levels(
         and below_full(s, full, black[c], c)
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
-        signal, variance = (site(s.mean, c) - black[c]) * site(of_variance(s), c), pixel_variance(s, c)
+        signal = (site(s.mean, c) - black[c]) * site(of_variance(s), c)
+        variance = pixel_variance(s, c) - dark_noise(s, c)
         usable = below_rail(s, c)
         if usable.mean() > _ENOUGH:
             if (usable & quiet).sum() >= _MANY:
