@@ -111,12 +111,11 @@ def _of_the_light(
     bends = next((f for f in found.values() if f.estimator.straight and f.measured), None)
     if bends is None or bends.estimator.straight is None or bends.measured is None:
         return {}
-    factor, said = (
-        bends.estimator.straight(statistics, baseline, bends.measured),
-        "(of a straight response)",
-    )
+    factor = bends.estimator.straight(statistics, baseline, bends.measured)
     return {
-        id: f._replace(estimates={n: e.scaled(factor) for n, e in f.measured.items()}, because=said)
+        id: f._replace(
+            estimates={n: e.scaled(factor) for n, e in f.measured.items()}, because="(of a straight response)"
+        )
         for id, f in found.items()
         if f.estimator.of_light and f.measured
     }

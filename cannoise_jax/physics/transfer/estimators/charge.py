@@ -75,7 +75,7 @@ class Currents(NamedTuple):
 
 def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None:
     """None without two repeated darks, one much shorter than the other."""
-    pair = _long_and_short(statistics)
+    pair = long_and_short(statistics)
     if pair is None or pair[1] is None or baseline is None or pair[0].clipped.all():
         return None
     long, short, seconds = pair
@@ -108,7 +108,7 @@ def grown(
 ) -> tuple[Float[np.ndarray, "H W"], float] | None:
     """What dark currents that differ add to the pixels of a dark beyond their mean, DN, and the variance of
     noise that the dark less that holds over that of the dark. None where they do not differ."""
-    found, pair = currents(statistics, baseline), _long_and_short(statistics)
+    found, pair = currents(statistics, baseline), long_and_short(statistics)
     seconds = dark.recording.exposure_s
     if found is None or not found.differ or pair is None or pair[1] is None or seconds is None:
         return None
@@ -137,7 +137,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     Heat only adds: where no more pixels lie far above the median than below, none is hot. Of pixels that are
     full it is known that they are hot, and at least as much as fills them.
     """
-    pair = _long_and_short(statistics)
+    pair = long_and_short(statistics)
     if pair is None or baseline is None:
         return _LONG
     long, short, seconds = pair
@@ -170,7 +170,7 @@ def hot_map(
     statistics: Sequence[FrameStatistics], baseline, e_per_s: float, fraction: float
 ) -> Float[np.ndarray, "H W"] | None:
     """Heights, in units of their mean, of the pixels that are more likely hot than ordinary; 0 elsewhere."""
-    pair = _long_and_short(statistics)
+    pair = long_and_short(statistics)
     if pair is None or baseline is None:
         return None
     long, short, seconds = pair
@@ -231,7 +231,7 @@ def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0,
     return Estimate(value, stderr, (float(low), float(high)))
 
 
-def _long_and_short(
+def long_and_short(
     statistics: Sequence[FrameStatistics],
 ) -> tuple[FrameStatistics, FrameStatistics | None, float] | None:
     """The longest dark, the shortest if it is of at most half its exposure, and the seconds between."""

@@ -17,16 +17,13 @@ from scipy import ndimage, optimize, stats
 
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
-from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate
-from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
+from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate, long_and_short
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, step_of
 from cannoise_jax.physics.transfer.views import less
 from cannoise_jax.recordings.packing import site
 
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
-_SHORT = 0.5
-"""Of the longest exposure, up to which a dark is short beside it: the glow of half the time is left."""
 _GRID = 24
 """Cells along a side through whose means the glow is fitted; halves, thirds and quarters end between them."""
 _FAR = 6.0
@@ -85,14 +82,10 @@ class _Glow(NamedTuple):
 
 
 def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | None:
-    darks = darks_by_exposure(statistics)
-    if baseline is None or not darks:
+    pair = long_and_short(statistics)
+    if baseline is None or pair is None or pair[1] is None:
         return None
-    long, short = darks[-1], darks[0]
-    long_s, short_s = (s.recording.exposure_s or 0.0 for s in (long, short))
-    if short_s > _SHORT * long_s or long_s <= 0:
-        return None
-    seconds = long_s - short_s
+    long, short, seconds = pair
     charge, variance = charge_map(long, short, baseline)
     if coarse(long):  # pixels that never change code are no surer than a code
         variance = np.maximum(variance, (step_of(long) / float(np.mean(baseline.gain))) ** 2 / 12)
