@@ -213,16 +213,14 @@ def _between(
 ) -> tuple[tuple[FrameStatistics, FrameStatistics], float] | None:
     """The darks next to an exposure, of most frames among equals, and the weight of the longer one; None
     where it lies beyond all."""
-    order = sorted(darks, key=lambda s: (_seconds(s.recording) or 0.0, -s.recording.count))
-    below = [s for s in order if (_seconds(s.recording) or 0.0) < seconds]
-    above = [s for s in order if (_seconds(s.recording) or 0.0) > seconds]
+    below = [s for s in darks if (_seconds(s.recording) or 0.0) < seconds]
+    above = [s for s in darks if (_seconds(s.recording) or 0.0) > seconds]
     if not below or not above:
         return None
-    start, end = (_seconds(s.recording) or 0.0 for s in (below[-1], above[0]))
-    low = max(
-        (s for s in below if _seconds(s.recording) == start or not start), key=lambda s: s.recording.count
-    )
-    return (low, above[0]), (seconds - start) / (end - start)
+    low = max(below, key=lambda s: (_seconds(s.recording) or 0.0, s.recording.count))
+    high = min(above, key=lambda s: (_seconds(s.recording) or 0.0, -s.recording.count))
+    start, end = (_seconds(s.recording) or 0.0 for s in (low, high))
+    return (low, high), (seconds - start) / (end - start)
 
 
 def _least_seconds(darks: Sequence[FrameStatistics]) -> float:
