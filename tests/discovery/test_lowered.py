@@ -60,3 +60,16 @@ def test_only_what_is_too_much_is_changed():
     gone = lowered(model, shares([Excess("row_noise", 3.0, 0.1, 0.1, 0.1)]))
     assert gone is not None and [m.mechanism for m in gone.mechanisms] == ["column_noise"]
     assert lowered(model, shares([Excess("dsnu", 1.0, 0.0, 0.1, 0.1)])) is None
+
+
+def test_a_shape_is_no_strength():
+    model = sensor(1.0).with_mechanism("heavy_tails", tukey_lambda=0.05)
+    less = lowered(model, {"heavy_tails": 0.5})
+    assert less is not None
+    (tails,) = (m for m in less.mechanisms if m.mechanism == "heavy_tails")
+    assert float(tails.parameters["tukey_lambda"]) == pytest.approx(0.05)
+    spread = sensor(1.0).with_mechanism("pixel_read_noise_map", spread=0.4)
+    (kept,) = (
+        m for m in lowered(spread, {"pixel_read_noise_map": 0.5}).mechanisms if m.mechanism != "row_noise"
+    )
+    assert float(kept.parameters["spread"]) == pytest.approx(0.2) and not kept.maps

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from cannoise_jax.discovery.proof.excess import Excess
 from cannoise_jax.discovery.search.fit import Step
-from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor import Fitted, SensorModel
 
 _SURE = 2.0
 """Standard errors from which on the recordings show some of it, and not none."""
@@ -30,10 +30,19 @@ def lowered(model: SensorModel, share: Mapping[str, float]) -> SensorModel | Non
         if less == 1.0:
             kept.append(fitted)
         elif less > 0:
-            name = fitted.record.scales or fitted.record.parameters[0].name
-            values = {**fitted.parameters, name: fitted.parameters[name] * less}
-            kept.append(dataclasses.replace(fitted, parameters=values))
+            kept.append(_at(fitted, less))
     return dataclasses.replace(model, mechanisms=tuple(kept))
+
+
+def _at(fitted: Fitted, share: float) -> Fitted:
+    """The mechanism at a share of its strength; as it is where that does not begin at zero, as a shape."""
+    record = fitted.record
+    first = next(p for p in record.parameters if p.name == (record.scales or record.parameters[0].name))
+    if first.low < 0:
+        return fitted
+    values = {**fitted.parameters, first.name: fitted.parameters[first.name] * share}
+    # A map that is not in units of the strength would keep it.
+    return dataclasses.replace(fitted, parameters=values, maps=fitted.maps if record.scales else {})
 
 
 def at_shares(steps: tuple[Step, ...], share: Mapping[str, float]) -> tuple[Step, ...]:
