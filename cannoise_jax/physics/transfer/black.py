@@ -100,7 +100,7 @@ def of_one_dark(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
     out = []
     for s in statistics:
         own = s.recording
-        if own.kind == "flat" and own.exposure_s and s.dark_noise is None:
+        if own.kind == "flat" and own.exposure_s and s.dark_shot is None:
             black = black_at(statistics, own.exposure_s, own.temperature_c)
             if black.certain and black.excess is not None:
                 s = _above(s, np.asarray(black.level) - level, black.excess)
@@ -118,7 +118,7 @@ def _above(s: FrameStatistics, charge: np.ndarray, excess: PerChannel) -> FrameS
         "row_means": s.row_means - cells[rows],
         "column_means": s.column_means - cells[:, columns],
         "level": per_channel(np.asarray(s.level) - charge),
-        "dark_noise": excess,
+        "dark_shot": excess,
     }
     return replace(s, **own)
 
@@ -128,7 +128,7 @@ def black_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Bl
     reference dark (`of_one_dark`), of that one with the errors of both."""
     black = black_at(statistics, flat.recording.exposure_s, flat.recording.temperature_c)
     dark = reference_dark(statistics)
-    if flat.dark_noise is None or dark is None:
+    if flat.dark_shot is None or dark is None:
         return black
     return black._replace(level=per_channel(dark.frame_means.mean(0)))
 

@@ -35,7 +35,7 @@ noisy, moved by less than 1e-10 of their standard error; at the second by up to 
 HALF_A_CODE = 3.0
 """Its square in units of the variance that rounding adds."""
 _APART = 0.2
-"""Of the range of signals, from which on two classes are far apart."""
+"""Of the median distance from the darkest class, from which on another one is far from it."""
 _UNSURE = 0.3
 """Standard error over the slope above which there is no gain: electrons per DN, 1 / slope, are then biased by
 its square, 9 %, and three errors reach zero."""
@@ -132,8 +132,8 @@ def fit_line(levels: list[ChannelMaps], rounding: float) -> Line | None:
 
 
 def _start(levels: list[ChannelMaps]) -> tuple[float, float]:
-    """A first line through medians of sixteen classes of equal signal per level: the median of the slopes
-    between all that are far apart (Theil and Sen), for a class may hold dead pixels."""
+    """A first line through medians of sixteen classes of equal signal per level; where it does not rise, for
+    a class may hold dead pixels, from the darkest with the median of the slopes to those far from it."""
     points = []
     for level in levels:
         signal, variance = level.signal[level.usable], level.variance[level.usable]
@@ -145,10 +145,14 @@ def _start(levels: list[ChannelMaps]) -> tuple[float, float]:
     x, y = np.array(points).reshape(-1, 2).T
     if len(x) < 2 or np.ptp(x) == 0:
         return np.nan, np.nan
-    apart, rise = np.subtract.outer(x, x), np.subtract.outer(y, y)
-    far = apart > _APART * np.ptp(x)
-    slope = float(np.median(rise[far] / apart[far]))
-    offset = float(np.median((y - slope * x)[np.argsort(x)[: max(len(x) // 4, 1)]]))
+    weight = 1 / np.maximum(y, 1e-6)
+    slope, offset = np.polyfit(x, y, 1, w=weight)
+    if slope <= 0:
+        low = int(np.argmin(x))
+        apart = x - x[low]
+        far = apart > _APART * (np.median(apart) or np.ptp(x))
+        slope = float(np.median((y[far] - y[low]) / apart[far]))
+        offset = float(y[low] - slope * x[low])
     offset = offset if offset > 0 else max(float(y.min()) * 0.5, 1e-6)
     return max(float(slope), 1e-6), float(offset)
 

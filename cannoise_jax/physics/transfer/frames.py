@@ -51,7 +51,7 @@ class FrameStatistics:
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
       never change, likewise; None where there are none.
-    dark_noise: variance by channel that the dark charge of a flat, whose mean is taken out of its means
+    dark_shot: variance by channel that the dark charge of a flat, whose mean is taken out of its means
       (`black.of_one_dark`), adds beyond that of the reference dark, DN^2; None: it is not taken out.
     shot: what charge that the means are without, but the frames not, adds to the variances, DN^2; None where
       there is none.
@@ -75,7 +75,7 @@ class FrameStatistics:
     hits: Hits | None = None
     unlit: Bool[np.ndarray, "H W"] | None = None
     dead: Bool[np.ndarray, "H W"] | None = None
-    dark_noise: PerChannel | None = None
+    dark_shot: PerChannel | None = None
     shot: Float[np.ndarray, "H W"] | None = None
     stuck: Bool[np.ndarray, "H W"] | None = None
 

@@ -45,7 +45,7 @@ from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_o
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit
 from cannoise_jax.physics.transfer.views import (
-    dark_noise,
+    dark_shot,
     pixel_variance,
     quiet_pixels,
     unlike_sites,
@@ -211,7 +211,7 @@ def _levels(
     ]  # fmt: skip
     for s in within or [s for s in lit if s.variance is not None]:
         signal = (site(s.mean, c) - black[c]) * site(of_variance(s), c)
-        variance = pixel_variance(s, c) - dark_noise(s, c)
+        variance = pixel_variance(s, c) - dark_shot(s, c)
         usable = below_rail(s, c)
         if usable.mean() > _ENOUGH:
             if (usable & quiet).sum() >= _MANY:

@@ -12,7 +12,7 @@ from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.rails import LINEAR, below_rail
-from cannoise_jax.physics.transfer.views import dark_noise, pixel_variance
+from cannoise_jax.physics.transfer.views import dark_shot, pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
@@ -117,7 +117,7 @@ def _dark_of(
     flat: FrameStatistics, statistics: Sequence[FrameStatistics], reference: FrameStatistics
 ) -> FrameStatistics:
     """The repeated dark as long as a flat; the one given where none is, or the flat stands above that."""
-    own = flat.recording.exposure_s if flat.dark_noise is None else None
+    own = flat.recording.exposure_s if flat.dark_shot is None else None
     alike = [
         s for s in statistics
         if s.recording.kind in DARK and s.variance is not None and own and s.recording.exposure_s
@@ -142,7 +142,7 @@ def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] 
         straight &= mean < LINEAR * flat.recording.white_level
         read = 0.0 if dark.variance is None else float(np.median(pixel_variance(dark, c)))
         read /= median_quotient(dark.dof) if dark.variance is not None else 1.0
-        shot = variance / median_quotient(flat.dof) - read - dark_noise(flat, c)
+        shot = variance / median_quotient(flat.dof) - read - dark_shot(flat, c)
         if shot <= read:  # then the read noise, and the dark that is taken for it, would tell the gain
             return None
         gains.append(shot / signal / float(np.median(site(of_variance(flat), c))))

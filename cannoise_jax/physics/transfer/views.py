@@ -22,9 +22,9 @@ def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]
     return site(s.variance, channel)
 
 
-def dark_noise(s: FrameStatistics, channel: int) -> float:
+def dark_shot(s: FrameStatistics, channel: int) -> float:
     """Variance of one channel by dark charge that is taken out of the means of a flat, DN^2."""
-    return 0.0 if s.dark_noise is None else s.dark_noise[channel]
+    return 0.0 if s.dark_shot is None else s.dark_shot[channel]
 
 
 def with_all_sites(s: FrameStatistics) -> FrameStatistics:
@@ -36,7 +36,7 @@ def with_all_sites(s: FrameStatistics) -> FrameStatistics:
         "low": (*s.low, _end(s.low, min)),
         "high": (*s.high, _end(s.high, max)),
         "lowest": (*s.lowest, float(np.mean(s.lowest))),
-        "dark_noise": None if s.dark_noise is None else (*s.dark_noise, float(np.mean(s.dark_noise))),
+        "dark_shot": None if s.dark_shot is None else (*s.dark_shot, float(np.mean(s.dark_shot))),
     }
     return replace(s, **own)
 
