@@ -81,7 +81,10 @@ def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None
     long, short, seconds = pair
     charge, law = _charge_and_law(long, short, baseline)
     out = long.clipped | law.is_hot(charge)
-    noises = charge_map(long, short, baseline)[1][~out]
+    if out.all():
+        return None
+    every, noises = charge_map(long, short, baseline)
+    noises = noises[~out]
     noise, total = float(np.median(noises)), law.variance
     error = total * np.sqrt(2 / noises.size)
     if law.shape:  # noise beside the currents bends the law: their own scatter says more of the tail
@@ -90,7 +93,6 @@ def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None
         error = np.std(squares) / np.sqrt(squares.size)
     error = float(np.hypot(error, _NOISE_DOUBT * noise))
     # What is smooth is told from a glow by now, and else the pixels' own.
-    every = charge_map(long, short, baseline)[0]
     return Currents(every - every[~out].mean(), law, out, noise, seconds, total - noise, error)
 
 
