@@ -86,7 +86,7 @@ def told(recording: Recording, odd: Odd) -> str:
 
 
 def _levels(recording: Recording) -> tuple[Float[np.ndarray, "T y x"], float, int]:
-    """Median level of every part of every frame, DN, the noise of a pixel, and how many tell a level."""
+    """Mean level of every part of every frame, DN, the noise of a pixel, and how many tell a level."""
     rows, columns = (np.array_split(np.arange(n), _CELLS) for n in recording.size)
     out: list[np.ndarray] = []
     noises, previous = [], None
@@ -108,11 +108,9 @@ def _without_lean(ratio: Float[np.ndarray, "y x"]) -> Float[np.ndarray, "y x"]:
     rest = ratio / float(np.median(ratio)) - 1
     for axis in (0, 1):
         middle = np.median(rest, axis=1 - axis)
-        steps = np.subtract.outer(middle, middle) / np.maximum(
-            np.abs(np.subtract.outer(np.arange(len(middle)), np.arange(len(middle)))), 1
-        )
-        sign = np.sign(np.subtract.outer(np.arange(len(middle)), np.arange(len(middle))))
-        slope = float(np.median((steps * sign)[sign != 0]))
-        line = slope * (np.arange(len(middle)) - (len(middle) - 1) / 2)
+        place = np.arange(len(middle))
+        away = np.subtract.outer(place, place)
+        slope = float(np.median(np.subtract.outer(middle, middle)[away != 0] / away[away != 0]))
+        line = slope * (place - (len(middle) - 1) / 2)
         rest = rest - (line[:, None] if axis == 0 else line[None])
     return rest - float(np.median(rest))

@@ -10,8 +10,7 @@ all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,8 +18,9 @@ from scipy import stats
 
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.views import less
 from cannoise_jax.recordings.packing import site
-from cannoise_jax.recordings.recording import DARK, PerChannel, Recording, per_channel
+from cannoise_jax.recordings.recording import DARK, PerChannel, Recording, mosaic_map, per_channel
 
 _SHORT_S = 0.1
 """Exposures below it count as one where darks show no charge that grows in them."""
@@ -103,24 +103,10 @@ def of_one_dark(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
         if own.kind == "flat" and own.exposure_s and s.dark_shot is None:
             black = black_at(statistics, own.exposure_s, own.temperature_c)
             if black.certain and black.excess is not None:
-                s = _above(s, np.asarray(black.level) - level, black.excess)
+                charge = mosaic_map(per_channel(np.asarray(black.level) - level), own.size)
+                s = less(s, charge.astype(np.float64), dark_shot=black.excess)
         out.append(s)
     return out
-
-
-def _above(s: FrameStatistics, charge: np.ndarray, excess: PerChannel) -> FrameStatistics:
-    """The statistics of a flat less a level of every channel, whose noise stays in its frames."""
-    cells = charge.reshape(2, 2)
-    rows, columns = (np.arange(n) % 2 for n in s.mean.shape)
-    own: dict[str, Any] = {
-        "mean": s.mean - cells[np.ix_(rows, columns)],
-        "frame_means": s.frame_means - charge,
-        "row_means": s.row_means - cells[rows],
-        "column_means": s.column_means - cells[:, columns],
-        "level": per_channel(np.asarray(s.level) - charge),
-        "dark_shot": excess,
-    }
-    return replace(s, **own)
 
 
 def black_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Black:

@@ -46,9 +46,9 @@ def _end(codes: PerChannel, pick: Callable[[list[float]], float]) -> float:
     return pick(known) if known else float("nan")
 
 
-def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], gain: float) -> FrameStatistics:
+def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], **stated: Any) -> FrameStatistics:
     """The statistics without charge that every frame holds, DN; the recording keeps it, and all keep its shot
-    noise, which stands in `shot` then. gain: DN/e-."""
+    noise. stated: where that is said, by field."""
     rows = np.stack([added[:, p::2].mean(1) for p in (0, 1)], -1)
     columns = np.stack([added[p::2].mean(0) for p in (0, 1)])
     means = np.array([float(site(added, c).mean()) for c in range(4)])
@@ -58,9 +58,8 @@ def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], gain: float) -> Fr
         "row_means": s.row_means - rows,
         "column_means": s.column_means - columns,
         "level": per_channel(np.asarray(s.level) - means),
-        "shot": gain * added if s.shot is None else s.shot + gain * added,
     }
-    return replace(s, **own)
+    return replace(s, **own, **stated)
 
 
 def line_means(s: FrameStatistics, channel: int) -> tuple[Float[np.ndarray, "T h"], Float[np.ndarray, "T w"]]:

@@ -66,7 +66,8 @@ def without_glow(
         added = estimates["e_per_s"].value * (s.recording.exposure_s or 0.0) * shape
         for c in range(4):
             site(added, c)[...] *= baseline.gain[c]
-        out.append(less(s, added, float(np.mean(baseline.gain))))
+        shot = float(np.mean(baseline.gain)) * added
+        out.append(less(s, added, shot=shot if s.shot is None else s.shot + shot))
     return out
 
 
