@@ -8,7 +8,8 @@ import pytest
 
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
-from cannoise_jax.physics.transfer.estimators.noise import heavy_tails, rts
+from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
+from cannoise_jax.physics.transfer.estimators.telegraph import rts
 from cannoise_jax.physics.transfer.faults import faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import transfer_at
