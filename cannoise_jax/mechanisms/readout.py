@@ -226,6 +226,11 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=looks.always(
             looks.waves.interference("redrawn", name="wave_redrawn", parameter="amplitude_dn",
                 lines=imprints.ROWS_AND_COLUMNS),
+            # A supply brings its harmonics along.
+            looks.waves.interference("redrawn", name="wave_redrawn_2", parameter="amplitude_dn",
+                lines=imprints.ROWS_AND_COLUMNS, after="wave_redrawn"),
+            looks.waves.interference("redrawn", name="wave_redrawn_3", parameter="amplitude_dn",
+                lines=imprints.ROWS_AND_COLUMNS, after="wave_redrawn_2"),
             looks.waves.interference("frozen", name="wave_frozen", parameter="amplitude_dn"),
         ),
         estimator=Estimator(spectra.banding, searched=True, beside=spectra.beside_rows),

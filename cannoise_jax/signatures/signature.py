@@ -91,8 +91,9 @@ class Signature:
       that cover this one though they do not know it, as one of an entry from outside; hides(score): more of
       them, for an effect of that size; before(score): those that it must be judged before; found_in:
       those that it shows beside only once they are known, and in which it is counted until it is: found after
-      one of them it is taken out before it, and they are found anew. rare: whether p is 1 unless something
-      is far off.
+      one of them it is taken out before it, and they are found anew. after: the one that must be found before
+      this is looked for: of the same kind, so that without it both would be of one thing. rare: whether p is
+      1 unless something is far off.
     readings(score, scores) -> mechanisms and the evidence for each, the first may stay unnamed; None: its
       own. reads_as: those that it may mean beside its own. lifted_by: signatures whose evidence counts for
       this one's where both reject.
@@ -145,6 +146,7 @@ class Signature:
     hides: Callable[[Score], tuple[str, ...]] = lambda score: ()
     before: Callable[[Score], tuple[str, ...]] = lambda score: ()
     found_in: tuple[str, ...] = ()
+    after: str = ""
     rare: bool = False
     readings: Callable[[Score, Mapping[str, Score]], tuple[tuple[str | None, float], ...]] | None = None
     reads_as: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ import dataclasses
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import fft, ndimage, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
@@ -45,6 +45,9 @@ _LEAST_REST = 0.01
 _MOST_OF_LINES = 0.5
 """Share of what whole rows or columns share that lies in one line, from which on the line is judged first: a
 law of many frequencies would take it for its own."""
+_LINES, _NEXT_LINE = 3, 0.3
+"""Lines that are looked for one after the other, and how far another one stands out at least, against the
+first."""
 _COLOURED = 1.5
 """Level from which on noise is taken as coloured: three standard deviations of what white noise shows."""
 
@@ -116,7 +119,11 @@ def wave_score(
     here = 1.0 if near is None else _about(near, power.shape, (h, w))
     where = np.unravel_index(np.argmax(here * power / around), power.shape)
     power, level = power / around, float(around[where])
-    fy, fx = float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))
+    # Between two points of the grid a wave shows less of its power.
+    fy, fx = refined(
+        [v * f.weight.astype(np.float32) for f, v, _ in chosen],
+        (float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))),
+    )
     trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
     y, x = np.arange(h)[:, None], np.arange(w)[None, :]
     turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
@@ -148,19 +155,34 @@ def wave_score(
 
 
 def _of_lines(power: Float[np.ndarray, "h w"], at: tuple[int, int]) -> float:
-    """Share of what whole rows or columns share, beyond white noise, that lies in the line at this point; 0
-    where it is no wave of rows or columns."""
+    """Share of what whole rows or columns share, beyond white noise, that lies in the line at this point and
+    in others that stand out as it does: harmonics of one source come together. 0 where it is no wave of rows
+    or columns."""
     h, w = power.shape
     if at[1] > 0.6 * _PAD and min(at[0], h - at[0]) > 0.6 * _PAD:
         return 0.0
     shared = power[:, 0] if at[1] <= 0.6 * _PAD else power[0]
     place, length = (at[0], h) if at[1] <= 0.6 * _PAD else (at[1], 2 * (w - 1))
-    near = np.arange(shared.size)
-    own = np.zeros(shared.size, bool)
-    for middle in (place, length - place):  # a line and its mirror image
-        own |= np.abs((near - middle + length / 2) % length - length / 2) <= 2 * _PAD
     beyond = np.maximum(shared - 1, 0)
+    level = ndimage.uniform_filter1d(beyond, _WINDOW, mode="wrap") + 1
+    own = _line(shared.size, place, length)
+    least = beyond[place] / level[place]
+    for _ in range(_LINES - 1):
+        left = np.where(own, 0, beyond / level)
+        other = int(np.argmax(left))
+        if left[other] < max(_NEXT_LINE * least, 1.0):
+            break
+        own |= _line(shared.size, other, length)
     return float(beyond[own].sum() / max(beyond.sum(), 1e-30))
+
+
+def _line(size: int, place: int, length: int) -> Bool[np.ndarray, "n"]:
+    """Points of the padded grid that a line and its mirror image take."""
+    near = np.arange(size)
+    out = np.zeros(size, bool)
+    for middle in (place, length - place):
+        out |= np.abs((near - middle + length / 2) % length - length / 2) <= 2 * _PAD
+    return out
 
 
 def _around(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -258,17 +280,18 @@ def wave_detectable(asked: Asked, score: Score, mechanism: str) -> float:
     return float(np.sqrt(4 * excess / np.sqrt(np.sum(information**2))))
 
 
-def _weighted(fields: Many) -> list[np.ndarray]:
-    """What shows a redrawn wave, weighed by the noise."""
-    return [redrawn(f) * f.weight.astype(np.float32) for f in fields]
-
-
 def interference(
-    time: Literal["redrawn", "frozen"], *, name: str, parameter: str, lines: tuple[str, ...] = ()
+    time: Literal["redrawn", "frozen"],
+    *,
+    name: str,
+    parameter: str,
+    lines: tuple[str, ...] = (),
+    after: str = "",
 ) -> Signature:
     """A plane wave: of a new phase in every frame, or of one that stays. lines: signatures of rows and
     columns, before which a wave that is most of what these share is judged. A lesser one stands out only of
-    noise of lines that is known; taken out with that it would be too weak, and their law another one."""
+    noise of lines that is known; taken out with that it would be too weak, and their law another one. after:
+    the wave beside which this one is looked for."""
     redrawn_too = time == "redrawn"
     point = Point("readout", "signal", "raster", time, spectrum="sinusoid")
 
@@ -281,7 +304,7 @@ def interference(
     def added(found: Found, amplitude: str) -> Addition:
         fy, fx = (found.score.parameters[name][0] for name in ("frequency_y", "frequency_x"))
         if redrawn_too:
-            over, frequency = carrier(*refined(_weighted(found.fields), (fy, fx)), found.size)
+            over, frequency = carrier(fy, fx, found.size)
         else:
             over, frequency = "raster", raster_frequency(fy, fx, found.size[1])
         maps = {} if found.pattern is None else {"field": as_map(found.pattern)}
@@ -314,5 +337,6 @@ def interference(
         decides=redrawn_too,
         before=lambda score: lines if score.payload.of_lines > _MOST_OF_LINES else (),
         found_in=lines,
+        after=after,
         least=(lambda sets: sinusoid(sets, one)) if redrawn_too else NO_CLOSED_FORM,
     )

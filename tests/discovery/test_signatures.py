@@ -139,9 +139,11 @@ UNPLANTED = {
     "moving, clocking, warm, hits, lag_in_time, lattice, corrected": "discovery/test_beyond.py",
     "taps, taps_redrawn, tap_gains": "discovery/test_taps.py",
     "row_turns_temporal": "discovery/test_parity.py",
+    "wave_redrawn_2, wave_redrawn_3": "signatures/test_waves.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single
-electrons, frames in their order, pixels made of others, layouts of readouts. Each with the tests of it."""
+electrons, frames in their order, pixels made of others, layouts of readouts, and what comes after another.
+Each with the tests of it."""
 
 
 def test_every_signature_that_takes_something_out_is_held_to_it_or_named():

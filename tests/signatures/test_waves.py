@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.signatures.waves import wave_absorb, wave_score
 from tests.discovery.looks import SIGNATURES, white
 
@@ -87,3 +88,22 @@ def test_a_line_that_is_most_of_what_rows_share_is_judged_before_them(rows, firs
     field = field._replace(contrasts=(field.contrasts + shared / 3.0).astype(np.float32))
     wave = SIGNATURES["wave_redrawn"]
     assert ("row_slope" in wave.before(wave.score((field,)))) == first
+
+
+@pytest.mark.parametrize("frequencies", [(0.0833,), (0.0833, 0.3107), (0.0712, 0.1424, 0.2851)])
+def test_as_many_lines_as_there_are_each_with_its_frequency_and_strength(frequencies):
+    """Of equal strength, between points of any grid, beside white row noise."""
+    (field,) = white(_RNG(11), kinds=("dark",), frames=9, size=SIZE)
+    rng, y = _RNG(12), np.arange(SIZE[0])[:, None]
+    shared = 0.1 * rng.standard_normal((8, SIZE[0], 1))
+    for f in frequencies:
+        shared = shared + 0.6 * np.cos(2 * np.pi * (f * y + rng.random((8, 1, 1))))
+    field = field._replace(contrasts=(field.contrasts + shared / 3.0).astype(np.float32))
+    names = ("wave_redrawn", "wave_redrawn_2", "wave_redrawn_3", "row_additive_temporal", "row_slope")
+    found = stepwise((field,), tuple(SIGNATURES[n] for n in names), frozenset({"banding"}), np.log(0.01))
+    waves = [s.named.score for s in found.steps if s.named.signature.kin == "wave"]
+    assert len(waves) == len(frequencies)
+    told = sorted((abs(w.parameters["frequency_y"][0]), w.amplitude) for w in waves)
+    for (frequency, amplitude), f in zip(told, frequencies, strict=True):
+        assert frequency == pytest.approx(f, abs=2e-3)
+        assert amplitude == pytest.approx(0.6, abs=0.12)

@@ -266,10 +266,13 @@ def _beneath(steps: list[Step], new: Step, inside: list[int]) -> tuple[list[Step
 def _active(
     signatures: tuple[Signature, ...], steps: list[Step], given_up: set[str]
 ) -> tuple[Signature, ...]:
-    """Signatures that can be trusted beside the steps."""
+    """Signatures that can be trusted beside the steps, those that are looked for after another one once that
+    is a step."""
     found = [(s.named.signature, s.named.score) for s in steps]
-    aside = given_up | {n for p, score in found for n in (p.name, *p.covers, *p.hides(score))}
-    return tuple(p for p in signatures if p.name not in aside)
+    names = {p.name for p, _ in found}
+    doubtful = given_up | {n for p, score in found for n in (*p.covers, *p.hides(score))}
+    next_ones = {"", *(names - doubtful)}
+    return tuple(p for p in signatures if p.name not in doubtful | names and p.after in next_ones)
 
 
 def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:

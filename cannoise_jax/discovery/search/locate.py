@@ -32,8 +32,11 @@ def locate(
 ) -> Located:
     """Runs the battery. Every signature's p-value is calibrated for the search inside it; the smallest is
     judged by Sidak's bound with weights (Genovese, Roeder & Wasserman 2006) over `tests`, the sum of the
-    weights times `Multiplicity.effective`. known: scores that need not be computed again.
+    weights times `Multiplicity.effective`. known: scores that need not be computed again. What is looked for
+    after another one waits as long as that is looked for.
     """
+    names = {s.name for s in signatures}
+    signatures = tuple(s for s in signatures if s.after not in names)
     scores = dict(known or {})
     missing = [s for s in signatures if s.name not in scores]
     found = zip(missing, each(lambda s: s.score(fields), missing), strict=True)
