@@ -10,6 +10,7 @@ import argparse
 import logging
 import sys
 import warnings
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HxW",
         help="of flats and darks (default: of the stored maps, or 512x512)",
     )
-    add("--seed", type=seed, default=0, help="of the noise")
+    add("--seed", type=seed, default=0, help="of the noise (default 0); recordings of different names differ in theirs")
     add("--unit", type=seed, help="another unit of the camera, by number: other frozen patterns")
     add("--catalogue", action="store_true", help="write the page that explains every mechanism")
     return parser
@@ -134,7 +135,9 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     key, tell = jax.random.key(arguments.seed), progress("drawing recordings")
     with new_folder(arguments.out), one_work(paths):
         for number, (clean, path) in enumerate(zip(clean_scenes, paths, strict=True)):
-            recording = record(model, jax.random.fold_in(key, number), clean, settings)
+            # By name, so that a dark and a flat of two calls have no noise in common.
+            own = jax.random.fold_in(key, zlib.crc32(path.name.encode()))
+            recording = record(model, own, clean, settings)
             write_recording(path, recording)
             yield path, recording
             tell(number + 1, len(clean_scenes))

@@ -217,3 +217,15 @@ def test_a_full_disk_leaves_no_folder(tmp_path, monkeypatch, capsys):
     arguments = ["--sensor", "preset:sony_a7s2", "--clean", "dark", "--size", "16x16", "--out", str(out)]
     assert main(arguments) == 2 and "no space" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
+
+
+def test_recordings_of_two_calls_have_no_noise_in_common(sensor, tmp_path):
+    """By default too: a flat and darks of several exposures are made by calls of their own."""
+    for clean, exposure in (("dark", "0.1"), ("dark", "0.2"), ("flat:0.5", "0.1")):
+        arguments = ["--clean", clean, "--exposure", exposure, "--size", "64x64", "--frames", "2"]
+        assert main(["--sensor", sensor, "--out", str(tmp_path / "out"), *arguments]) == 0
+    paths = sorted((tmp_path / "out").glob("*.h5"))
+    assert len(paths) == 3
+    changes = [np.diff(read_recording(p).frames[:].astype(float), axis=0).ravel() for p in paths]
+    shared = np.corrcoef(changes)[np.triu_indices(3, 1)]
+    assert np.abs(shared).max() < 5 / np.sqrt(changes[0].size)
