@@ -83,7 +83,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HxW",
         help="of flats and darks (default: of the stored maps, or 512x512)",
     )
-    add("--seed", type=seed, default=0, help="of the noise (default 0); recordings of different names differ in theirs")
+    add(
+        "--seed",
+        type=seed,
+        default=0,
+        help="of the noise (default 0), which differs between names",
+    )
     add("--unit", type=seed, help="another unit of the camera, by number: other frozen patterns")
     add("--catalogue", action="store_true", help="write the page that explains every mechanism")
     return parser

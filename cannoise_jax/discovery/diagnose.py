@@ -18,6 +18,7 @@ from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.faults import (
     FaultWarning,
+    at_one_temperature,
     check_measurable,
     fault_lines,
     faults_of,
@@ -104,7 +105,8 @@ def diagnose(
 
     capture, left_out = usable(capture, unsteady=True)
     capture, moved = without_moving(capture)
-    for line in (*left_out, *moved):
+    capture, warmer = at_one_temperature(capture)
+    for line in (*left_out, *moved, *warmer):
         warnings.warn(line, LeftOutWarning, stacklevel=2)
     capture = read_once(capture)
     faults = faults_of(capture)

@@ -229,18 +229,19 @@ def dark_current_score(fields: tuple[Fields, ...], *, recorded: Recorded, quanti
     gain = float(np.mean(fields[0].gain))
     z = slope / spread
     # Frame offsets leave few degrees of freedom for their own variance.
-    error = spread / gain
+    electrons = slope / gain
+    error = float(np.hypot(spread / gain, recorded.baselines[fields[0].group].gain_error * electrons))
     return Score(
         log_p=student_log_p(
             z, jitter_freedom(fields, jitter, levels[0][2] ** 2 * levels[0][0].frames / 4), 1
         ),
         gain=0.5 * z**2 if z > 0 else 0.0,
         penalty=ONE_PARAMETER,
-        amplitude=max(slope / gain, 0.0),
+        amplitude=max(electrons, 0.0),
         error=error,
-        shift=error,
+        shift=spread / gain,
         power=1,
-        parameters={quantity: (slope / gain, "e-/s", error)},
+        parameters={quantity: (electrons, "e-/s", error)},
         where={"axis": "frame", "recordings": [f.name for f, _, _ in levels]},
     )
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
+from scipy import ndimage
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import modelled, smooth_part
@@ -18,11 +19,17 @@ from cannoise_jax.discovery.frames.dark_lines import Known, lines_for, lines_of
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import settings_of
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields, frame_fields, native, referred
 
 _CHUNK, _PIXELS = 4, 1 << 17
 """Frames drawn at once, so that one compiled program serves recordings of any length, and of small frames as
 many more as have so many pixels in all: drawing a few pixels takes as long as drawing many."""
+
+_SURE, _SHARE = 6.0, 2e-3
+"""Standard errors of a site's mean, and share of its signal, by which the mean of a flat is missed."""
+_FAR, _AROUND = 5.0, 15
+"""Standard deviations to which a pixel counts, and rows and columns of a site over which light is even."""
 
 Frames = dict[int, np.ndarray]
 """Drawn frames by number of the recording, `uint16[T, H, W]`, DN."""
@@ -61,11 +68,36 @@ def draw_like(draw: Drawing, prepared: Prepared, times: int = 1) -> Frames:
         r = stacked.recording
         span = min(r.white_level, 65535.0) - float(np.mean(black[r.iso]))
         settings = settings_of(r, prepared.isos[r.iso], times * (field.before + field.frames))
-        clean = native(field).signal if field.lit else np.zeros(r.size, np.float32)
-        return draw(field.number, (clean / span).astype(np.float32), settings)
+        own = native(field)
+        clean = own.signal if field.lit else np.zeros(r.size, np.float32)
+        drawn = draw(field.number, (clean / span).astype(np.float32), settings)
+        if drawn is None or not field.lit or r.clean is not None:
+            return drawn
+        # Of a flat the mean is known, not the light: what the simulator adds to that is taken off it.
+        off = _off(own, drawn)
+        if off is None:
+            return drawn
+        light = np.maximum(clean + off, 0)
+        return draw(field.number, (light / span).astype(np.float32), settings)
 
     drawn = each(one, zip(prepared.stacks, prepared.fields, strict=True))
     return {f.number: x for f, x in zip(prepared.fields, drawn, strict=True) if x is not None}
+
+
+def _off(field: Fields, drawn: np.ndarray) -> Float[np.ndarray, "h w"] | None:
+    """By what draws miss the smooth mean of a flat, DN; None: by nothing that matters."""
+    off, missed = np.zeros(field.mean.shape, np.float32), False
+    mean = drawn.mean(0)
+    for at in SITES:
+        sigma, kept = field.sigma[at] / np.sqrt(len(drawn)), field.usable[at]
+        away = mean[at] - field.mean[at]
+        middle = np.median(away[kept]) if kept.any() else 0.0
+        # A pixel of its own, hot or dead, is no light.
+        held = np.where(kept, np.clip(away, middle - _FAR * sigma, middle + _FAR * sigma), middle)
+        off[at] = -ndimage.uniform_filter(held, _AROUND, mode="nearest")
+        error = float(np.median(sigma)) / np.sqrt(max(kept.sum(), 1))
+        missed |= abs(held.mean()) > max(_SURE * error, _SHARE * float(field.signal[at].mean()))
+    return off if missed else None
 
 
 def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:

@@ -9,6 +9,7 @@ from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.physics.transfer.faults import Faults, faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.one_temperature import other_temperatures
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.rails import MOVES, moving, with_measured_black
 from cannoise_jax.recordings.lazy import chosen
@@ -63,6 +64,18 @@ def without_moving(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
         else:
             kept.append(r)
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(lines)
+
+
+def at_one_temperature(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
+    """The recordings without darks that are warmer or colder than the others of their exposure, and a line
+    for each gain setting that has some: one dark current is looked for."""
+    gone, lines = [], []
+    for iso in {r.iso: None for r in capture.recordings}:
+        others, line = other_temperatures([r for r in capture.recordings if r.iso == iso])
+        gone += others
+        lines += [f"{line}: bin/calibrate says how dark current grows with the temperature"] if others else []
+    kept = tuple(r for r in capture.recordings if not any(r is other for other in gone))
+    return dataclasses.replace(capture, recordings=kept), tuple(lines)
 
 
 def check_measurable(capture: CaptureSet, found: Mapping[float | None, Faults]) -> None:

@@ -100,11 +100,21 @@ def held_out_gain(found: Score, again: Score) -> float:
     return float(again.gain - 0.5 * np.clip((a - b) / error, -50.0, 50.0) ** 2)
 
 
+def _less_known(whole: Score, part: Score) -> float:
+    """What all frames know of the strength over what a part does, as 1 where their scores do not say."""
+    shifts = (part.shift, whole.shift)
+    if not np.isfinite(shifts).all() or min(shifts) <= 0:
+        return 1.0
+    return float((part.shift / whole.shift) ** (2 * whole.power))
+
+
 def jackknife_interval(
-    signature: Signature, fields: tuple[Fields, ...], found: Score, gain: float
+    signature: Signature, fields: tuple[Fields, ...], found: Score, again: Score, gain: float
 ) -> tuple[float, float]:
     """90 % interval of a held-out gain by leaving out bands of rows, or blocks of frames where a row or frame
-    shares what is new in it; nan for fewer than two blocks."""
+    shares what is new in it; nan for fewer than two blocks. again: the score of all frames held back. What is
+    left without a block knows less, by much where that was most of the longest dark: gains are compared as
+    they would be of as much."""
     size = sum(f.contrasts.size for f in fields)
     most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
     banded = signature.axes.in_bands
@@ -112,8 +122,8 @@ def jackknife_interval(
     if len(blocks) < 2:
         return float("nan"), float("nan")
     left: Callable[..., tuple[Fields, ...]] = without_pixels if banded else leave_out
-    again = each(lambda block: signature.score_again(left(fields, block), found), blocks)
-    gains = np.array([held_out_gain(found, s) for s in again if s is not None])
+    parts = each(lambda block: signature.score_again(left(fields, block), found), blocks)
+    gains = np.array([held_out_gain(found, s) * _less_known(again, s) for s in parts if s is not None])
     if gains.size < 2:
         return float("nan"), float("nan")
     g = gains.size

@@ -180,7 +180,7 @@ def prove(
             number, shown = int(reference.pixels.sum()), None
             if not np.isfinite(low) and score is not None and signature is not None:
                 own = held_out_gain(step.named.score, score)  # one frame has no scatter: parts of it do
-                shown = own > 0 and jackknife_interval(signature, fields, step.named.score, own)[0] > 0
+                shown = own > 0 and jackknife_interval(signature, fields, step.named.score, score, own)[0] > 0
             elif low <= 0 < gain:
                 shown = frame_interval(*at_most_twice(reference, less[n]))[1] > 0
             log_e = gain - _NUISANCES / 2
@@ -189,7 +189,7 @@ def prove(
             out.append(Proof(None, None, np.nan, np.nan, 0))
         else:
             gain = held_out_gain(step.named.score, score)
-            low, high = jackknife_interval(signature, fields, step.named.score, gain)
+            low, high = jackknife_interval(signature, fields, step.named.score, score, gain)
             out.append(Proof(score, gain, low, high, pixels))
     if together is not None:
         out = _maps_beside(steps, out, again(len(steps)), together(len(steps)))

@@ -10,10 +10,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.discovery.frames.balance import balanced
 from cannoise_jax.discovery.frames.battery import Prepared, first_gain
+from cannoise_jax.discovery.frames.contrasts import robust_mean
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.maps import one_draw
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -21,11 +23,15 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.ranges import clipped
-from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_at, with_black_levels
 from cannoise_jax.physics.transfer.model import measured_at
-from cannoise_jax.recordings.recording import CaptureSet, per_channel
+from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.recordings.recording import DARK, CaptureSet, per_channel
 from cannoise_jax.signatures.handed import Addition, Found
+
+_SAME_LEVEL = 1e-3
+"""DN that a level may differ by through rounding of single precision."""
 
 
 def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None = None) -> SensorModel:
@@ -73,7 +79,8 @@ def extended_model(
         return model
     shown = zip(steps, drawn(steps), strict=True)
     added = _merged([(step, addition(step, prepared, pattern)) for step, pattern in shown], silent)
-    if any(a is not None and a.fitted_black for _, a in added):
+    levelled = any(a is not None and a.fitted_black for _, a in added)
+    if levelled:
         model = _levelled(model, bare)
     temperature = measured_at(capture.recordings)
     names = {_id(step) for step, more in added if more is not None}
@@ -83,8 +90,32 @@ def extended_model(
             more = more._replace(values={**more.values, **{k: v for d in instead for k, v in d.items()}})
             more = _silenced(step, more) if step is silent else more
             model = with_addition(model, step, more, temperature)
-    matched = start is None or np.size(model.iso) == np.size(bare.iso)
-    return balanced(bare, model, prepared) if matched else model
+    if start is not None and np.size(model.iso) != np.size(bare.iso):
+        return model
+    level = bare if start is None or levelled else start
+    return balanced(bare, _as_dark(model, level, prepared), prepared)
+
+
+def _as_dark(model: SensorModel, before: SensorModel, prepared: Prepared) -> SensorModel:
+    """The model with black levels lowered by what its findings add to the shortest dark of each gain setting:
+    it was measured there, with the charge of that exposure, before any of them was known."""
+    isos = [float(iso) for iso in np.asarray(model.iso)]
+    levels = np.stack([np.asarray(black_at(model, iso), float) for iso in isos])
+    moved = levels.copy()
+    for n, iso in enumerate(isos):
+        darks = [
+            s.recording
+            for s in prepared.stacks
+            if s.recording.kind in DARK and np.float32(prepared.isos[s.recording.iso]) == np.float32(iso)
+        ]
+        if not darks:
+            continue
+        r = min(darks, key=lambda r: r.exposure_s or 0.0)
+        settings = Settings(iso, r.exposure_s or 0.0, r.temperature_c)
+        dark = jnp.zeros(r.size, jnp.float32)
+        lifted = np.asarray(model.expected(dark, settings)) - np.asarray(before.expected(dark, settings))
+        moved[n] -= [robust_mean(lifted[at]) for at in SITES]
+    return model if np.allclose(moved, levels, atol=_SAME_LEVEL) else with_black_levels(model, moved)
 
 
 def _levelled(model: SensorModel, bare: SensorModel) -> SensorModel:

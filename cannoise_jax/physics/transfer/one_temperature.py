@@ -12,22 +12,27 @@ from cannoise_jax.recordings.recording import DARK, Recording
 
 
 def of_one_temperature(statistics: Sequence[FrameStatistics]) -> tuple[list[FrameStatistics], str]:
-    """The recordings of one ISO without darks of another temperature, and which those are, empty for none.
+    """The recordings of one ISO without darks of another temperature, and which those are, empty for none."""
+    others, line = other_temperatures([s.recording for s in statistics])
+    return [s for s in statistics if not any(s.recording is r for r in others)], line
+
+
+def other_temperatures(recordings: Sequence[Recording]) -> tuple[list[Recording], str]:
+    """Of recordings of one ISO the darks of another temperature, and a line that names them, empty for none.
 
     Only where an exposure was recorded at several temperatures: a sensor that warms in its longest exposures
     has no others. Those stay that are as warm as the flats, or else the coldest such series.
     """
-    darks = [s.recording for s in statistics if s.recording.kind in DARK]
+    darks = [r for r in recordings if r.kind in DARK]
     twice = [_celsius(r) for r in darks if any(_is_again(r, other) for other in darks)]
     if not twice:
-        return list(statistics), ""
-    lit = [s.recording for s in statistics if s.recording.kind not in DARK]
+        return [], ""
+    lit = [r for r in recordings if r.kind not in DARK]
     aims = [_celsius(r) for r in lit if r.temperature_c is not None] or [min(twice)]
     nearest = min(twice, key=lambda t: abs(t - float(np.median(aims))))
     others = [r for r in darks if r.temperature_c is not None and abs(_celsius(r) - nearest) > ALIKE_KELVIN]
-    kept = [s for s in statistics if not any(s.recording is r for r in others)]
     named = ", ".join(f"{r.path or r.camera} ({r.temperature_c:.4g} C)" for r in others)
-    return kept, f"darks of several temperatures: those of {nearest:.4g} C are used, not {named}"
+    return others, f"darks of several temperatures: those of {nearest:.4g} C are used, not {named}"
 
 
 def _celsius(recording: Recording) -> float:
