@@ -235,7 +235,8 @@ ENTRIES: tuple[Entry, ...] = (
         needs="three dark frames or more; a hundred show the two levels",
         signatures=looks.always(
             looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
-                                    fixed="hot_additive", growing="hot_thermal"),
+                                    fixed="hot_additive", growing="hot_thermal",
+                                    imprints=imprints.STANDING_OUT),
         ),
         estimator=Estimator(telegraph.rts, law="telegraph", loud=telegraph.telegraph_sites,
                             maps=measured.telegraph),

@@ -147,6 +147,12 @@ def mask_hot(fields: tuple[Fields, ...], score: Score[Heat]) -> tuple[Fields, ..
     if score.payload.beside_map:
         known = known_heat(fields, score.payload)
         return fields if known is None else without_pixels(fields, known.chance > 0.5)
+    return mask_off(fields)
+
+
+def mask_off(fields: Many) -> Many:
+    """Takes the pixels whose level is off in the darks, whatever the exposure or with it, out of every
+    field."""
     out = np.zeros(fields[0].mean.shape, bool)
     for scaling in ("additive", "exposure"):
         sums = above_neighbours(fields, scaling)

@@ -38,7 +38,7 @@ _LOUDEST = 12.0
 """Logarithm of the variance of the noisiest of those, over that of most."""
 
 
-def _square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
+def square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
     """Temporal sum of squares of every pixel over all darks, which pixels to use, the degrees of freedom."""
     chosen = darks(fields)
     freedom = sum(len(f.contrasts) for f in chosen)
@@ -61,7 +61,7 @@ def _sum_of_squares(chosen: Many, charge: np.ndarray | None) -> np.ndarray:
 
 def sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
     """The sums of squares of the usable pixels and their degrees of freedom."""
-    found = _square_map(fields)
+    found = square_map(fields)
     return None if found is None else (found[0][found[1]], found[2])
 
 
@@ -161,7 +161,7 @@ def histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """Takes the pixels whose variance stands out in the darks out of every field."""
-    found = _square_map(fields)
+    found = square_map(fields)
     if found is None:
         return fields
     return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))

@@ -9,11 +9,13 @@ from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.handed import Addition, Asked, Found
+from cannoise_jax.signatures.handed import Addition, Asked, Found, Many
+from cannoise_jax.signatures.heat import above_neighbours
+from cannoise_jax.signatures.hot import mask_off
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen
-from cannoise_jax.signatures.pixels import READS, histogram, mask_noisy, noisy_map, sums_of_squares
-from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p
+from cannoise_jax.signatures.pixels import READS, histogram, mask_noisy, noisy_map, square_map, sums_of_squares
+from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p, spread_of
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
 from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
@@ -23,7 +25,7 @@ _START = 0.005
 128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
 
 
-def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
+def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     """A small share of pixels with extra fluctuation of exponentially spread size."""
     found = sums_of_squares(fields)
     if found is None:
@@ -51,6 +53,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
     shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
+        payload=restless(fields),
         gain=best,
         penalty=float(np.log(squares.size)),
         amplitude=float(amplitude),
@@ -65,21 +68,54 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
+_FEW, _FAR = 10, 4.0
+"""Pixels that stand out in the mean from which on they are looked at together, and by how many standard
+deviations they do."""
+_RESTLESS = 1.5
+"""Variance of the typical one of them, over what noise and the shot noise of its charge make, from which on
+they jump: of fixed ones it is one, of those that are in either level half of the time two and more."""
+
+
+def restless(fields: tuple[Fields, ...]) -> bool:
+    """Whether most of the pixels that stand out in the mean of the darks vary more than their charge lets
+    them: a jump of which half is in the mean is as large in the noise."""
+    found, sums = square_map(fields), above_neighbours(fields, "additive")
+    if found is None or sums is None:
+        return False
+    squares, usable, freedom = found
+    u = np.where(sums.information > 0, sums.score / np.sqrt(np.maximum(sums.information, 1e-30)), 0.0)
+    off = usable & (u > _FAR * spread_of(u[usable]))
+    if off.sum() < _FEW:
+        return False
+    return bool(np.median(squares[off]) > _RESTLESS * stats.chi2.median(freedom))
+
+
+def mask_jumping(fields: Many, score: Score[bool]) -> Many:
+    """Takes the pixels that jump out, and where most of those that stand out in the mean do, all of these:
+    some have not jumped in as few frames."""
+    left = mask_noisy(fields, score)
+    return mask_off(left) if score.payload else left
+
+
 _OWN = 0.3
 """Evidence of jumps over that of fixed offsets, from which on both are of the same pixels: those that
 jump are off in the mean too. It is half for jumps of 3 to 9 standard deviations, none for fixed offsets."""
 
 
-def jumping(*, name: str, mechanism: str, covers: tuple[str, ...], fixed: str, growing: str) -> Signature:
+def jumping(
+    *, name: str, mechanism: str, covers: tuple[str, ...], fixed: str, growing: str, imprints: tuple[str, ...]
+) -> Signature:
     """A few pixels that jump between levels. fixed, growing: signatures of pixels that stand out in the mean,
     whatever the exposure and with it; the evidence of the first is of the jumps too, where they are enough to
-    make it."""
+    make it, and that of `imprints`, what such pixels leave in means, where most of them jump."""
 
-    def readings(score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
+    def readings(score: Score[bool], scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
         off = scores[fixed].evidence if fixed in scores else 0.0
         warm = scores[growing].evidence if growing in scores else 0.0
-        same = off > warm and score.evidence > _OWN * off
-        return ((mechanism, score.evidence + (max(off, 0.0) if same else 0.0)),)
+        more = [max(off, 0.0)] if off > warm and score.evidence > _OWN * off else []
+        if score.payload:
+            more = [max(off, warm), *(max(scores[n].evidence, 0.0) for n in imprints if n in scores)]
+        return ((mechanism, score.evidence + sum(more)),)
 
     def simulate(found: Found) -> Addition:
         jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
@@ -103,7 +139,7 @@ def jumping(*, name: str, mechanism: str, covers: tuple[str, ...], fixed: str, g
         axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
         reads=READS,
         score=telegraph_score,
-        absorb=mask_noisy,
+        absorb=mask_jumping,
         covers=covers,
         rare=True,
         predict=NO_LAW,
