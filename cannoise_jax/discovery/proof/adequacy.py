@@ -134,11 +134,12 @@ def doubts(
 
     borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])
-    mine = {n: owned(each, most) for n, (_, each, _) in borne.items()}
-    largest = most_at(mine.values())
+    owned_by = {n: owned(each, most) for n, (_, each, _) in borne.items()}
+    largest = most_at(owned_by.values())
+    mine = {n: at_home(each, largest) for n, each in owned_by.items()}
     for n, (one, each, claimed) in borne.items():
         # How a structure is spread was fitted on no frame.
-        own = at_home(mine[n], largest)
+        own = mine[n]
         out[n] = (
             doubt(one, own, claimed, steps[n].named.signature.form_free)
             or empty(one, each, steps[n])

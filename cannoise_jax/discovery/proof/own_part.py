@@ -165,7 +165,7 @@ def most_at(every: Iterable[list[Borne]]) -> dict[tuple[str, str], float]:
 
 def at_home(each: list[Borne], largest: dict[tuple[str, str], float]) -> list[Borne]:
     """Only the recordings in which no other mechanism moves more, of what stays and of what is redrawn each;
-    all, where there are none in which it moves much. largest: see `most_at`.
+    all, where there are none of either in which it moves much. largest: see `most_at`.
 
     What differs where another one is far stronger speaks of that: hot pixels and dark current fill the maps
     of long darks, offsets of pixels are told by the short ones."""
@@ -176,8 +176,7 @@ def at_home(each: list[Borne], largest: dict[tuple[str, str], float]) -> list[Bo
     }
 
     def kept(b: Borne) -> bool:
-        part = FAMILIES[b.judged.family].part
-        return part not in told or (b.judged.where, part) in home
+        return not told or (b.judged.where, FAMILIES[b.judged.family].part) in home
 
     return [b if kept(b) else b._replace(own=b.own & b.claimed) for b in each]
 
