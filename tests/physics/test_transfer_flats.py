@@ -15,6 +15,7 @@ from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer, transfer_at
 from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.recordings.usable import usable
 
 SIZE, GAIN, READ_E, BLACK, PRNU = (64, 96), 0.5, 4.0, 100.0, 0.008
 
@@ -164,3 +165,21 @@ def test_sensitivities_are_those_before_the_response_bends():
     recorded = next(s for s in statistics.statistics if s.recording.exposure_s == 4.0).recording.frames
     spread = [np.asarray(f, float).mean(0).std() for f in (drawn, recorded)]
     assert spread[0] == pytest.approx(spread[1], rel=0.1)
+
+
+def test_flats_that_are_wholly_full_show_where_the_codes_end():
+    camera = Camera(12)
+    kept = [
+        camera.taken(kind, light, 1.0) for kind, light in (("flat", 2000.0), ("flat", 5000.0), ("dark", 0))
+    ]
+    recordings = [s.recording for s in kept]
+    full = Recording(np.full((4, *SIZE), 4095, np.uint16), "MONO", (BLACK,) * 4, 4095.0, "made", "flat")
+    capture, lines = usable(CaptureSet("made", (*recordings, full)))
+    assert len(lines) == 1
+    (transfer,) = photon_transfer(capture)
+    transfer = of_all_pixels(transfer)
+    (codes,), (charge,) = (transfer.outcomes("saturation level", unit) for unit in ("DN", "e-"))
+    assert codes.value == pytest.approx(4095 - BLACK, abs=0.1)
+    assert charge.value == pytest.approx((4095 - BLACK) / GAIN, rel=0.02)
+    well = MECHANISMS["saturation"].estimator(transfer.statistics, transfer.baseline)
+    assert isinstance(well, NotMeasurable) and "codes end before" in well.record

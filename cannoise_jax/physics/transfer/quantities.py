@@ -25,7 +25,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.lines import line_noise
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.full_well import full_signal
+from cannoise_jax.physics.transfer.full_well import full_codes, full_signal
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
     hidden_in_a_code,
@@ -235,9 +235,11 @@ def saturation_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics], black: PerChannel
 ) -> list[Quantity]:
     """The level at which codes pile up, or else pixels are full, above black."""
-    tops = [s.high[c] for s in statistics if np.isfinite(s.high[c])]
     full, half = full_signal(statistics, c), max([s.code_step for s in statistics], default=1.0) / 2
-    end, said = (max(tops), "codes pile up") if tops else (full, "the noise of the flats collapses")
+    seen = {s.high[c]: "codes pile up" for s in statistics if np.isfinite(s.high[c])}
+    seen = dict.fromkeys(full_codes(statistics), "every pixel of flats that are left out is") | seen
+    end = max(seen, default=full)
+    said = seen.get(end, "the noise of the flats collapses")
     if not np.isfinite(end):
         missing = NotMeasurable("no pixel reached its end: record a flat that saturates")
         return [Quantity("saturation level", unit, name, missing) for unit in ("DN", "e-")]

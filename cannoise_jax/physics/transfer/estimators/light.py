@@ -24,7 +24,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.full_well import below_full, full_signal
+from cannoise_jax.physics.transfer.full_well import below_full, full_codes, full_signal
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
@@ -149,6 +149,7 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
                 found.append((signal / baseline.gain[c], error / baseline.gain[c]))
     if not found:
         ended = any(s.recording.kind == "flat" and np.isfinite(s.high).any() for s in statistics)
+        ended = ended or bool(full_codes(statistics))
         return NotMeasurable(
             "the codes end before the pixels are full: record flats at a lower gain"
             if ended
