@@ -35,6 +35,7 @@ from cannoise_jax.physics.transfer.quiet import (
     unchanging,
 )
 from cannoise_jax.physics.transfer.rails import is_cut_off
+from cannoise_jax.physics.transfer.ranges import coarser_range
 from cannoise_jax.physics.transfer.several_gains import uneven_gain
 from cannoise_jax.physics.transfer.straight import bends
 from cannoise_jax.physics.transfer.views import pixel_variance, quiet_mean_square, quiet_pixels
@@ -91,7 +92,7 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        odd = bends(statistics, black.level, c) or uneven_gain(statistics, c)
+        odd = coarser_range(statistics, c) or bends(statistics, black.level, c) or uneven_gain(statistics, c)
         note = "; ".join(filter(None, (set_aside(line), odd)))
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))

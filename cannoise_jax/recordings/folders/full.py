@@ -11,8 +11,8 @@ from cannoise_jax.recordings.recording import LIT
 
 
 def with_full_codes(groups: Sequence[Group], full: Sequence[Shot], kinds: Mapping[str, str]) -> list[Group]:
-    """The groups with the code at which those of their own gain are full. full: shots of which every pixel is;
-    kinds: of these, by name. Only what was lit counts: a dark that is full is a fault."""
+    """The groups with the code at which those of their own gain are full. full: shots of which every pixel
+    is; kinds: of these, by name. Only what was lit counts: a dark that is full is a fault."""
     lit = [s for s in full if kinds.get(s.name) in LIT]
     out = []
     for group in groups:
