@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.physics.transfer.as_recorded import as_recorded
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -165,6 +168,21 @@ def test_sensitivities_are_those_before_the_response_bends():
     recorded = next(s for s in statistics.statistics if s.recording.exposure_s == 4.0).recording.frames
     spread = [np.asarray(f, float).mean(0).std() for f in (drawn, recorded)]
     assert spread[0] == pytest.approx(spread[1], rel=0.1)
+    (said,) = as_recorded(model, [statistics], findings)
+    table, own = (float(v) for v in re.findall(r"([\d.]+) DN/e-", said))
+    assert table < 0.95 * GAIN and own == pytest.approx(GAIN, rel=0.02)
+    share = float(re.findall(r"prnu of ([\d.]+) %", said)[0])
+    assert share == pytest.approx(100 * truth, rel=0.03) and "not corrected for it" in said
+
+
+def test_nothing_is_said_where_table_and_model_agree():
+    camera = Camera(9)
+    statistics = [
+        camera.taken(*of) for of in (("flat", 2000.0, 1.0), ("flat", 4000.0, 1.0), ("dark", 0, 1.0))
+    ]
+    transfer = transfer_at(statistics)
+    findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+    assert as_recorded(sensor_model([transfer], findings), [transfer], findings) == ()
 
 
 def test_flats_that_are_wholly_full_show_where_the_codes_end():

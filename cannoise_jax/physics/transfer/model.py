@@ -187,22 +187,6 @@ def _beside(finding: Finding, elsewhere: Mapping[str, Point], dark: FrameStatist
     return finding
 
 
-def smoothed(model: SensorModel, transfers: Sequence[PhotonTransfer], findings: Sequence[Finding]) -> str:
-    """What the camera model has in place of the table's gain and read noise, where something lowers the
-    variance that these are measured by; empty where nothing does."""
-    base = next((t.baseline for t in transfers if isinstance(t.baseline, Baseline)), None)
-    names = [f.mechanism for f in findings if f.measured and f.estimator.smooths]
-    if base is None or not names:
-        return ""
-    gain, read = (float(np.mean(np.asarray(v)[0])) for v in (model.gain_dn_per_e, model.read_noise_e))
-    table = float(np.mean(base.gain)), float(np.mean(base.read_noise_e))
-    return (
-        f"{', '.join(names)} lowers the variance: the table's gain of {table[0]:.4g} DN/e- and read noise of "
-        f"{table[1]:.3g} e- are those of smoothed noise, the camera model has {gain:.4g} DN/e- and "
-        f"{read:.3g} e-"
-    )
-
-
 def _no_baseline(transfers: Sequence[PhotonTransfer]) -> str:
     """What to record, at the setting that most flats were taken at."""
 
