@@ -78,6 +78,6 @@ def test_flats_of_a_second_gain_of_the_converter_are_no_part_of_the_line():
     assert transfer.baseline.gain[0] == pytest.approx(1.0, abs=0.02)
     assert transfer.baseline.read_noise[0] == pytest.approx(5.0, rel=0.02)
     said = next(q.note for q in transfer.quantities if q.name == "system gain")
-    assert "up to 800 DN alone: from 1600 DN on codes lie 4 apart, not 1" in said
+    assert "up to 800 DN: from 1600 DN on codes lie 4 apart, not 1" in said
     plain = of_all_pixels(transfer_at(taken(lambda v: v)))
     assert "apart" not in "".join(q.note for q in plain.quantities)

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.grammar import Point, point_parameters
 from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.transfer.baseline import Baseline
@@ -271,7 +271,8 @@ def format_findings(findings: Sequence[Finding]) -> str:
             where = absent if f.estimates.answered else missing
             where.setdefault(f.estimates.record, []).append(f.mechanism)
             continue
-        units = {p.name: p.unit for p in f.entry.record.parameters}
+        parameters = point_parameters(f.point, 0.0) if f.point else f.entry.record.parameters
+        units = {p.name: p.unit for p in parameters}
         for k, (name, estimate) in enumerate(f.estimates.items()):
             verdict = f"{f.verdict}{' ' if f.because else ''}{f.because}" if k == 0 else ""
             lines.append(

@@ -22,7 +22,7 @@ from cannoise_jax.physics.transfer.estimate import (
     root,
     scatter_estimate,
 )
-from cannoise_jax.physics.transfer.estimators.lines import line_noise
+from cannoise_jax.physics.transfer.estimators.lines import line_noise, wave_of_rows
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import full_codes, full_signal
@@ -258,4 +258,6 @@ def line_noise_quantity(title: str, dark: FrameStatistics | None, axis: int) -> 
         return Quantity(title, "DN", "all", NotMeasurable(RECORD_DARKS))
     if unchanging(dark):
         return Quantity(title, "DN", "all", NotMeasurable(BELOW_A_CODE))
-    return Quantity(title, "DN", "all", line_noise(dark, axis))
+    wave = wave_of_rows(dark) if axis == 0 else None
+    said = f"nearly all of it is one wave of {wave.frequency.value:.4g} cycles per row" if wave else ""
+    return Quantity(title, "DN", "all", line_noise(dark, axis), said)

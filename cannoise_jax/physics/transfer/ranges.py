@@ -33,6 +33,6 @@ def coarser_range(statistics: Sequence[FrameStatistics], c: int) -> str:
     first = min(float(s.frame_means[:, c].mean()) for s in coarse)
     apart = min(s.code_step for s in coarse)
     return (
-        f"of flats up to {last:.0f} DN alone: from {first:.0f} DN on codes lie {apart:g} apart, not {step:g}: "
+        f"of flats up to {last:.0f} DN: from {first:.0f} DN on codes lie {apart:g} apart, not {step:g}: "
         "a second gain of the converter, whose noise is another, and no part of line or read noise"
     )
