@@ -16,7 +16,7 @@ _HIGHEST = 0.48  # cycles per row: at 0.5 sine and cosine are one
 
 class Wave(NamedTuple):
     """The strongest sinusoid of rows: amplitude (peak, in the unit of the rows, with the chance of the
-    largest of all frequencies), frequency (cycles per row), and the sum of squares that it leaves of the rows."""
+    largest of all frequencies), frequency (cycles per row), and the sum of squares that it leaves of them."""
 
     amplitude: Estimate
     frequency: Estimate
