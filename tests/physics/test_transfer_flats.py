@@ -201,3 +201,20 @@ def test_flats_that_are_wholly_full_show_where_the_codes_end():
     assert charge.value == pytest.approx((4095 - BLACK) / GAIN, rel=0.02)
     well = MECHANISMS["saturation"].estimator(transfer.statistics, transfer.baseline)
     assert isinstance(well, NotMeasurable) and "codes end before" in well.record
+
+
+def test_light_that_fades_makes_no_other_sensitivities():
+    """Over ten flats to 0.4 of the first: what their average holds of shot noise is less than each has."""
+    size, errors = (128, 128), []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        response = 1 + 0.006 * rng.standard_normal(size)
+        light = np.geomspace(6000, 2500, 10)[:, None, None]
+        recordings = []
+        for kind, level in (("flat", light), ("dark", 0 * light)):
+            charge = rng.poisson(level * response) + 3 * rng.standard_normal((10, *size))
+            codes = np.clip(np.rint(BLACK + GAIN * charge), 0, 4095).astype(np.uint16)
+            recordings.append(Recording(codes, "MONO", (BLACK,) * 4, 4095.0, kind=kind, exposure_s=1.0))
+        statistics = [frame_statistics(r) for r in recordings]
+        errors.append([v / response.std() - 1 for v in prnu_of(statistics)])
+    assert np.abs(np.mean(errors, 0)).max() < 0.012
