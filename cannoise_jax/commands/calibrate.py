@@ -194,8 +194,8 @@ def calibrate(
         wrong = faults(every[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        said = others, wrong.black, wrong.unlit, wrong.defects, wrong.longer, wrong.uneven
-        for line in filter(None, said):
+        said = wrong.black, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
+        for line in filter(None, (others, *said)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in every[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
