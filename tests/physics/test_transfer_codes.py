@@ -81,3 +81,13 @@ def test_flats_of_a_second_gain_of_the_converter_are_no_part_of_the_line():
     assert "up to 800 DN: from 1600 DN on codes lie 4 apart, not 1" in said
     plain = of_all_pixels(transfer_at(taken(lambda v: v)))
     assert "apart" not in "".join(q.note for q in plain.quantities)
+
+
+def test_rounding_to_codes_that_a_gain_put_apart_is_no_read_noise():
+    """Codes 64 or 65 apart, read noise of one and a quarter: a variance of 64^2 / 12 is that of rounding."""
+    gain = 64.06
+    transfer = of_all_pixels(
+        transfer_at(taken(lambda v: np.rint(np.rint(v / 4) * gain), levels=(0.0, 600.0, 1400.0)))
+    )
+    assert transfer.baseline.read_noise[0] == pytest.approx(1.25 * gain, rel=0.01)
+    assert transfer.baseline.gain[0] == pytest.approx(gain / 4, rel=0.02)

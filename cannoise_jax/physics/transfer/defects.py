@@ -68,8 +68,8 @@ def shadows_line(statistics: Sequence[FrameStatistics]) -> str:
     )
     more = f" and {count - _TOLD} more" if count > _TOLD else ""
     return (
-        f"{flat.recording.path or flat.recording.camera}: shadows as of dust: {said}{more}: their pixels take "
-        "no part in the sensitivities: clean what lies over the sensor, and record flats anew"
+        f"{flat.recording.path or flat.recording.camera}: shadows as of dust: {said}{more}: their pixels "
+        "take no part in the sensitivities: clean what lies over the sensor, and record flats anew"
     )
 
 

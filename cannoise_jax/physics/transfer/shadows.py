@@ -25,7 +25,8 @@ _MOST = 0.1
 def in_shadow(
     apart: Float[np.ndarray, "h w"], light: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels of a channel in shadows. apart: relative signal less its smooth light; keep: those that count."""
+    """Pixels of a channel in shadows. apart: relative signal less its smooth light; keep: pixels that
+    count."""
     none = np.zeros(apart.shape, bool)
     if min(apart.shape) < 4 * _SIDE or not keep.any():
         return none
