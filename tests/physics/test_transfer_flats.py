@@ -11,6 +11,7 @@ import pytest
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.transfer.as_recorded import as_recorded
+from cannoise_jax.physics.transfer.black import black_at
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -218,3 +219,15 @@ def test_light_that_fades_makes_no_other_sensitivities():
         statistics = [frame_statistics(r) for r in recordings]
         errors.append([v / response.std() - 1 for v in prnu_of(statistics)])
     assert np.abs(np.mean(errors, 0)).max() < 0.012
+
+
+@pytest.mark.parametrize(("seconds", "weights"), [(9.2, [0.089, 0.911]), (9.9, [1.0]), (0.03, [1.0])])
+def test_a_dark_is_as_long_as_a_flat_by_one_rule(seconds, weights):
+    """For the pattern of the pixels as for the black level: exposures alike to what files round, or so short
+    that nothing gathers."""
+    camera = Camera(14)
+    flat = camera.taken("flat", 2000.0, seconds)
+    darks = [camera.taken("dark", 0, t) for t in (0.05, 1.0, 10.0)]
+    found = dark_map([flat, *darks], flat)
+    assert [round(w, 3) for _, w in found.darks] == weights
+    assert ("line" in black_at([flat, *darks], seconds).note) == (len(weights) == 2)
