@@ -26,7 +26,9 @@ def taken(light, cfa="MONO", seed=1, own=1.0):
     response = own + PRNU * rng.standard_normal(SIZE)
     out = []
     for kind, level in (("flat", 3000.0), ("flat", 5000.0), ("dark", 0.0)):
-        charge = rng.poisson(level * light * response, (8, *SIZE)) + 3 * rng.standard_normal((8, *SIZE))
+        charge = rng.poisson(np.maximum(level * light * response, 0), (8, *SIZE)) + 3 * rng.standard_normal(
+            (8, *SIZE)
+        )
         codes = np.clip(np.rint(BLACK + GAIN * charge), 0, 4095).astype(np.uint16)
         out.append(frame_statistics(Recording(codes, cfa, (BLACK,) * 4, 4095.0, "c", kind, exposure_s=1.0)))
     return out
@@ -50,7 +52,7 @@ def test_shadows_of_dust_are_named_and_no_sensitivities(cfa):
     assert not isinstance(own, NotMeasurable) and own["sigma"].value == pytest.approx(PRNU, rel=0.04)
 
 
-@pytest.mark.parametrize("what", ["plain", "lens", "blocks", "columns"])
+@pytest.mark.parametrize("what", ["plain", "lens", "blocks", "columns", "dead pixels"])
 def test_patterns_of_the_whole_frame_are_no_shadows(what):
     rng, light, own = np.random.default_rng(3), 1.0, 1.0
     if what == "lens":
@@ -59,4 +61,7 @@ def test_patterns_of_the_whole_frame_are_no_shadows(what):
         own = np.kron(1 + 0.02 * rng.standard_normal((16, 16)), np.ones((8, 8)))
     if what == "columns":
         own = 1 + 0.02 * rng.standard_normal((1, 128))
+    if what == "dead pixels":
+        own = np.where(rng.random(SIZE) < 0.002, 0.0, 1.0)
+        own[60, 60:62] = 0.0
     assert shadows_line(taken(light * np.ones(SIZE), own=own)) == ""

@@ -55,7 +55,7 @@ def shadows_line(statistics: Sequence[FrameStatistics]) -> str:
         signal = site(flat.mean, c) - flat.recording.black_level[c]
         found = response_of(signal / flat.level[c], ~site(flat.clipped, c))
         site(mask, c)[...] = found.shadow
-        site(depth, c)[...] = ndimage.uniform_filter(-found.pattern / np.maximum(found.light, 1e-3), 3)
+        site(depth, c)[...] = ndimage.median_filter(-found.pattern / np.maximum(found.light, 1e-3), 3)
     places, count = ndimage.label(ndimage.binary_dilation(mask, np.ones((3, 3), bool)))
     if not count:
         return ""

@@ -18,6 +18,9 @@ _FAR, _SKIRT = 6.0, 2.0
 places beside it belong to it: patterns that fill the frame have none so far out."""
 _DEEP = 0.02
 """Share of the light that it lacks at least: surfaces that stand for the light are good to less."""
+_SINGLE = 4.0
+"""Robust standard deviations of the pixels, or twice `_DEEP`, at which each counts at most: dead pixels are
+no shadow, however little light they show."""
 _MOST = 0.1
 """Share of the frame up to which shadows are; more is uneven light."""
 
@@ -32,6 +35,8 @@ def in_shadow(
         return none
     share = ndimage.uniform_filter(keep.astype(np.float64), _SIDE)
     lacking = np.where(keep, apart / np.maximum(light, 1e-3), 0.0)
+    room = max(_SINGLE * robust_std(lacking[keep], 0.0), 2 * _DEEP)
+    lacking = np.clip(lacking, -room, room)
     means = ndimage.uniform_filter(lacking, _SIDE) / np.maximum(share, 1e-3)
     means = np.where(share > 0.5, means, 0.0)
     spread = max(robust_std(means[share > 0.5], 0.0) if (share > 0.5).any() else 0.0, 1e-9)
