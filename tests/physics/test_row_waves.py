@@ -55,3 +55,12 @@ def test_a_wave_that_holds_what_rows_share_is_drawn_as_one():
 def test_white_row_noise_is_no_wave(wave, white):
     for seed in range(6):
         assert wave_of_rows(taken(seed, "dark", 0, wave, white)) is None
+
+
+def test_rows_that_lean_anew_in_every_frame_are_no_wave():
+    rng = np.random.default_rng(1)
+    lean = rng.standard_normal((8, 1)) * np.linspace(-1, 1, SIZE[0])
+    values = 200 + 1.5 * rng.standard_normal((8, *SIZE)) + lean[..., None]
+    codes = np.rint(values).astype(np.uint16)
+    dark = frame_statistics(Recording(codes, "MONO", (200.0,) * 4, 4095.0, "c", "dark", exposure_s=1.0))
+    assert wave_of_rows(dark) is None

@@ -40,6 +40,8 @@ from cannoise_jax.physics.transfer.views import left_in_lines
 from cannoise_jax.recordings.packing import SITES
 
 _MOST_ROWS = 8  # read together
+_PERIODS = 3.0
+"""Of a wave in a frame, at least: rows that lean from top to bottom, or bend, are no wave."""
 _LEFT = 0.05
 """Of what rows share, up to which a wave that leaves no more is all of it."""
 
@@ -85,7 +87,7 @@ def wave_of_rows(dark: FrameStatistics) -> Wave | None:
     wave = strongest_wave(rows)
     white = mean_variance(dark)[0] * left_in_lines(dark, 0) * (frames - 1) * (height - 1)
     shared = float(np.sum((rows - rows.mean(0)) ** 2)) - white
-    alone = wave.left - white < _LEFT * shared
+    alone = wave.left - white < _LEFT * shared and wave.frequency.value * height >= _PERIODS
     return wave if alone and wave.amplitude.by_chance < BY_CHANCE else None
 
 
