@@ -66,7 +66,8 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"bin/calibrate: {line}", file=sys.stderr, flush=True)
 
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
-    from cannoise_jax.physics.transfer.model import format_findings, sensor_model, smoothed
+    from cannoise_jax.physics.transfer.as_recorded import as_recorded
+    from cannoise_jax.physics.transfer.model import format_findings, sensor_model
     from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
     from cannoise_jax.physics.transfer.table import format_transfer
     from cannoise_jax.recordings.atomic import texts_in_place
@@ -79,9 +80,10 @@ def _run(arguments: argparse.Namespace) -> int:
         print(format_transfer(transfer), end="\n\n")
     if findings:
         print(format_findings(findings), end="\n\n")
-    if note := smoothed(model, transfers, findings):
+    notes = as_recorded(model, transfers, findings)
+    for note in notes:
         print(note, end="\n\n")
-    texts = _texts(beside, model.camera, shown, capture)
+    texts = _texts(beside, model.camera, shown, capture, notes)
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
@@ -106,8 +108,9 @@ def _beside(out: Path) -> dict[str, Path]:
 
 
 def _texts(
-    beside: dict[str, Path], camera: str, transfers: tuple[PhotonTransfer, ...], capture: CaptureSet
-) -> dict[Path, str]:
+    beside: dict[str, Path], camera: str, transfers: tuple[PhotonTransfer, ...], capture: CaptureSet,
+    notes: Sequence[str],
+) -> dict[Path, str]:  # fmt: skip
     from cannoise_jax.evaluation.sheet import sheet_page
     from cannoise_jax.evaluation.sheet_data import sheet_data
     from cannoise_jax.physics.transfer.noise_profile import darktable_profiles, profile_csv, profile_rows
@@ -116,10 +119,12 @@ def _texts(
     frames = sum(r.count for r in capture.recordings)
     made_by = f"{frames} frames of {len(capture.recordings)} recordings; cannoise-jax {_version()}."
     return {
-        beside["sheet"]: sheet_page(camera, settings, made_by),
-        beside["data"]: _json({"camera": camera, "settings": settings}),
+        beside["sheet"]: sheet_page(camera, settings, made_by, notes),
+        beside["data"]: _json({"camera": camera, "notes": notes, "settings": settings}),
         beside["csv"]: profile_csv(rows),
-        beside["profile"]: _json({"camera": camera, "variance": "shot * x + read", "profiles": rows}),
+        beside["profile"]: _json(
+            {"camera": camera, "variance": "shot * x + read", "notes": notes, "profiles": rows}
+        ),
         beside["darktable"]: _json(darktable_profiles(camera, rows)),
     }
 
@@ -189,8 +194,8 @@ def calibrate(
         wrong = faults(every[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        said = others, wrong.black, wrong.unlit, wrong.defects, wrong.longer, wrong.uneven
-        for line in filter(None, said):
+        said = wrong.black, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
+        for line in filter(None, (others, *said)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in every[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)

@@ -12,11 +12,15 @@ import numpy as np
 from cannoise_jax.evaluation.svg import Series, plot
 
 
-def sheet_page(camera: str, settings: Sequence[dict[str, Any]], made_by: str = "") -> str:
-    """The sheet as one HTML file, from `sheet_data.sheet_data`; made_by: a line on how it came about."""
+def sheet_page(
+    camera: str, settings: Sequence[dict[str, Any]], made_by: str = "", notes: Sequence[str] = ()
+) -> str:
+    """The sheet as one HTML file, from `sheet_data.sheet_data`; made_by: a line on how it came about. notes:
+    lines on what its numbers are of."""
     template = resources.files("cannoise_jax.evaluation").joinpath("sheet.html.jinja").read_text("utf-8")
     shown = [{**s, "figures": _figures(s)} for s in settings]
-    return jinja2.Template(template, autoescape=True).render(camera=camera, settings=shown, made_by=made_by)
+    page = jinja2.Template(template, autoescape=True)
+    return page.render(camera=camera, settings=shown, made_by=made_by, notes=notes)
 
 
 def _figures(s: dict[str, Any]) -> list[dict[str, str]]:

@@ -27,6 +27,10 @@ from cannoise_jax.recordings.packing import SITES
 _CODES = 1 << 16
 _LARGEST_STEP = 4096
 _WINDOW = 32  # gaps that are looked at together
+_FEW_GAPS = 10
+"""Gaps from which on fewer than two windows tell: of sparse signal ten are hardly ever alike."""
+_REGULAR = 0.35
+"""Standard deviation of gaps over their mean up to which they are those of a table or a gain."""
 
 
 class CodeLattice(NamedTuple):
@@ -114,11 +118,14 @@ def _evident(codes: np.ndarray, counts: np.ndarray, step: int) -> bool:
 
 def _gap_kind(codes: np.ndarray, step: int) -> Literal["lattice", "compressed", "scaled"]:
     gaps = np.diff(codes) / step
+    if _FEW_GAPS <= len(gaps) < 2 * _WINDOW:  # those of one level of light, or of a dark
+        few = np.sort(gaps)[len(gaps) // 10 : -(len(gaps) // 10)]
+        return "scaled" if few[0] >= 2 and few.std() < _REGULAR * few.mean() else "lattice"
     windows = [np.sort(gaps[at : at + _WINDOW]) for at in range(0, len(gaps) - _WINDOW + 1, _WINDOW)]
     inner = [w[_WINDOW // 10 : -(_WINDOW // 10)] for w in windows]
     plain = [w for w in inner if w[0] < 2]
     # Gaps of sparse signal have a std near their mean; those of a table or a gain hardly scatter.
-    regular = [w for w in inner if w[0] >= 2 and w.std() < 0.35 * w.mean()]
+    regular = [w for w in inner if w[0] >= 2 and w.std() < _REGULAR * w.mean()]
     if len(regular) < max(2, len(windows) // 8):
         return "lattice"
     widths = [w.mean() for w in regular]

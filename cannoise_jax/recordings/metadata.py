@@ -132,6 +132,7 @@ def make_recording(
         iso=optional_number(path, stated, "iso", least=0),
         gain_db=optional_number(path, stated, "gain_db", least=-_MOST_DB, most=_MOST_DB),
         egain=optional_number(path, stated, "egain", least=1e-6),
+        full_code=optional_number(path, stated, "full_code", least=0),
         exposure_s=exposure_of(path, stated),
         temperature_c=optional_number(path, stated, "temperature_c", least=COLDEST_C, most=HOTTEST_C),
         shot=optional_channels(path, stated, "shot", least=0),

@@ -83,6 +83,7 @@ class Recording:
     gain_db: the camera's gain setting where it counts in dB; its iso is then 100 x 10^(gain_db / 20).
     egain: the gain that the file states, e-/DN; what is measured never uses it.
     reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
+    full_code: code of frames of the same setting that are left out because every pixel of them is full, DN.
     path: the file it was read from, for messages. sources: the files that its frames were taken from, where
       those are others than `path`, in the order of the frames.
     """
@@ -105,6 +106,7 @@ class Recording:
     path: str | None = None
     gain_db: float | None = None
     egain: float | None = None
+    full_code: float | None = None
     sources: tuple[str, ...] = ()
 
     @property

@@ -15,7 +15,7 @@ from cannoise_jax.recordings.one_light import odd_pictures, told
 from cannoise_jax.recordings.one_noise import apart, numbered, short_names, words
 from cannoise_jax.recordings.over_time import check_single_exposures
 from cannoise_jax.recordings.plausible import check_kinds
-from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording
 
 LEAST_SIDE = 8
 """Rows and columns below which no statistic of a frame means anything."""
@@ -56,9 +56,13 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     lines: list[str] = []
     seen: Seen = {}
     judged: list[tuple[Recording, list[int], list[str]]] = []
+    full: dict[tuple, float] = {}
     for recording in map(checked, capture.recordings):
         _check_size(recording)
-        judged.append((recording, *_judged(recording, seen)))
+        good, why = _judged(recording, seen)
+        judged.append((recording, good, why))
+        if recording.kind in LIT and (codes := _full_codes(recording, good)):
+            full[_setting(recording)] = max(*codes, full.get(_setting(recording), 0.0))
     # First of all: of frames averaged over time the last ones look as if they had another noise.
     check_single_exposures([_some(recording, good) for recording, good, _ in judged if good])
     for recording, good, why in judged:
@@ -68,7 +72,9 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
         good, why = _of_one_noise(recording, good, unsteady)
         lines += why
         if good:
-            kept.append(_some(recording, good))
+            left = _some(recording, good)
+            code = full.get(_setting(recording), recording.full_code)
+            kept.append(left if code == left.full_code else dataclasses.replace(left, full_code=code))
     repeated = any(r.count > 1 for r in capture.recordings)
     if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
@@ -107,6 +113,25 @@ def fault_of(frame: np.ndarray, white: float = 65536.0) -> str | None:
         why = "saturated" if low in _FULL else why
         return f"every pixel is {low} ({why})"
     return None
+
+
+def _setting(recording: Recording) -> tuple:
+    """What the code depends on at which pixels are full."""
+    return recording.iso, recording.gain_db, recording.size
+
+
+def _full_codes(recording: Recording, good: Sequence[int]) -> list[float]:
+    """The codes, up to the white level, of frames that are left out because they are full. good: numbers of
+    those that are not."""
+    white, others = recording.white_level, set(range(recording.count)) - set(good)
+    frames = (np.asarray(recording.frames[n]) for n in sorted(others))
+    return [min(float(frame.min()), white) for frame in frames if is_full(frame, white)]
+
+
+def is_full(frame: np.ndarray, white: float = 65536.0) -> bool:
+    """Whether a frame is wholly at the white level, or at the highest code of a converter."""
+    low, high = int(frame.min()), int(frame.max())
+    return low >= white or (low == high and low in _FULL)
 
 
 def _judged(recording: Recording, seen: Seen) -> tuple[list[int], list[str]]:

@@ -9,7 +9,7 @@ from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.physics.transfer.ends import rails
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.frames import frame_statistics
-from cannoise_jax.physics.transfer.photon_transfer import transfer_at
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
 from cannoise_jax.recordings.recording import Recording
 
 
@@ -63,3 +63,31 @@ def test_codes_of_a_table_pile_up_nowhere():
     assert rails(histogram, 1.0, 1023.0)[1] == 190
     histogram[160] = 800
     assert np.isnan(rails(histogram, 1.0, 1023.0)[1])
+
+
+def test_flats_of_a_second_gain_of_the_converter_are_no_part_of_the_line():
+    """From 1200 DN on the low gain, four times the other: codes 4 apart, and 30 DN of read noise."""
+    rng = np.random.default_rng(4)
+
+    def stored(values):
+        low = 4 * np.rint((values + 30 * rng.standard_normal(values.shape)) / 4)
+        return np.where(values < 1200, np.rint(values), low)
+
+    statistics = taken(stored, levels=(0.0, 300.0, 600.0, 1400.0, 2400.0))
+    transfer = of_all_pixels(transfer_at(statistics))
+    assert transfer.baseline.gain[0] == pytest.approx(1.0, abs=0.02)
+    assert transfer.baseline.read_noise[0] == pytest.approx(5.0, rel=0.02)
+    said = next(q.note for q in transfer.quantities if q.name == "system gain")
+    assert "up to 800 DN: from 1600 DN on codes lie 4 apart, not 1" in said
+    plain = of_all_pixels(transfer_at(taken(lambda v: v)))
+    assert "apart" not in "".join(q.note for q in plain.quantities)
+
+
+def test_rounding_to_codes_that_a_gain_put_apart_is_no_read_noise():
+    """Codes 64 or 65 apart, read noise of one and a quarter: a variance of 64^2 / 12 is that of rounding."""
+    gain = 64.06
+    transfer = of_all_pixels(
+        transfer_at(taken(lambda v: np.rint(np.rint(v / 4) * gain), levels=(0.0, 600.0, 1400.0)))
+    )
+    assert transfer.baseline.read_noise[0] == pytest.approx(1.25 * gain, rel=0.01)
+    assert transfer.baseline.gain[0] == pytest.approx(gain / 4, rel=0.02)

@@ -12,7 +12,7 @@ import pytest
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.mechanisms.coverage import assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.transfer.dark import Series, dark_currents
+from cannoise_jax.physics.transfer.dark import Series, dark_currents, dark_series
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.estimators.charge import hot_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -101,6 +101,30 @@ def test_interval_of_the_dark_current_holds_the_doubt_about_the_gain(calibrated)
     findings = find_mechanisms(transfers[0].statistics, certain, [MECHANISMS["dark_current"]])
     again = findings[0]
     assert again.estimates["e_per_s"].stderr < found.estimates["e_per_s"].stderr
+
+
+def test_an_interval_through_three_exposures_is_as_wide_as_the_noise_makes_it():
+    """One degree of freedom alone made widths differ a hundredfold, and half of them miss by luck."""
+    truth, times, read, size = 300.0, np.array([0.05, 0.1, 0.15]), 6.0, (4, 48, 48)
+    found = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        darks = []
+        for seconds in times:
+            charge = rng.poisson(truth * seconds, size) + read * rng.standard_normal(size)
+            codes = np.clip(np.rint(40 + 0.25 * charge), 0, 1023).astype(np.uint16)
+            darks.append(
+                frame_statistics(
+                    Recording(codes, "MONO", (40.0,) * 4, 1023.0, "c", "dark", exposure_s=seconds)
+                )
+            )
+        found.append(dark_currents(dark_series(darks, 0, 0.25))[:2])
+    # Of the slope: that of means of pixels whose variance is read^2 + charge, of a quarter of the mosaic.
+    error = np.sqrt((read**2 + truth * 0.1) / (np.prod(size) / 4) / np.sum((times - 0.1) ** 2))
+    for one in zip(*found, strict=True):
+        assert np.mean([e.ci90[0] <= truth <= e.ci90[1] for e in one]) > 0.8
+    widths = [e.ci90[1] - e.ci90[0] for e, _ in found]
+    assert min(widths) > 2 * 1.4 * error and np.quantile(widths, 0.8) < 2 * 2.6 * error
 
 
 def test_correlations_of_white_noise_are_zero_within_their_intervals():

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import LISTED, MECHANISMS
 from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.physics.transfer.as_recorded import as_recorded
+from cannoise_jax.physics.transfer.black import black_at
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -15,6 +19,7 @@ from cannoise_jax.physics.transfer.full_well import full_signal
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer, transfer_at
 from cannoise_jax.recordings.recording import CaptureSet, Recording
+from cannoise_jax.recordings.usable import usable
 
 SIZE, GAIN, READ_E, BLACK, PRNU = (64, 96), 0.5, 4.0, 100.0, 0.008
 
@@ -164,3 +169,65 @@ def test_sensitivities_are_those_before_the_response_bends():
     recorded = next(s for s in statistics.statistics if s.recording.exposure_s == 4.0).recording.frames
     spread = [np.asarray(f, float).mean(0).std() for f in (drawn, recorded)]
     assert spread[0] == pytest.approx(spread[1], rel=0.1)
+    (said,) = as_recorded(model, [statistics], findings)
+    table, own = (float(v) for v in re.findall(r"([\d.]+) DN/e-", said))
+    assert table < 0.95 * GAIN and own == pytest.approx(GAIN, rel=0.02)
+    share = float(re.findall(r"prnu of ([\d.]+) %", said)[0])
+    assert share == pytest.approx(100 * truth, rel=0.03) and "not corrected for it" in said
+
+
+def test_nothing_is_said_where_table_and_model_agree():
+    camera = Camera(9)
+    statistics = [
+        camera.taken(*of) for of in (("flat", 2000.0, 1.0), ("flat", 4000.0, 1.0), ("dark", 0, 1.0))
+    ]
+    transfer = transfer_at(statistics)
+    findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+    assert as_recorded(sensor_model([transfer], findings), [transfer], findings) == ()
+
+
+def test_flats_that_are_wholly_full_show_where_the_codes_end():
+    camera = Camera(12)
+    kept = [
+        camera.taken(kind, light, 1.0) for kind, light in (("flat", 2000.0), ("flat", 5000.0), ("dark", 0))
+    ]
+    recordings = [s.recording for s in kept]
+    full = Recording(np.full((4, *SIZE), 4095, np.uint16), "MONO", (BLACK,) * 4, 4095.0, "made", "flat")
+    capture, lines = usable(CaptureSet("made", (*recordings, full)))
+    assert len(lines) == 1
+    (transfer,) = photon_transfer(capture)
+    transfer = of_all_pixels(transfer)
+    (codes,), (charge,) = (transfer.outcomes("saturation level", unit) for unit in ("DN", "e-"))
+    assert codes.value == pytest.approx(4095 - BLACK, abs=0.1)
+    assert charge.value == pytest.approx((4095 - BLACK) / GAIN, rel=0.02)
+    well = MECHANISMS["saturation"].estimator(transfer.statistics, transfer.baseline)
+    assert isinstance(well, NotMeasurable) and "codes end before" in well.record
+
+
+def test_light_that_fades_makes_no_other_sensitivities():
+    """Over ten flats to 0.4 of the first: what their average holds of shot noise is less than each has."""
+    size, errors = (128, 128), []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        response = 1 + 0.006 * rng.standard_normal(size)
+        light = np.geomspace(6000, 2500, 10)[:, None, None]
+        recordings = []
+        for kind, level in (("flat", light), ("dark", 0 * light)):
+            charge = rng.poisson(level * response) + 3 * rng.standard_normal((10, *size))
+            codes = np.clip(np.rint(BLACK + GAIN * charge), 0, 4095).astype(np.uint16)
+            recordings.append(Recording(codes, "MONO", (BLACK,) * 4, 4095.0, kind=kind, exposure_s=1.0))
+        statistics = [frame_statistics(r) for r in recordings]
+        errors.append([v / response.std() - 1 for v in prnu_of(statistics)])
+    assert np.abs(np.mean(errors, 0)).max() < 0.012
+
+
+@pytest.mark.parametrize(("seconds", "weights"), [(9.2, [0.089, 0.911]), (9.9, [1.0]), (0.03, [1.0])])
+def test_a_dark_is_as_long_as_a_flat_by_one_rule(seconds, weights):
+    """For the pattern of the pixels as for the black level: exposures alike to what files round, or so short
+    that nothing gathers."""
+    camera = Camera(14)
+    flat = camera.taken("flat", 2000.0, seconds)
+    darks = [camera.taken("dark", 0, t) for t in (0.05, 1.0, 10.0)]
+    found = dark_map([flat, *darks], flat)
+    assert [round(w, 3) for _, w in found.darks] == weights
+    assert ("line" in black_at([flat, *darks], seconds).note) == (len(weights) == 2)

@@ -14,9 +14,10 @@ from cannoise_jax.recordings.recording import Recording
 
 
 def darks(seed, size=(96, 128), gain=1.2, ratio=1.04, regions=(1, 2), rate=1.0, seconds=(1.0, 100.0),
-          step=0.0, glow=0.0, hot=0.0):  # fmt: skip
+          step=0.0, glow=0.0, hot=0.0, tilt=0.0):  # fmt: skip
     """Darks of regions whose gain grows by `ratio` and whose black level by `step` from one to the next, with
-    a glow of so many e-/s in a corner. hot: share of the pixels that are 20 to 200 times as warm."""
+    a glow of so many e-/s in a corner. hot: share of the pixels that are 20 to 200 times as warm. tilt: by
+    how much the dark current of the last row exceeds that of the first, e-/s."""
     rng = np.random.default_rng(seed)
     number = sum(
         np.arange(n).reshape(shape) * count // n
@@ -24,6 +25,7 @@ def darks(seed, size=(96, 128), gain=1.2, ratio=1.04, regions=(1, 2), rate=1.0, 
     )
     own, black = gain * ratio**number, 200 + step * number
     away = np.hypot.outer(np.arange(size[0]), np.arange(size[1])) / max(size)
+    rate = rate + tilt * np.linspace(0, 1, size[0])[:, None] * np.ones(size)
     rate = np.where(rng.random(size) < hot, rate * rng.uniform(20, 200, size), rate)
     out = []
     for t in seconds:
@@ -66,3 +68,15 @@ def test_one_exposure_shows_none():
     assert isinstance(darks(5, seconds=(60.0,), step=5.0), NotMeasurable)
     assert isinstance(darks(5, seconds=(60.0, 100.0), step=5.0), NotMeasurable)
     assert not isinstance(darks(5, seconds=(30.0, 100.0)), NotMeasurable)
+
+
+def test_dark_current_that_grows_from_side_to_side_is_no_glow():
+    for seed in range(4):
+        found = darks(seed, ratio=1.0, rate=1.0, seconds=(1.0, 60.0), tilt=2.0, hot=5e-4)
+        assert isinstance(found, NotMeasurable) and found.answered
+        change = float(found.record.partition(" by ")[2].split()[0])
+        assert change == pytest.approx(2.0, rel=0.05) and "no place glows" in found.record
+    found = darks(4, ratio=1.0, rate=1.0, glow=3.0, tilt=0.5)
+    assert found["e_per_s"].value == pytest.approx(3.0, rel=0.2)
+    found = darks(4, ratio=1.0)
+    assert not isinstance(found, NotMeasurable) and found["e_per_s"].chance > BY_CHANCE

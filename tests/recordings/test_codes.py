@@ -115,3 +115,11 @@ def test_the_widest_step_that_may_be_stated_is_compared_with_the_codes(tmp_path)
     stated = Recording(frames, "RGGB", (64.0,) * 4, 1023.0, code_step=65536.0)
     write_recording(tmp_path / "a.h5", stated)
     assert read_recording(tmp_path / "a.h5").code_step == 65536.0
+
+
+@pytest.mark.parametrize("level", [40.0, 300.0, 900.0])
+def test_few_codes_that_a_gain_put_apart_are_no_lattice(level):
+    rng = np.random.default_rng(3)
+    counts = rng.poisson(level, 20000)
+    assert detect_code_step(np.rint(counts * 64.06).astype(np.uint16).clip(0, 65535)) in (0.0, 64.0)
+    assert detect_code_step(counts.astype(np.uint16)) == 1.0

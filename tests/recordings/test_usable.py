@@ -110,3 +110,12 @@ def test_recordings_of_ones_own_are_held_to_the_rules_for_files(fields, message)
 def test_one_black_level_is_that_of_all_sites():
     one = dataclasses.replace(recording(noisy()), black_level=64.0)
     assert usable(CaptureSet("a", (one,)))[0].recordings[0].black_level == (64.0,) * 4
+
+
+def test_the_code_at_which_frames_are_full_is_kept_with_the_others():
+    dim, full = recording(noisy(), iso=100.0), recording(np.full((2, 12, 14), 1023), iso=100.0)
+    kept, lines = usable(CaptureSet("c", (dim, full, recording(noisy(), iso=200.0))))
+    assert [r.full_code for r in kept.recordings] == [1023.0, None] and len(lines) == 1
+    lost = dataclasses.replace(full, frames=np.full((2, 12, 14), 0, np.uint16))
+    kept, _ = usable(CaptureSet("c", (recording(noisy(), iso=100.0), lost)))
+    assert [r.full_code for r in kept.recordings] == [None]

@@ -134,7 +134,7 @@ def black_at(
     near = Black(
         per_channel(dark.frame_means.mean(0)), _errors(dark), own, True, "", _excess(dark, reference)
     )
-    if seconds is None or own is None or alike(own, seconds, _SAME, _least_seconds(darks)):
+    if seconds is None or own is None or as_long(own, seconds, darks):
         return near
     series = [s for s in darks if _seconds(s.recording) is not None and _as_warm(s, temperature_c)]
     times = sorted({_seconds(s.recording) or 0.0 for s in series})
@@ -166,13 +166,12 @@ def stand_in(statistics: Sequence[FrameStatistics]) -> tuple[float, float] | Non
     darks = [s for s in statistics if s.recording.kind in DARK]
     repeated = [s for s in darks if s.variance is not None]
     times = {t for s in darks if (t := _seconds(s.recording)) is not None}
-    least = _least_seconds(darks)
     for seconds in sorted({s.recording.exposure_s or 0.0 for s in statistics if s.recording.kind == "flat"}):
         dark = _nearest(darks, seconds or None)
         own = None if dark is None else _seconds(dark.recording)
         if not seconds or own is None or len(times) >= 3 or _between(repeated, seconds):
             continue
-        if not alike(own, seconds, _SAME, least) and alike(own, seconds, _ALIKE, _SHORT_S):
+        if not as_long(own, seconds, darks) and alike(own, seconds, _ALIKE, _SHORT_S):
             return seconds, own
     return None
 
@@ -227,6 +226,12 @@ def alike(first_s: float, second_s: float, ratio: float = _ALIKE, least: float =
     """Whether dark charge is about the same, or hardly matters, at two exposures."""
     first, second = max(first_s, least), max(second_s, least)
     return max(first, second) <= ratio * min(first, second)
+
+
+def as_long(first_s: float, second_s: float, darks: Sequence[FrameStatistics]) -> bool:
+    """Whether a dark of one exposure is as long as a flat of another: as files round them, or both too short
+    for the charge of these darks to matter."""
+    return alike(first_s, second_s, _SAME, _least_seconds(darks))
 
 
 def mean_error(s: FrameStatistics, channel: int) -> float:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from cannoise_jax.physics.core.rounding import mean_bias, variance_bias
 from cannoise_jax.physics.robust import robust_std
@@ -31,11 +32,16 @@ RECORD = (
 _UNLIKE = 3.0
 """Times the pattern of the shortest dark from which that of the longest is the spread of dark currents."""
 _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
+_KNOWN = 4.0
+"""Degrees of freedom that the known errors of the values are worth beside the scatter about a line: three
+exposures leave one, and an interval from that alone is of any width."""
+_SCATTERED = 0.05
+"""Chance of so much scatter by the known errors below which scatter alone tells."""
 
 
 class Series(NamedTuple):
     """Darks of one channel over exposure time: mean (e- above any constant) and temporal variance (e-^2),
-    and the errors of both."""
+    and the errors of both, that of the variance without `_NOISE_FLOOR`."""
 
     seconds: Float[np.ndarray, "n"]
     mean: Float[np.ndarray, "n"]
@@ -65,7 +71,7 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
     rows = []
     for s in series:
         value, count = _mean_variance(s, channel, keep, alike)
-        error = value * np.hypot(np.sqrt(2 / (count * s.dof)), _NOISE_FLOOR)
+        error = value * np.sqrt(2 / (count * s.dof))
         mean = float(site(s.mean, channel)[keep].mean())
         seen, step = dither(s, channel), s.code_step
         doubt = np.hypot(mean_error(s, channel), step * mean_bias(seen)) / gain
@@ -141,8 +147,9 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
     """
     even = np.ones(len(series.seconds))
     by_mean, first = _slope(series.seconds, series.mean, even, series.mean_error, gain_error)
+    doubt = np.hypot(series.error, _NOISE_FLOOR * series.variance)
     by_variance, second = _slope(
-        series.seconds, series.variance, 1 / series.error, series.error, 2 * gain_error
+        series.seconds, series.variance, 1 / doubt, series.error, 2 * gain_error, doubt
     )
     apart = by_mean.value - by_variance.value
     error = float(np.hypot(first, second))
@@ -155,21 +162,27 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
 
 
 def _slope(
-    times: np.ndarray, values: np.ndarray, weight: np.ndarray, errors: np.ndarray, relative: float
-) -> tuple[Estimate, float]:
-    """Weighted straight line; the error of its slope comes from the scatter about the line, and from the
-    relative error of the unit of the values. Few points may lie on a line by luck: against a slope of zero,
-    and in the error that is returned beside it, the errors of the values count too."""
+    times: np.ndarray, values: np.ndarray, weight: np.ndarray, errors: np.ndarray, relative: float,
+    doubt: np.ndarray | None = None,
+) -> tuple[Estimate, float]:  # fmt: skip
+    """Weighted straight line; the error of its slope comes from the scatter about the line and from the known
+    errors of the values, pooled unless the scatter is surely larger, and from the relative error of the unit
+    of the values. Few points may lie on a line by luck: against a slope of zero, and in the error that is
+    returned beside it, all that is in doubt about the values counts too. doubt: that; None: their errors."""
     design = np.stack([np.ones_like(times), times], -1) * weight[:, None]
     solve = np.linalg.pinv(design) * weight
     offset, slope = solve @ values
     rest = (values - offset - slope * times) * weight
     dof = len(times) - 2
-    covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / dof
-    line = normal_estimate(float(slope), float(np.sqrt(covariance[1, 1])), dof)
+    scatter = float(np.linalg.inv(design.T @ design)[1, 1] * (rest @ rest) / dof)
+    known = float(np.sum((solve[1] * errors) ** 2))
+    square, sure = scatter, float(dof)
+    if dof * scatter <= stats.chi2.isf(_SCATTERED, dof) * known:
+        square, sure = (_KNOWN * known + dof * scatter) / (_KNOWN + dof), _KNOWN + dof
+    line = normal_estimate(float(slope), float(np.sqrt(square)), sure)
     half = float(np.hypot(line.ci90[1] - line.value, Z90 * relative * line.value))
     error = float(np.hypot(line.stderr, relative * line.value))
-    known = float(np.sqrt(np.sum((solve[1] * errors) ** 2)))
-    chance = normal_estimate(line.value, max(line.stderr, known)).by_chance
+    all_known = float(np.sqrt(np.sum((solve[1] * (errors if doubt is None else doubt)) ** 2)))
+    chance = normal_estimate(line.value, max(line.stderr, all_known)).by_chance
     found = Estimate(line.value, error, (line.value - half, line.value + half), chance)
-    return found, max(error, known)
+    return found, max(error, all_known)

@@ -1,4 +1,5 @@
-"""Pixels that show nothing, told by number and kind: stuck at an end of the codes, or without light."""
+"""Pixels that show nothing, told by number and kind: stuck at an end of the codes, or without light; and
+shadows of dust."""
 
 from __future__ import annotations
 
@@ -6,12 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool
+from scipy import ndimage
 
 from cannoise_jax.physics.transfer.estimators.dead import dead_of
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.response import response_of
 from cannoise_jax.physics.transfer.unlit import lines_of
+from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
+
+_TOLD = 3
+"""Shadows that are named, the deepest first."""
 
 
 def defects_line(statistics: Sequence[FrameStatistics]) -> str:
@@ -36,6 +43,34 @@ def defects_line(statistics: Sequence[FrameStatistics]) -> str:
         if m is not None and m.any()
     ]
     return f"of the pixels {', '.join(said)}: noise and patterns are measured without them" if said else ""
+
+
+def shadows_line(statistics: Sequence[FrameStatistics]) -> str:
+    """Where the deepest shadows of the brightest flat are, and how deep; empty where there are none."""
+    flat = brightest_flat(statistics)
+    if flat is None:
+        return ""
+    mask, depth = np.zeros(flat.mean.shape, bool), np.zeros(flat.mean.shape)
+    for c in range(4):
+        signal = site(flat.mean, c) - flat.recording.black_level[c]
+        found = response_of(signal / flat.level[c], ~site(flat.clipped, c))
+        site(mask, c)[...] = found.shadow
+        site(depth, c)[...] = ndimage.median_filter(-found.pattern / np.maximum(found.light, 1e-3), 3)
+    places, count = ndimage.label(ndimage.binary_dilation(mask, np.ones((3, 3), bool)))
+    if not count:
+        return ""
+    number = np.arange(1, count + 1)
+    depths = ndimage.maximum(np.where(mask, depth, 0.0), places, number)
+    where = ndimage.maximum_position(np.where(mask, depth, 0.0), places, number)
+    order = np.argsort(-depths)[:_TOLD]
+    said = ", ".join(
+        f"{100 * depths[n]:.2g} % deep at row {where[n][0] + 1}, column {where[n][1] + 1}" for n in order
+    )
+    more = f" and {count - _TOLD} more" if count > _TOLD else ""
+    return (
+        f"{flat.recording.path or flat.recording.camera}: shadows as of dust: {said}{more}: their pixels "
+        "take no part in the sensitivities: clean what lies over the sensor, and record flats anew"
+    )
 
 
 def _stuck(s: FrameStatistics, side: int) -> Bool[np.ndarray, "H W"]:

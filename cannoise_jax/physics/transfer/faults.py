@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
-from cannoise_jax.physics.transfer.defects import defects_line
+from cannoise_jax.physics.transfer.defects import defects_line, shadows_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -28,7 +28,7 @@ class Faults(NamedTuple):
     cut_off: darks show neither read noise nor black level. unlike: flats and darks are of two gains. moves:
     scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
-    uneven: it differs between parts of the frame. defects: pixels that show nothing.
+    uneven: it differs between parts of the frame. defects: pixels that show nothing. shadows: of dust.
     """
 
     cut_off: str = ""
@@ -40,6 +40,7 @@ class Faults(NamedTuple):
     longer: str = ""
     uneven: str = ""
     defects: str = ""
+    shadows: str = ""
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -54,6 +55,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     return Faults(
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
         unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
+        shadows_line(parted),
     )  # fmt: skip
 
 

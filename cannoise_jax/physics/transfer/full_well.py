@@ -39,6 +39,13 @@ def _noise(s: FrameStatistics, c: int) -> float:
     return float(np.median(variance[:: max(variance.size // _ENOUGH, 1)]))
 
 
+def full_codes(statistics: Sequence[FrameStatistics]) -> list[float]:
+    """Codes of flats that are left out because every pixel of them is full, DN; none above the white level,
+    which no sensor gave."""
+    codes = [(s.recording.full_code, s.recording.white_level) for s in statistics]
+    return [code for code, white in codes if code is not None and code <= white]
+
+
 def below_full(s: FrameStatistics, full: float, black: float, c: int) -> bool:
     """Whether hardly a pixel of a flat is full. full: see `full_signal`; black: DN."""
     return float(s.frame_means[:, c].mean()) - black < NEARLY * (full - black)

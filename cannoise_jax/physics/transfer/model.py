@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.grammar import Point, point_parameters
 from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.transfer.baseline import Baseline
@@ -187,22 +187,6 @@ def _beside(finding: Finding, elsewhere: Mapping[str, Point], dark: FrameStatist
     return finding
 
 
-def smoothed(model: SensorModel, transfers: Sequence[PhotonTransfer], findings: Sequence[Finding]) -> str:
-    """What the camera model has in place of the table's gain and read noise, where something lowers the
-    variance that these are measured by; empty where nothing does."""
-    base = next((t.baseline for t in transfers if isinstance(t.baseline, Baseline)), None)
-    names = [f.mechanism for f in findings if f.measured and f.estimator.smooths]
-    if base is None or not names:
-        return ""
-    gain, read = (float(np.mean(np.asarray(v)[0])) for v in (model.gain_dn_per_e, model.read_noise_e))
-    table = float(np.mean(base.gain)), float(np.mean(base.read_noise_e))
-    return (
-        f"{', '.join(names)} lowers the variance: the table's gain of {table[0]:.4g} DN/e- and read noise of "
-        f"{table[1]:.3g} e- are those of smoothed noise, the camera model has {gain:.4g} DN/e- and "
-        f"{read:.3g} e-"
-    )
-
-
 def _no_baseline(transfers: Sequence[PhotonTransfer]) -> str:
     """What to record, at the setting that most flats were taken at."""
 
@@ -287,7 +271,8 @@ def format_findings(findings: Sequence[Finding]) -> str:
             where = absent if f.estimates.answered else missing
             where.setdefault(f.estimates.record, []).append(f.mechanism)
             continue
-        units = {p.name: p.unit for p in f.entry.record.parameters}
+        parameters = point_parameters(f.point, 0.0) if f.point else f.entry.record.parameters
+        units = {p.name: p.unit for p in parameters}
         for k, (name, estimate) in enumerate(f.estimates.items()):
             verdict = f"{f.verdict}{' ' if f.because else ''}{f.because}" if k == 0 else ""
             lines.append(

@@ -42,6 +42,7 @@ from cannoise_jax.physics.transfer.quiet import (
     unchanging,
 )
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
+from cannoise_jax.physics.transfer.ranges import finest
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.unlit import without_unlit
 from cannoise_jax.physics.transfer.views import (
@@ -205,11 +206,11 @@ def _levels(
         else np.True_
     )
     within = [
-        s for s in lit
+        s for s in finest(lit, step)
         if s.variance is not None and s.level[c] < LINEAR * (s.recording.white_level - black[c])
         and below_full(s, full, black[c], c)
     ]  # fmt: skip
-    for s in within or [s for s in lit if s.variance is not None]:
+    for s in within or [s for s in finest(lit, step) if s.variance is not None]:
         signal = (site(s.mean, c) - black[c]) * site(of_variance(s), c)
         variance = pixel_variance(s, c) - dark_shot(s, c)
         usable = below_rail(s, c)

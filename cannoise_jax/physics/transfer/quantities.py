@@ -22,10 +22,10 @@ from cannoise_jax.physics.transfer.estimate import (
     root,
     scatter_estimate,
 )
-from cannoise_jax.physics.transfer.estimators.lines import line_noise
+from cannoise_jax.physics.transfer.estimators.lines import line_noise, wave_of_rows
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.full_well import full_signal
+from cannoise_jax.physics.transfer.full_well import full_codes, full_signal
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
     hidden_in_a_code,
@@ -35,6 +35,7 @@ from cannoise_jax.physics.transfer.quiet import (
     unchanging,
 )
 from cannoise_jax.physics.transfer.rails import is_cut_off
+from cannoise_jax.physics.transfer.ranges import coarser_range
 from cannoise_jax.physics.transfer.several_gains import uneven_gain
 from cannoise_jax.physics.transfer.straight import bends
 from cannoise_jax.physics.transfer.views import pixel_variance, quiet_mean_square, quiet_pixels
@@ -91,7 +92,7 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        odd = bends(statistics, black.level, c) or uneven_gain(statistics, c)
+        odd = coarser_range(statistics, c) or bends(statistics, black.level, c) or uneven_gain(statistics, c)
         note = "; ".join(filter(None, (set_aside(line), odd)))
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
@@ -235,9 +236,11 @@ def saturation_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics], black: PerChannel
 ) -> list[Quantity]:
     """The level at which codes pile up, or else pixels are full, above black."""
-    tops = [s.high[c] for s in statistics if np.isfinite(s.high[c])]
     full, half = full_signal(statistics, c), max([s.code_step for s in statistics], default=1.0) / 2
-    end, said = (max(tops), "codes pile up") if tops else (full, "the noise of the flats collapses")
+    seen = {s.high[c]: "codes pile up" for s in statistics if np.isfinite(s.high[c])}
+    seen = dict.fromkeys(full_codes(statistics), "every pixel of flats that are left out is") | seen
+    end = max(seen, default=full)
+    said = seen.get(end, "the noise of the flats collapses")
     if not np.isfinite(end):
         missing = NotMeasurable("no pixel reached its end: record a flat that saturates")
         return [Quantity("saturation level", unit, name, missing) for unit in ("DN", "e-")]
@@ -255,4 +258,6 @@ def line_noise_quantity(title: str, dark: FrameStatistics | None, axis: int) -> 
         return Quantity(title, "DN", "all", NotMeasurable(RECORD_DARKS))
     if unchanging(dark):
         return Quantity(title, "DN", "all", NotMeasurable(BELOW_A_CODE))
-    return Quantity(title, "DN", "all", line_noise(dark, axis))
+    wave = wave_of_rows(dark) if axis == 0 else None
+    said = f"nearly all of it is one wave of {wave.frequency.value:.4g} cycles per row" if wave else ""
+    return Quantity(title, "DN", "all", line_noise(dark, axis), said)

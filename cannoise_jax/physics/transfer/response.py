@@ -8,11 +8,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.shadows import in_shadow
 from cannoise_jax.physics.transfer.spatial import shading
 
 ODD = 6.0
 """Robust standard deviations from which a pixel answers light oddly: of a normal law one pixel in 5e8 lies as
 far out. Dead pixels, and those under dirt, are no spread of sensitivities."""
+_ROUNDS = 3
+"""Of the surface that stands for the light, without the shadows that bent the one before."""
 
 
 class Response(NamedTuple):
@@ -28,19 +31,25 @@ class Response(NamedTuple):
     keep: Bool[np.ndarray, "h w"]
     degree: int
     square: float
+    shadow: Bool[np.ndarray, "h w"]
 
 
 def response_of(gains: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]) -> Response:
     """The response of a channel from its relative signal. keep: pixels that may be used."""
-    first = shading(gains, keep)
-    apart = gains - first.surface
-    # Whole rows and columns that differ are a pattern of their own.
-    for axis in (1, 0):
-        count = np.maximum(keep.sum(axis, keepdims=True), 1)
-        apart = apart - np.where(keep, apart, 0.0).sum(axis, keepdims=True) / count
-    used = keep
-    if keep.any():
-        used = keep & (np.abs(apart) < ODD * max(robust_std(apart[keep], 0.0), 1e-9))
-    light, degree = shading(gains, used) if used.any() else first
+    light, degree = shading(gains, keep)
+    used, shadow = keep, np.zeros(keep.shape, bool)
+    for _ in range(_ROUNDS if keep.any() else 0):
+        apart = gains - light
+        shadow = in_shadow(apart, light, keep)
+        # Whole rows and columns that differ are a pattern of their own.
+        for axis in (1, 0):
+            count = np.maximum(keep.sum(axis, keepdims=True), 1)
+            apart = apart - np.where(keep, apart, 0.0).sum(axis, keepdims=True) / count
+        used = keep & ~shadow & (np.abs(apart) < ODD * max(robust_std(apart[keep], 0.0), 1e-9))
+        if not used.any():
+            break
+        light, degree = shading(gains, used)
+        if not shadow.any():
+            break
     square = float(np.mean(light[used] ** 2)) if used.any() else 1.0
-    return Response(gains - light, light, used, degree, square)
+    return Response(gains - light, light, used, degree, square, shadow)

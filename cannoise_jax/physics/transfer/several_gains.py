@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.physics.transfer.black import reference_dark
+from cannoise_jax.physics.transfer.black import as_long, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
@@ -26,8 +26,6 @@ _SYSTEMATIC = 0.02
 """Relative error of a gain besides that of its noise."""
 _UNEVEN = 0.05
 """Logarithm of the ratio of gains from which their difference is worth saying."""
-_SAME_S = 1.05
-"""Ratio of exposures up to which a dark is as long as a flat."""
 _ENOUGH = 0.05
 """Share of the pixels of a flat that have to be below the rail."""
 
@@ -118,12 +116,11 @@ def _dark_of(
 ) -> FrameStatistics:
     """The repeated dark as long as a flat; the one given where none is, or the flat stands above that."""
     own = flat.recording.exposure_s if flat.dark_shot is None else None
-    alike = [
-        s for s in statistics
-        if s.recording.kind in DARK and s.variance is not None and own and s.recording.exposure_s
-        and 1 / _SAME_S <= s.recording.exposure_s / own <= _SAME_S
-    ]  # fmt: skip
-    return max(alike, key=lambda s: s.recording.count, default=reference)
+    darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
+    same = [
+        s for s in darks if own and s.recording.exposure_s and as_long(s.recording.exposure_s, own, darks)
+    ]
+    return max(same, key=lambda s: s.recording.count, default=reference)
 
 
 def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] = range(4)) -> _Gain | None:

@@ -136,7 +136,8 @@ def _white(groups: Sequence[Group]) -> tuple[float | None, str]:
     if stated:
         return min(stated), f"white level {min(stated):g} DN: the lowest that the files state"
     shots = [s for g in groups for s in g.shots]
-    top, step = max(s.top for s in shots), int(np.gcd.reduce([s.step for s in shots]))
+    full = [int(g.settings["full_code"]) for g in groups if "full_code" in g.settings]
+    top, step = max([*full, *(s.top for s in shots)]), int(np.gcd.reduce([*full, *(s.step for s in shots)]))
     narrow = all(
         s.about.get("bits") == 8 for s in shots
     )  # dim frames of a wider word are no camera of 8 bits

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
+from cannoise_jax.recordings.folders.full import with_full_codes
 from cannoise_jax.recordings.folders.groups import MODE, Group, grouped
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import NO_LIGHT, contradictions, lacks
@@ -88,7 +89,9 @@ def plan_folder(
         notes.append(
             f"no file names its camera: all are called {camera}, after the folder; --camera NAME does"
         )
-    sets = _sets(grouped(usable, kinds, camera, overrides), overrides)
+    full_kinds, _, _ = kinds_of(found.full, assign, overrides.get("kind"))
+    groups = with_full_codes(grouped(usable, kinds, camera, overrides), found.full, full_kinds)
+    sets = _sets(groups, overrides)
     problems += of_other_kinds([g for one in sets for g in one.groups], stated)
     for one in sets[:1]:
         notes += one.levels.said

@@ -22,7 +22,7 @@ from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.opened import Opened, stated
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
-from cannoise_jax.recordings.usable import fault_of
+from cannoise_jax.recordings.usable import fault_of, is_full
 
 _SAMPLE = 1 << 20
 
@@ -72,7 +72,8 @@ class Shot(NamedTuple):
 
 class Scan(NamedTuple):
     """The files of a folder. averages: masters and stacks, with the words that say so. failures: why a file
-    cannot be used. duds: files whose frames hold no noise, and why. unread: of other formats, by suffix.
+    cannot be used. duds: files whose frames hold no noise, and why. full: those of them that are saturated,
+    as shots without levels. unread: of other formats, by suffix.
     links: to folders; they may lead anywhere, in circles too. lost: links to nothing, of no format."""
 
     shots: tuple[Shot, ...]
@@ -83,10 +84,15 @@ class Scan(NamedTuple):
     unread: dict[str, int]
     links: tuple[str, ...]
     lost: tuple[str, ...]
+    full: tuple[Shot, ...] = ()
 
 
 class _Dud(BadInput):
-    """A file none of whose frames holds noise."""
+    """A file none of whose frames holds noise; as a shot, where all its pixels are full."""
+
+    def __init__(self, fault: str, full: Shot | None) -> None:
+        super().__init__(fault)
+        self.full = full
 
 
 def scan(
@@ -103,6 +109,7 @@ def scan(
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
     shots, averages, failures, copies, duds = [], [], [], [], []
+    full: list[Shot] = []
     unread: dict[str, int] = {}
     links: list[str] = []
     lost: list[str] = []
@@ -124,6 +131,7 @@ def scan(
             shot = _shot(path, name, frozenset(given), counters)
         except _Dud as error:
             duds.append((name, str(error)))
+            full += [error.full] if error.full is not None else []
             continue
         except BadInput as error:
             named = named_average(Path(name))
@@ -144,7 +152,7 @@ def scan(
         shots.append(shot)
     tell(len(found), len(found))
     good, apart, ends = tuple(shots), tuple(averages), (tuple(links), tuple(lost))
-    return Scan(good, apart, tuple(duds), tuple(copies), tuple(failures), unread, *ends)
+    return Scan(good, apart, tuple(duds), tuple(copies), tuple(failures), unread, *ends, tuple(full))
 
 
 def matches(name: str, pattern: str) -> bool:
@@ -229,14 +237,19 @@ def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]
             continue
         first = frame if first is None else first
         check, top = zlib.crc32(np.ascontiguousarray(frame).tobytes(), check), max(top, int(frame.max()))
+    dud = first is None
     if first is None:
-        raise _Dud(fault)
+        first = np.asarray(opened.frames[0])
+        top = int(first.max())
     sites = [np.median(first[SITES[s]]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)]
-    return Shot(
+    shot = Shot(
         *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
         *(per_channel(np.array(sites)), top, _step(first), check, tuple(middle)),
         sites=site_levels(first),
     )
+    if dud:
+        raise _Dud(fault or "", shot if is_full(first) else None)
+    return shot
 
 
 def _sound(path: Path, opened: Opened, known: dict[str, Any]) -> dict[str, Any]:

@@ -45,7 +45,7 @@ _KEPT = 6
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
-_LAYOUT = "8"
+_LAYOUT = "9"
 """Of what is cached, and of how folders are sorted: entries of another layout are not used."""
 
 

@@ -277,3 +277,15 @@ def test_names_that_are_no_text_reach_the_cache_and_its_plan(tmp_path):
     again, _ = capture_of(folder, Options({}), tmp_path / "cache")
     assert [r.count for r in again.recordings] == [2, 2, 2]
     assert any("\udcff" in "".join(r.sources) for r in again.recordings)
+
+
+def test_files_that_are_full_show_where_the_codes_of_their_gain_end(tmp_path):
+    values = np.random.default_rng(0).integers(90, 9000, (24, 32)).astype(np.uint16)
+    for name, frame, gain in (("a", values, 1), ("b", np.full_like(values, 65535), 1), ("c", values + 1, 2)):
+        header = fits.Header({"IMAGETYP": "Flat", "GAIN": gain})
+        fits.PrimaryHDU(frame, header).writeto(tmp_path / f"flat_{name}.fits")
+    plan = plan_folder(tmp_path, {"cfa": "MONO", "black_level": 64.0})
+    ends = {g.mode[4]: g.settings.get("full_code") for one in plan.sets for g in one.groups}
+    assert ends == {1: 65535.0, 2: None}
+    assert {s.levels.values["white_level"] for s in plan.sets if s.groups[0].mode[4] == 1} == {65535.0}
+    assert "every pixel is 65535 (saturated): left out" in notes(plan)

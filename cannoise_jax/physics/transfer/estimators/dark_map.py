@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
-from cannoise_jax.physics.transfer.black import reference_dark
+from cannoise_jax.physics.transfer.black import as_long, reference_dark
 from cannoise_jax.physics.transfer.estimators.pick import steady_pixels
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import rounding_of_offsets, unchanging
@@ -26,8 +26,6 @@ HOT = 6.0
 """Robust standard deviations: of a normal law one pixel in 5e8 lies as far out."""
 _BEYOND = 0.5
 """Of the exposures between two darks: how far outside them their straight line is used."""
-_SAME, _SHORT_S = 1.1, 0.1
-"""Ratio of exposures up to which charge is the same to a tenth, and seconds below which there is none."""
 _ENOUGH = 0.5
 """Share of pixels that have to be neither hot nor loud nor cut off for a pattern of the others."""
 
@@ -86,7 +84,7 @@ def _weighted(
     if seconds is None or not times:
         nearest = reference_dark([s for s in statistics if s.recording.kind == "flat"] + usable)
         return () if nearest is None else ((nearest, 1.0),)
-    if same := [t for t in times if _same(t, seconds)]:
+    if same := [t for t in times if as_long(t, seconds, usable)]:
         return ((exposures[max(same, key=lambda t: exposures[t].recording.count)], 1.0),)
     at = int(np.clip(np.searchsorted(times, seconds), 1, max(len(times) - 1, 1)))
     if len(times) > 1:
@@ -94,11 +92,6 @@ def _weighted(
         if -_BEYOND <= weight <= 1 + _BEYOND:
             return (exposures[times[at - 1]], 1 - weight), (exposures[times[at]], weight)
     return ((exposures[min(times, key=lambda t: abs(t - seconds))], 1.0),)
-
-
-def _same(first_s: float, second_s: float) -> bool:
-    first, second = max(first_s, _SHORT_S), max(second_s, _SHORT_S)
-    return max(first, second) <= _SAME * min(first, second)
 
 
 def _seconds(s: FrameStatistics) -> float | None:

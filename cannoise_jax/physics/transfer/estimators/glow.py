@@ -2,7 +2,8 @@
 
 What does not grow with the exposure is no glow, so one exposure does not show any: shading of the black level
 looks the same. Regions that are read by amplifiers of unlike gain have unlike dark charge, in DN: where even
-regions describe the dark better than a glow does, only what is left beside them is one.
+regions describe the dark better than a glow does, only what is left beside them is one. Where a plane does,
+the dark current itself differs from side to side, as under a warm end, and nothing glows.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy import ndimage, optimize, stats
 
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate, long_and_short
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, step_of
@@ -38,6 +40,12 @@ def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     found = _fitted_glow(statistics, baseline)
     if found is None:
         return _LONG
+    if found.tilt:
+        return NotMeasurable(
+            f"dark charge changes evenly across the frame, by {found.tilt / found.seconds:.3g} e-/s: the "
+            "dark current of one side is larger, and no place glows; a camera model has the mean of it",
+            answered=True,
+        )
     rate, length = float(np.exp(found.at[0])) / found.seconds, float(np.exp(found.at[1]))
     strength = dataclasses.replace(log_estimate(rate, found.errors[0]), chance=found.chance)
     return {"e_per_s": strength, "length": log_estimate(length, found.errors[1], found.lengths)}
@@ -46,7 +54,7 @@ def amp_glow(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
 def glow_map(statistics: Sequence[FrameStatistics], baseline) -> Float[np.ndarray, "H W"] | None:
     """exp(-d/L) around the point on the edge where the glow was found; None without suitable darks."""
     found = _fitted_glow(statistics, baseline)
-    if found is None:
+    if found is None or found.tilt:
         return None
     height, width = statistics[0].recording.size
     y0, x0 = _edge_point(found.at[2], height, width)
@@ -73,13 +81,15 @@ def without_glow(
 
 class _Glow(NamedTuple):
     """Log peak charge, log length, place on the edge and level of a glow, their errors, the lengths that can
-    be told, the seconds it took, and the chance with which an even dark shows one as good."""
+    be told, the seconds it took, and the chance with which an even dark shows one as good. tilt: change of
+    the charge across the frame, e-, where a plane describes it better; 0 where it does not."""
 
     at: np.ndarray
     errors: np.ndarray
     lengths: tuple[float, float]
     seconds: float
     chance: float
+    tilt: float
 
 
 def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | None:
@@ -133,12 +143,13 @@ def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | Non
     else:
         even = np.sum(means / sigma**2) / np.sum(1 / sigma**2)
         without = float(np.sum(((means - even) / sigma) ** 2))
+    tilt = _tilt(means, sigma, square + (free - 1) * np.log(means.size))
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
     excess = max(1.0, square / max(means.size - free, 1))
     gain = (without - square) / excess
     places = 2 * sum(means.shape)  # blocks along the edge at which a glow may sit
     chance = min(places * float(stats.chi2.sf(gain, 2)), 1.0)
-    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), lengths, seconds, chance)
+    return _Glow(fit.x, np.sqrt(np.diag(covariance * excess)), lengths, seconds, chance, tilt)
 
 
 class _Cells(NamedTuple):
@@ -192,6 +203,22 @@ def _regions(
         if criterion < best:
             best, found, left = criterion, regions, square
     return found, left
+
+
+def _tilt(means: Float[np.ndarray, "r c"], sigma: Float[np.ndarray, "r c"], other: float) -> float:
+    """How much a plane through a map changes across the frame, where it describes it better than something
+    else does, and surely better than an even level; else 0. other: criterion of Schwarz of that."""
+    y, x = np.meshgrid(*((np.arange(n) + 0.5) / n for n in means.shape), indexing="ij")
+    design = np.stack([np.ones(means.size), y.ravel(), x.ravel()], -1) / sigma.reshape(-1, 1)
+    aim = (means / sigma).ravel()
+    found = np.linalg.lstsq(design, aim, rcond=None)[0]
+    square = float(np.sum((aim - design @ found) ** 2))
+    excess = max(1.0, square / max(means.size - 3, 1))
+    even = float(np.sum(means / sigma**2) / np.sum(1 / sigma**2))
+    gain = float(np.sum(((means - even) / sigma) ** 2)) - square
+    sure = gain / excess > stats.chi2.isf(BY_CHANCE, 2)
+    better = square + 2 * np.log(means.size) < other
+    return float(np.hypot(found[1], found[2])) if sure and better else 0.0
 
 
 def _levels(

@@ -11,20 +11,19 @@ from jaxtyping import Float
 from cannoise_jax.physics.core.mosaic_ops import shifted
 from cannoise_jax.physics.transfer.black import black_of, mean_error
 from cannoise_jax.physics.transfer.estimate import (
-    Estimate,
     Estimates,
     NotMeasurable,
     normal_estimate,
     root,
     variance_difference,
 )
-from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
 from cannoise_jax.physics.transfer.estimators.pick import (
     REPEATED_FLATS,
     brightest_flat,
 )
+from cannoise_jax.physics.transfer.estimators.waves import strongest_wave
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.full_well import below_full, full_signal
+from cannoise_jax.physics.transfer.full_well import below_full, full_codes, full_signal
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
@@ -37,7 +36,6 @@ _OTHER_LIGHT = NotMeasurable(
 )
 _OFF = 0.02
 """Share of the signal by which a flat may miss the curve: lamps and shutters are steadier."""
-_HIGHEST = 0.48  # cycles per row: at 0.5 sine and cosine are one
 _REFERENCE = NotMeasurable("record repeated frames of a scene together with an independent reference")
 
 
@@ -59,28 +57,8 @@ def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     flat = brightest_flat(statistics)
     if flat is None:
         return REPEATED_FLATS
-    rows = relative_rows(flat)
-    rest = rows - rows.mean(0)
-    frames, height = rest.shape
-    grid = np.arange(2, int(_HIGHEST * 8 * height)) / (8 * height)
-    power = np.array([_explained(rest, f) for f in grid])
-    frequency, step = float(grid[np.argmax(power)]), 1 / (8 * height)
-    for _ in range(5):
-        near = np.clip(frequency + step * np.linspace(-1, 1, 9), 0.2 / height, _HIGHEST)
-        frequency, step = float(near[np.argmax([_explained(rest, f) for f in near])]), step / 4
-    total = float(np.sum((rest - rest.mean(1, keepdims=True)) ** 2))
-    # Per frame: a constant and two amplitudes fitted to `height` rows; the averages cost one frame.
-    noise = max(total - _explained(rest, frequency), 0.0) / ((frames - 1) * (height - 3))
-    waves = _waves(height, frequency)
-    coefficients = (rows - rows.mean()) @ np.linalg.pinv(waves - waves.mean(0)).T
-    amplitude, stderr = circle(coefficients[:, 0] + 1j * coefficients[:, 1], np.sqrt(2 * noise / height))
-    bound = np.sqrt(24 * noise / (max(amplitude, stderr) ** 2 * height**3 * (frames - 1))) / (2 * np.pi)
-    found = normal_estimate(amplitude, stderr)
-    chance = of_largest(_explained(rest, frequency) / (2 * noise), frames - 1, height)
-    return {
-        "amplitude": Estimate(found.value, found.stderr, found.ci90, chance),
-        "frequency": normal_estimate(frequency, float(bound)),
-    }
+    found = strongest_wave(relative_rows(flat))
+    return {"amplitude": found.amplitude, "frequency": found.frequency}
 
 
 def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -149,6 +127,7 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
                 found.append((signal / baseline.gain[c], error / baseline.gain[c]))
     if not found:
         ended = any(s.recording.kind == "flat" and np.isfinite(s.high).any() for s in statistics)
+        ended = ended or bool(full_codes(statistics))
         return NotMeasurable(
             "the codes end before the pixels are full: record flats at a lower gain"
             if ended
@@ -244,18 +223,6 @@ def relative_rows(s: FrameStatistics) -> Float[np.ndarray, "T H"]:
         rows = s.row_means[:, parity::2]
         out[:, parity::2] = np.mean([(rows[..., p] - black[c + p]) / level[c + p] for p in (0, 1)], 0)
     return out
-
-
-def _explained(rest: Float[np.ndarray, "T n"], frequency: float) -> float:
-    """Sum of squares that a sinusoid of free phase in every row explains beyond a constant."""
-    waves = _waves(rest.shape[1], frequency)
-    wave, _ = np.linalg.qr(waves - waves.mean(0))
-    return float(np.sum((rest @ wave) ** 2))
-
-
-def _waves(count: int, frequency: float) -> Float[np.ndarray, "n 2"]:
-    at = 2 * np.pi * frequency * (np.arange(count) - (count - 1) / 2)
-    return np.stack([np.cos(at), np.sin(at)], -1)
 
 
 def _exposure(recording: Recording) -> float | None:

@@ -21,7 +21,7 @@ from cannoise_jax.physics.transfer.estimate import (
     root,
     variance_difference,
 )
-from cannoise_jax.physics.transfer.estimator import Placed
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE, Placed
 from cannoise_jax.physics.transfer.estimators.pick import (
     column_offsets,
     darkest,
@@ -32,6 +32,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     steady_pixels,
     without_step,
 )
+from cannoise_jax.physics.transfer.estimators.waves import Wave, strongest_wave
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import pattern_below_a_code
 from cannoise_jax.physics.transfer.spatial import correlation_loss, temporal_mean_square
@@ -39,6 +40,10 @@ from cannoise_jax.physics.transfer.views import left_in_lines
 from cannoise_jax.recordings.packing import SITES
 
 _MOST_ROWS = 8  # read together
+_PERIODS = 3.0
+"""Of a wave in a frame, at least: rows that lean from top to bottom, or bend, are no wave."""
+_LEFT = 0.05
+"""Of what rows share, up to which a wave that leaves no more is all of it."""
 
 
 def row_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -72,6 +77,20 @@ def row_groups(dark: FrameStatistics) -> tuple[int, int] | None:
     return found
 
 
+def wave_of_rows(dark: FrameStatistics) -> Wave | None:
+    """The sinusoid that holds nearly all that rows share in a frame beyond the noise of their pixels, DN;
+    None where none does. Each row has one value of it, so it is no wave of the scan."""
+    rows = row_offsets(dark)
+    frames, height = rows.shape
+    if frames < 2 or height < 16:
+        return None
+    wave = strongest_wave(rows)
+    white = mean_variance(dark)[0] * left_in_lines(dark, 0) * (frames - 1) * (height - 1)
+    shared = float(np.sum((rows - rows.mean(0)) ** 2)) - white
+    alone = wave.left - white < _LEFT * shared and wave.frequency.value * height >= _PERIODS
+    return wave if alone and wave.amplitude.by_chance < BY_CHANCE else None
+
+
 def column_noise(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma_dn of temporal column noise."""
     return _temporal(statistics, axis=1)
@@ -101,7 +120,12 @@ def offset_drift(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
 
 
 def placed_rows(estimates: Mapping[str, Estimate], dark: FrameStatistics) -> Placed | None:
-    """Row noise at its place in the grammar, where rows are read together or even and odd columns apart."""
+    """Row noise at its place in the grammar, where it is one wave, rows are read together, or even and odd
+    columns apart."""
+    if (wave := wave_of_rows(dark)) is not None:
+        found = {"amplitude_dn": wave.amplitude, "frequency": wave.frequency}
+        point = Point("readout", "signal", "row", "redrawn", spectrum="sinusoid")
+        return Placed(found, "(one wave along the rows, its phase new in every frame)", point)
     groups, apart = row_groups(dark), columns_apart(dark)
     if groups is None and not apart:
         return None

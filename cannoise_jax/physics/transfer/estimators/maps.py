@@ -29,7 +29,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     repeated_darks,
     steady_pixels,
 )
-from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
+from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance, steady_frames
 from cannoise_jax.physics.transfer.quiet import coarse, pattern_below_a_code, unseen_offsets
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.response import response_of
@@ -96,7 +96,8 @@ def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
         site(light, c)[...] = found.light / scale
         site(keep, c)[...] = found.keep
         degree = max(degree, found.degree)
-        variance = pixel_variance(flat, c)[found.keep]
+        # Of the level of the average: under a light that drifts the variance is that of a lower one.
+        variance = (pixel_variance(flat, c) / site(of_variance(flat), c))[found.keep]
         left = float(variance.mean()) / flat.recording.count + (0.0 if dark is None else dark.noise(c))
         noise += left / (level * scale) ** 2 / 4
         dof += variance.size * flat.dof
