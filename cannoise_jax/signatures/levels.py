@@ -319,5 +319,6 @@ def by_exposure(
         simulate=strength(parameter),
         place=NO_PLACE,
         detectable=BY_SHIFT,
+        beyond=True,
         least=lambda sets: template(sets, lambda s: s.gain * s.seconds * np.ones(s.weight.shape)),
     )

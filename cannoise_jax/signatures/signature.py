@@ -123,7 +123,8 @@ class Signature:
       DN: of what is no part of a camera model, to be held against frames; None: it is part of one, or moves
       no mean. map_of: place and scaling of the map of independent values that it is, of variance
       `score.payload`, which is told together with other such maps. speaks_for: kinds of recordings in which
-      all that stays and differs is then of its part.
+      all that stays and differs is then of its part. beyond: whether its first parameter is, with its sign,
+      what recordings have beyond the simulator that is judged, and not all that they have.
 
     Raises ValueError where it reads as several mechanisms and is quoted in the unit of none.
     """
@@ -171,6 +172,7 @@ class Signature:
     map_of: tuple[str, Scales] | None = None
     approximate: bool = False
     form_free: bool = False
+    beyond: bool = False
 
     def __post_init__(self):
         if self.reads_as and self.quoted is same_unit:

@@ -27,6 +27,9 @@ from cannoise_jax.signatures.levels import frame_jitter
 from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Recorded
 from cannoise_jax.signatures.signature import Signature
 
+_PILE = 1e-3
+"""Share of the pixels at the lowest or highest value of a recording that is a pile-up: of normal noise the
+extreme value of 10,000 and more has a hundredth of that."""
 BROAD = 3.0
 """Standard deviation, in codes, from which a pixel's noise is broad enough to judge the lattice of codes."""
 ONE_ELECTRON = 0.8
@@ -214,6 +217,14 @@ def _smoothing(field: Fields, wide: np.ndarray, step: float) -> float:
     return float(read if apart else field.sigma[wide].min()) / step
 
 
+def _rails(stacked: Stack, first: int) -> tuple[float, float]:
+    """Lowest and highest value that a recording can have, DN: those that it has where its first frame piles
+    up there."""
+    frame = np.asarray(stacked.recording.frames[first : first + 1])[0]
+    low = stacked.low if np.mean(frame <= stacked.low) > _PILE else 0.0
+    return low, stacked.high if np.mean(frame >= stacked.high) > _PILE else stacked.recording.white_level
+
+
 def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
     """Histograms of the stored codes: of pixels with broad noise, and of every dark."""
     broad = np.zeros(int(65536 // step) + 1)
@@ -221,11 +232,12 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
     narrowest = np.inf
     for s, f in zip(stacks, fields, strict=True):
         # Away from the rails: a pile-up there is no comb.
+        low, high = _rails(s, chosen[s.number][0])
         wide = (
             f.usable
             & (f.sigma > BROAD * step)
-            & (f.mean > s.low + 6 * f.sigma)
-            & (f.mean < s.high - 6 * f.sigma)
+            & (f.mean > low + 6 * f.sigma)
+            & (f.mean < high - 6 * f.sigma)
         )
         is_dark = f.kind in DARK
         if not is_dark and wide.mean() < 0.02:

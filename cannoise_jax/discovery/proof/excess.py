@@ -35,8 +35,7 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
     """Of what the simulator's own draws show, what the recordings show less of, strongest evidence first.
 
     recorded: a split of the recordings as they are. Left to the layer that knows no names is what is frozen
-    and no scatter of pixels or lines: levels, which are judged beside the simulator where they are looked
-    for.
+    and no scatter of pixels or lines, but for what is looked for beside what the simulator has.
     """
     known = {s.name: s for s in recorded.signatures}
     out: list[tuple[float, Excess]] = []
@@ -44,11 +43,15 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
         named, signature = step.named, known.get(step.named.signature.name)
         rare = named.signature.rare
         level = named.signature.frozen and not rare and not np.isfinite(named.score.drawn)
-        if named.mechanism == UNKNOWN or signature is None or level:
+        if named.mechanism == UNKNOWN or signature is None or (level and not signature.beyond):
             continue
         there = _strength(named.signature.quoted(named.score, named.mechanism))
         score = signature.score(recorded.fields)
-        here = (0.0, 0.0) if score is None else _strength(signature.quoted(score, named.mechanism))
+        if score is not None and signature.beyond:
+            more, _, error = next(iter(score.parameters.values()))
+            here = (max(there[0] + more, 0.0), error)
+        else:
+            here = (0.0, 0.0) if score is None else _strength(signature.quoted(score, named.mechanism))
         sigmas = (there[0] - here[0]) / max(float(np.hypot(there[1], here[1])), 1e-30)
         if sigmas > _SURE and here[0] < (_LESS_OF_FEW if rare else _LESS) * there[0]:
             out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1])))

@@ -9,14 +9,14 @@ from cannoise_jax.discovery.proof.excess import Excess
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel
 
-_SURE = 2.0
+SURE = 2.0
 """Standard errors from which on the recordings show some of it, and not none."""
 
 
 def shares(found: Iterable[Excess]) -> dict[str, float]:
     """Of every mechanism that a simulator has too much of the share that the recordings show."""
     return {
-        e.mechanism: e.recorded / e.simulated if e.recorded > _SURE * e.recorded_error else 0.0 for e in found
+        e.mechanism: e.recorded / e.simulated if e.recorded > SURE * e.recorded_error else 0.0 for e in found
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cannoise_jax.discovery.proof.excess import Excess
+from cannoise_jax.discovery.proof.lowered import SURE
 from cannoise_jax.discovery.report.wording import amount
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.vocabulary import Term
@@ -19,11 +20,13 @@ def too_much(found: Excess, term: Term) -> dict[str, Any]:
 
     simulated = size(found.simulated, found.simulated_error)
     recorded = size(found.recorded, found.recorded_error)
-    said, most = (amount(v, term.unit, term.amplitude) for v in (found.simulated, recorded["ci90"][1]))
+    seen = found.recorded > SURE * found.recorded_error
+    shown = found.recorded if seen else recorded["ci90"][1]
+    said, here = (amount(v, term.unit, term.amplitude) for v in (found.simulated, shown))
     name = found.mechanism.replace("_", " ")
     return {
         "mechanism": found.mechanism,
         "simulated": simulated,
         "recorded": recorded,
-        "sentence": f"The simulator has {said} of {name}, the recordings at most {most}.",
+        "sentence": f"The simulator has {said} of {name}, the recordings {'' if seen else 'at most '}{here}.",
     }
