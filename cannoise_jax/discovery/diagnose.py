@@ -4,7 +4,7 @@ came out."""
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,15 +41,15 @@ from cannoise_jax.discovery.proof.judged import (
 )
 from cannoise_jax.discovery.proof.lowered import at_shares, shares
 from cannoise_jax.discovery.proof.prove import prove, standing, unconfirmed, unproven
-from cannoise_jax.discovery.proof.quality import composite_proofs, open_panel, quality_of
-from cannoise_jax.discovery.proof.sides import Sides
+from cannoise_jax.discovery.proof.quality import NAMED, Panel, composite_proofs, open_panel, quality_of
+from cannoise_jax.discovery.proof.sides import Sides, of_model
 from cannoise_jax.discovery.report.save import save
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search import declare
 from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.maps import beside_others
-from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -154,7 +154,8 @@ def diagnose(
         gated = remaining(gated, panel, sides, well, rest)
     if compare:
         tell("check: what still differs")
-        gated, remains, model = checked(judged, sides, gated, splits, alpha, jax.random.fold_in(key, 4))
+        less = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
+        gated, remains, model = checked(judged, sides, gated, less, splits, alpha, jax.random.fold_in(key, 4))
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
         if not sides.likelihood:
@@ -219,12 +220,43 @@ def judged_by(
     return jax.random.fold_in(key, 2), seen, unseen, sides, 2 * row.mde * share**0.25 if row else None
 
 
+def lesser(
+    gated: Gated,
+    panel: Panel | None,
+    sides: Sides,
+    against: Sequence[Doubt | None],
+    steps: Sequence[Step],
+) -> Iterator[Gated]:
+    """What may be handed back in place of a simulator from which the recordings differ by more than from the
+    one that was judged: without the remainder, without findings against whose name something speaks, and,
+    where nothing in it is surely nearer, as it was judged."""
+    if gated.remainder:
+        gated = gated.without_remainder
+        yield gated
+    if panel is None or sides.model is None:
+        return
+    doubted = {id(s) for s, d in zip(steps, against, strict=True) if d is not None}
+    sure = tuple(s for s in gated.steps if id(s) not in doubted and s.named.mechanism != UNKNOWN)
+    if sure and len(sure) < len(gated.steps):
+        model = sides.level(sides.of(sure))
+        gated = gated.with_only(sure, model, panel.look(of_model(model), NAMED), panel)
+        yield gated
+    if not gated.helps:
+        yield gated.with_only((), sides.model, gated.before, panel)
+
+
 def checked(
-    judged: Judged, sides: Sides, gated: Gated | None, splits: Splits, alpha: float, key: Key[Array, ""]
+    judged: Judged,
+    sides: Sides,
+    gated: Gated | None,
+    lesser: Callable[[Gated], Iterator[Gated]],
+    splits: Splits,
+    alpha: float,
+    key: Key[Array, ""],
 ) -> tuple[Gated | None, Checked | None, SensorModel]:
     """What differs between the frames held back and draws before and after (None: none can be drawn), and the
-    simulator that is handed back. Where more differs than before, the remainder goes; where too few frames
-    were held back for the gate, all that was found does."""
+    simulator that is handed back. Where more differs than before, the first of what is `lesser` is by which
+    less does; where too few frames were held back for the gate, all that was found goes."""
     before = source_of(sides.model, sides.plain, judged.label, key)
     model = sides.exported if gated is None else gated.model
 
@@ -238,10 +270,12 @@ def checked(
             return gated, found, model
         if gated is None and sides.model is not None:
             return None, found.unchanged, sides.model
-        if gated is not None and gated.remainder:
-            without = against(gated.without_remainder.model)
+        for less in lesser(gated) if gated is not None else ():
+            without = against(less.model)
             if without.nats < found.nats:
-                return gated.without_remainder, without, gated.without_remainder.model
+                gated, found, model = less, without, less.model
+            if not found.worse:
+                break
     except BadInput:
         return gated, None, model
     return gated, found, model

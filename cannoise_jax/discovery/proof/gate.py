@@ -3,8 +3,9 @@
 The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
 are tried alone. What no name explains enters, as the remainder, where it makes the draws better: beside
 all of these findings, in place of those that nothing describes well, or beside the fitted baseline alone. It
-goes again where the layer that knows no names then finds more that differs than before. So the simulator that
-is handed back is no worse than the one that was given, or the report says so first.
+goes again where the layer that knows no names then finds more that differs than before, and so do findings
+without a name; where nothing that is left is surely nearer, all of it does. So the simulator that is handed
+back is no worse than the one that was given, or the report says so first.
 """
 
 from __future__ import annotations
@@ -56,9 +57,8 @@ class Gain(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """One candidate beside the simulator before it. what: `findings`, `confirmed findings` or `remainder`;
-    steps:
-    findings in it; score: of the composite score, nats a pixel, area: of what the two-sample area is above
+    """One candidate beside the simulator before it. what: `findings`, `confirmed findings`, `findings with a
+    name` or `remainder`; steps: findings in it; score: of the composite score, nats a pixel, area: of what the two-sample area is above
     0.5 (None: not measured); entered: whether it is in the simulator that is handed back; least:
     change of the score that counts as none."""
 
@@ -108,6 +108,19 @@ class Gated(NamedTuple):
             return self
         late = self.tried[len(self.spare.tried) :]
         return self.spare._replace(tried=(*self.spare.tried, *(t._replace(entered=False) for t in late)))
+
+    @property
+    def helps(self) -> bool:
+        """Whether anything that entered is surely nearer to the recordings."""
+        return any(t.entered and t.better for t in self.tried)
+
+    def with_only(self, steps: tuple[Step, ...], model: SensorModel, looked: Looked, panel: Panel) -> Gated:
+        """With some of the findings in place of all that entered; of none it is the simulator that was
+        judged."""
+        tried = tuple(t._replace(entered=False) for t in self.tried)
+        if steps:
+            tried = (*tried, _tried("findings with a name", steps, panel, self.before, looked))
+        return Gated(model, self.before, looked, steps, tried, False)
 
 
 def gate(panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs) -> Gated:
