@@ -182,14 +182,15 @@ def _black_of(
 def _off_stated(
     levels: list[tuple[Fields, np.ndarray, float]], recorded: Recorded
 ) -> tuple[Float[np.ndarray, "4"], float, int]:
-    """By how much the darks of the shortest exposure lie off the stated levels of their gain settings, DN of
-    every channel, the standard error of one, and the number of frames."""
+    """By how much the darks of the shortest exposure lie off the stated levels of their gain settings, or off
+    those of as many draws, DN of every channel, the standard error of one, and the number of frames."""
     shortest = _shortest(levels)
     chosen = [(f, level, e) for f, level, e in levels if (f.exposure_s or 0.0) == shortest]
     weight = np.array([1 / e**2 for _, _, e in chosen])
     off = [level - recorded.black[f.group] for f, level, _ in chosen]
     frames = sum(f.frames for f, _, _ in chosen)
-    return np.average(off, axis=0, weights=weight), float(1 / np.sqrt(weight.sum())), frames
+    drawn_too = np.sqrt(2.0) if recorded.fitted_too else 1.0
+    return np.average(off, axis=0, weights=weight), float(drawn_too / np.sqrt(weight.sum())), frames
 
 
 def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | None:
@@ -264,6 +265,7 @@ def black(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signatur
         simulate=lambda found: Addition(bare=True, fitted_black=True),
         place=NO_PLACE,
         detectable=BY_SHIFT,
+        beyond=recorded.fitted_too,
         least=NO_CLOSED_FORM,
     )
 

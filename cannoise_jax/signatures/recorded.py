@@ -67,7 +67,8 @@ class Occurred(NamedTuple):
 class Recorded(NamedTuple):
     """What the files say, and what was calibrated.
 
-    black: stated black level of every gain setting, per mosaic site, DN; tolerance: how far it may be
+    black: stated black level of every gain setting, or that of the judged simulator, per mosaic site, DN;
+    tolerance: how far it may be
     rounded; greens: sites of the two greens, None: there are none. jitter: variance of the frame offsets of
     the darks, DN^2. stated: gain (DN/e-) and read noise (DN) per gain setting that are judged, None: none
     are; fitted_too: whether they are themselves fits. step: of the codes, span: white minus black, DN. mono:

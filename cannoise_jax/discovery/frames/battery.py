@@ -16,7 +16,7 @@ from cannoise_jax.discovery.frames.contrasts import (
 )
 from cannoise_jax.discovery.frames.dark_lines import beside_darks
 from cannoise_jax.discovery.frames.dust import beside_dust
-from cannoise_jax.discovery.frames.simulated import drawn_parameters, drawn_rise
+from cannoise_jax.discovery.frames.simulated import drawn_black, drawn_parameters, drawn_rise
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
@@ -109,8 +109,15 @@ def prepare(
         stated = drawn_parameters(drawn, baselines, step)
     elif judge_stated:
         stated = stated_parameters(capture, baselines)
+    black, greens, rounded = described(capture, step, order)
+    rise = (0.0, 0.0)
+    if drawn is not None:
+        rise = drawn_rise(drawn, baselines, units)
+        black, rounded = drawn_black(drawn, baselines, units, rise[0], black), 0.0
     recorded = Recorded(
-        *described(capture, step, order),
+        black,
+        greens,
+        rounded,
         frame_jitter(same),
         collect_codes(capture, stacks, fields, chosen, step),
         baselines,
@@ -123,7 +130,7 @@ def prepare(
         occurrences(stacks, fields, chosen, step),
         tuple(units),
         tuple(r.exposure_s for r in capture.recordings if r.exposure_s is not None),
-        (0.0, 0.0) if drawn is None else drawn_rise(drawn, baselines, units),
+        rise,
     )
     return Prepared(
         same,
@@ -234,10 +241,7 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
         # Away from the rails: a pile-up there is no comb.
         low, high = _rails(s, chosen[s.number][0])
         wide = (
-            f.usable
-            & (f.sigma > BROAD * step)
-            & (f.mean > low + 6 * f.sigma)
-            & (f.mean < high - 6 * f.sigma)
+            f.usable & (f.sigma > BROAD * step) & (f.mean > low + 6 * f.sigma) & (f.mean < high - 6 * f.sigma)
         )
         is_dark = f.kind in DARK
         if not is_dark and wide.mean() < 0.02:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.discovery.frames.calibrate import fit_baseline
-from cannoise_jax.discovery.frames.contrasts import stack
+from cannoise_jax.discovery.frames.contrasts import robust_mean, stack
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet
 from cannoise_jax.signatures.levels import STANDS_OUT, slope_of
 from cannoise_jax.signatures.recorded import GroupBaseline
@@ -42,6 +44,26 @@ def drawn_rise(
     unit = np.asarray(units)[groups]
     rise, error = slope_of(seconds, level / unit, variance / unit**2, groups)
     return (rise, error) if np.isfinite(error) else (0.0, 0.0)
+
+
+def drawn_black(
+    drawn: CaptureSet,
+    baselines: Sequence[GroupBaseline],
+    units: Sequence[float],
+    rise: float,
+    stated: Float[np.ndarray, "g 4"],
+) -> Float[np.ndarray, "g 4"]:
+    """Black levels of a simulator per gain setting and site, DN: of its darks of the shortest exposure, less
+    what they rise by in that; as stated where it draws no darks. rise: see `drawn_rise`."""
+    out = np.array(stated, float)
+    for g, baseline in enumerate(baselines):
+        darks = [r for r in drawn.recordings if r.kind in DARK and r.iso == baseline.iso]
+        if darks:
+            r = min(darks, key=lambda r: r.exposure_s or 0.0)
+            mean = np.asarray(r.frames, np.float32).mean(0)
+            charge = rise * units[g] * (r.exposure_s or 0.0)
+            out[g] = [robust_mean(mean[at]) - charge for at in SITES]
+    return out
 
 
 def _level(frames: np.ndarray) -> tuple[float, float]:

@@ -77,7 +77,7 @@ class Tried(NamedTuple):
     @property
     def nearer(self) -> bool:
         """Whether the two-sample area improved beyond its interval."""
-        return self.area is not None and self.area.high < 0
+        return self.area is not None and self.area.sure[1] < 0
 
     @property
     def worse(self) -> bool:
@@ -85,7 +85,7 @@ class Tried(NamedTuple):
         score = (
             0 if self.score is None else int(self.score.low > self.least) - int(self.score.high < -self.least)
         )
-        area = 0 if self.area is None else int(self.area.high < 0) - int(self.area.low > 0)
+        area = 0 if self.area is None else int(self.area.sure[1] < 0) - int(self.area.sure[0] > 0)
         return min(score, area) < 0
 
 
@@ -211,11 +211,14 @@ def _gained(gated: Gated) -> float:
 def _told(panel: Panel, looked: Looked) -> bool:
     """Whether the recordings may still be told from the draws: else nothing better is looked for."""
     areas = panel.areas([looked])
-    return areas is None or areas[0].low > 0.5
+    return areas is None or areas[0].sure[0] > 0.5
 
 
 def _tried(what: str, steps: tuple[Step, ...], panel: Panel, before: Looked, after: Looked) -> Tried:
-    return Tried(what, len(steps), score_gain(panel, before, after), panel.change(before, after), True)
+    """The measures of one candidate. Of two that the recordings are told from by chance alone, neither is
+    nearer."""
+    change = panel.change(before, after) if _told(panel, before) or _told(panel, after) else None
+    return Tried(what, len(steps), score_gain(panel, before, after), change, True)
 
 
 def score_gain(panel: Panel, before: Looked, after: Looked) -> Gain | None:

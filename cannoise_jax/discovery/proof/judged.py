@@ -107,11 +107,12 @@ def own_effects(
 
 def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
     """A split with what the simulator has already taken out, and the signatures set aside that cannot be
-    trusted beside it. Gain and read noise of its draws hold as much of it as those of the recordings."""
+    trusted beside it. Gain, read noise and levels of its draws hold as much of it as those of the recordings.
+    """
     aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
     return prepared._replace(
         fields=without_all(own, prepared.fields),
-        signatures=tuple(p for p in prepared.signatures if p.name not in aside or p.restates),
+        signatures=tuple(p for p in prepared.signatures if p.name not in aside or p.restates or p.beyond),
     )
 
 

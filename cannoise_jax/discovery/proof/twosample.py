@@ -69,6 +69,15 @@ class Area(NamedTuple):
     error: float = float("nan")
     freedom: int = 1
 
+    @property
+    def sure(self) -> tuple[float, float]:
+        """Between which it surely is: of few frames the interval by resampling is too narrow, that of
+        Student's law with their degrees of freedom is not."""
+        if not np.isfinite(self.error):
+            return self.low, self.high
+        half = float(stats.t.isf(0.05, self.freedom)) * self.error
+        return min(self.low, self.value - half), max(self.high, self.value + half)
+
 
 class TwoSample(NamedTuple):
     """Areas before and after; change: of what they are above 0.5 (None: nothing was added). patches: to a
