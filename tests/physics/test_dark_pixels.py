@@ -82,6 +82,23 @@ def test_a_glow_is_no_dark_current_and_no_pattern(peak, length, rate):
     np.testing.assert_allclose(expected, truth, rtol=0.01, atol=1.5)
 
 
+def test_the_dark_current_is_that_of_the_pixels_that_are_not_hot():
+    """Few hot pixels in every channel, all known together: they are counted once, as hot pixels."""
+    rng = np.random.default_rng(12)
+    current = log_normal(rng, 20.0, 0.3)
+    hot = rng.random(SIZE) < 1e-3
+    assert max(hot[i::2, j::2].sum() for i in (0, 1) for j in (0, 1)) < 10
+    captures = recorded(np.where(hot, 30.0 * current, current), 6)
+    found, _ = calibrated(captures)
+    truth = float(current[~hot].mean())
+    assert found["dark_current"].measured["e_per_s"].value == pytest.approx(truth, rel=0.008)
+    (transfer,) = photon_transfer(captures)
+    said = [q.outcome.value for q in transfer.quantities if q.name == "dark current, by mean"]
+    assert np.mean(said) == pytest.approx(truth, rel=0.008)
+    low, high = found["hot_pixels"].measured["e_per_s"].ci90
+    assert low < (29.0 * current[hot]).mean() < high
+
+
 def test_the_law_of_known_numbers():
     """Log-normal and hot parts come back; normal numbers have neither."""
     rng = np.random.default_rng(8)

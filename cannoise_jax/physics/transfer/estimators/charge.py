@@ -37,22 +37,25 @@ _SURE = 3.3
 
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """e_per_s, from the growth of the mean with exposure; from that of the variance where the two disagree
-    (see `transfer.dark`). Channels are averaged. variation, of the pixels that are not hot, where the longest
-    dark less the shortest shows one beyond its noise."""
+    """e_per_s, of the pixels that are not hot, from the growth of their mean with exposure; from that of the
+    variance where the two disagree (see `transfer.dark`). Channels are averaged. variation, of the same
+    pixels, where the longest dark less the shortest shows one beyond its noise."""
     if baseline is None:
         return _SERIES
     darks = darks_by_exposure(statistics)
+    found = currents(statistics, baseline)
+    # All channels together tell more of few hot pixels than each by itself, and none counts twice.
+    hot = found.out if found is not None and found.law.shape else None
     channels = []
     for c in range(4):
-        series = dark_series(darks, c, baseline.gain[c])
+        series = dark_series(darks, c, baseline.gain[c], hot)
         if isinstance(series, NotMeasurable):
             return series
         channels.append(series)
     pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
     by_mean, by_variance, agree, _ = dark_currents(pooled, baseline.gain_error)
     rate = by_mean if agree else by_variance
-    return {"e_per_s": rate} | _variation(currents(statistics, baseline), rate)
+    return {"e_per_s": rate} | _variation(found, rate)
 
 
 class Currents(NamedTuple):
