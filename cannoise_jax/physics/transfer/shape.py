@@ -85,9 +85,10 @@ def dark_lines(statistics: Sequence[FrameStatistics]) -> list[list[str]]:
 
 
 def lamp_notes(statistics: Sequence[FrameStatistics]) -> list[str]:
-    """How the light of every flat moved: the first frame against the rest, and the spread of the others."""
+    """How the light of every flat that stands well above black moved: the first frame against the rest, and
+    the spread of the others."""
     notes = []
-    flats = [s for s in statistics if s.recording.kind == "flat" and s.recording.count >= 3]
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.recording.count >= 3 and s.relative]
     for s in sorted(flats, key=lambda s: float(s.mean.mean())):
         level = np.mean(s.frame_means - np.asarray(s.recording.black_level), axis=1)
         first, rest = level[0] / level[1:].mean() - 1, level[1:].std(ddof=1) / level[1:].mean()
