@@ -36,6 +36,9 @@ _REACH = 16
 _HOT, _FEWEST_HOT = 10.0, 20
 """Standard deviations above the level from which a pixel's dark charge is told from its offset, and how many
 of such pixels tell its shot noise."""
+_SHOT = 4.0
+"""Standard deviations that the shot noise of a DN of charge is taken for, as a variance, where nothing tells
+it: the gain, DN/e-, of a noise of a quarter of an electron, below what sensors read out with."""
 _PRIOR = 8.0
 """Degrees of freedom that the expected noise of a pixel counts for beside its own few frames."""
 _DEEPEST, _MIRRORED = 0.98, 1.25
@@ -215,26 +218,32 @@ def _noise(recording: Recording, rest: _Rest, step: float) -> Float[np.ndarray, 
     noise = np.empty(recording.size)
     change = _frame(recording, 1) - _frame(recording, 0)
     dof = recording.count - 2.0
+    channels = []
     for c in range(4):
         bulk = max(robust_std(site(change, c)) ** 2 / 2, step**2 / 4)
         mean, own = site(rest.mean, c), site(rest.variance, c)
         middle = float(np.median(own))
         own = own * (bulk / middle if middle > 0 else 1.0)  # the highest are not among them
         # Of a pixel below the level as of one above: telegraph pixels are either, and have to look alike.
-        charge = np.abs(mean - np.median(mean))
-        expected = bulk + _shot(own - bulk, charge, np.sqrt(bulk)) * charge
+        channels.append((bulk, own, np.abs(mean - np.median(mean))))
+    known = [charge > _HOT * np.sqrt(bulk) for bulk, _, charge in channels]
+    slopes = [
+        (own - bulk)[hot] / charge[hot] for (bulk, own, charge), hot in zip(channels, known, strict=True)
+    ]
+    for c, (bulk, own, charge) in enumerate(channels):
+        expected = bulk + _shot(slopes[c], np.concatenate(slopes), np.sqrt(bulk)) * charge
         used = (_PRIOR * expected + dof * own) / (_PRIOR + dof)
         site(noise, c)[...] = np.sqrt(np.maximum(used, expected))
     return noise
 
 
-def _shot(excess: np.ndarray, charge: np.ndarray, sigma: float) -> float:
-    """DN of variance for a DN of dark charge, from hot pixels; where those are too few, so much that none of
-    them passes for hit."""
-    known = charge > _HOT * sigma
-    if known.sum() < _FEWEST_HOT:
-        return float(charge.max())
-    return max(float(np.median(excess[known] / charge[known])), 0.0)
+def _shot(own: np.ndarray, every: np.ndarray, sigma: float) -> float:
+    """DN of variance for a DN of dark charge, from what the hot pixels of a channel show, else those of all
+    channels; where those are too few, so much that none of them passes for hit."""
+    for slopes in (own, every):
+        if len(slopes) >= _FEWEST_HOT:
+            return max(float(np.median(slopes)), 0.0)
+    return _SHOT * sigma
 
 
 def _area(
