@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -390,3 +391,15 @@ def test_the_gain_of_a_model_that_bends_is_that_of_small_signals():
     assert np.mean(result.baseline.gain) < 0.95 * GAIN
     assert np.asarray(model.gain_dn_per_e) == pytest.approx(GAIN, rel=0.03)
     assert np.asarray(model.read_noise_e) == pytest.approx(READ, rel=0.05)
+
+
+@pytest.mark.parametrize(("kind", "most"), [("flat", 14), ("dark", 17)])
+def test_memory_of_a_pass_is_a_few_arrays_of_a_frame(kind, most):
+    """Of the size of one frame in float64, however many frames there are: they may have tens of megapixels."""
+    frames = np.random.default_rng(2).normal(300, 9, (2, 1600, 2400)).astype(np.uint16)
+    taken = Recording(frames, "RGGB", (200.0,) * 4, 4095.0, kind=kind, exposure_s=1.0)
+    tracemalloc.start()
+    frame_statistics(taken)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < most * 8 * frames[0].size

@@ -13,6 +13,7 @@ looked at, those that were hit do not count.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +27,8 @@ from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, Recording
 
+_CHUNK_BYTES = 1 << 23
+"""Of frames that are read at once."""
 _FAR = 8.0
 """Standard deviations of a pixel's noise that a hit is above its other values. Of an electron a frame, the
 most skewed of dark charge that matters, none lies as far out in 10^8."""
@@ -114,11 +117,16 @@ _Places = dict[int, tuple[np.ndarray, np.ndarray]]
 
 def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None:
     """Where the recording was hit, with what else to put there, and the charge of every hit, DN."""
-    up, down = _extremes(recording)
     step = _step(recording)
+    # One after the other, as frames may be large.
+    down, up = _extremes(recording)
+    lowest = down()
+    below = -lowest.away / _noise(recording, lowest, step)
+    deep = below[below > _FAR]
+    del down, lowest, below
+    up = up()
     noise = _noise(recording, up, step)
-    above, below = up.away / noise, -down.away / _noise(recording, down, step)
-    far = _of_particles(up, above, up.again / noise, below)
+    far = _of_particles(up, up.away / noise, up.again / noise, deep)
     shares = np.bincount(up.frame[far], minlength=recording.count) / far.size
     if not shares.any() or shares.max() > _MOST:
         return None
@@ -140,11 +148,11 @@ def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None
 
 
 def _of_particles(
-    up: _Rest, above: np.ndarray, again: np.ndarray, below: np.ndarray
+    up: _Rest, above: np.ndarray, again: np.ndarray, deep: np.ndarray
 ) -> Bool[np.ndarray, "H W"]:
     """Which pixels were hit, by how many standard deviations the highest value of each lies above its others,
-    the next highest too, and the lowest below."""
-    far, deep = above > _FAR, below[below > _FAR]
+    the next highest too, and how many the lowest of those that lie far below."""
+    far = above > _FAR
     # Particles hit the same pixels twice by chance alone; pixels that jump do it again, and as high.
     twice = again > _FAR
     (_, times), (_, number) = ndimage.label(twice, np.ones((3, 3))), ndimage.label(far, np.ones((3, 3)))
@@ -179,37 +187,38 @@ def _step(recording: Recording) -> float:
     return float(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 1.0
 
 
-def _extremes(recording: Recording) -> tuple[_Rest, _Rest]:
-    """The highest and the lowest value of every pixel beside its others; frames brought to one level."""
+def _extremes(recording: Recording) -> tuple[Callable[[], _Rest], Callable[[], _Rest]]:
+    """The lowest and the highest value of every pixel beside its others, each once it is asked for; frames
+    brought to one level."""
     size, count = recording.size, recording.count
     spared = 2 if count >= _ENOUGH else 1  # also the next highest: a pixel may be hit twice
     total, square = np.zeros(size), np.zeros(size)
-    most, least = (np.full((2, *size), sign * np.inf) for sign in (-1, 1))
+    most, least = (np.full((spared, *size), sign * np.inf) for sign in (-1, 1))
     highest, lowest = (np.zeros(size, np.int32) for _ in range(2))
     level = float(np.median(np.asarray(recording.frames[:1])))
     at = 0
-    for part in chunks(recording.frames):
+    for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
             values = frame - float(np.median(frame))
             total += values
             square += values**2
             highest[values > most[0]] = at
             lowest[values < least[0]] = at
-            most = np.stack([np.maximum(most[0], values), np.maximum(most[1], np.minimum(most[0], values))])
-            least = np.stack(
-                [np.minimum(least[0], values), np.minimum(least[1], np.maximum(least[0], values))]
-            )
+            if spared > 1:
+                np.maximum(most[1], np.minimum(most[0], values), out=most[1])
+                np.minimum(least[1], np.maximum(least[0], values), out=least[1])
+            np.maximum(most[0], values, out=most[0])
+            np.minimum(least[0], values, out=least[0])
             at += 1
     others = count - spared
 
     def rest(values: np.ndarray, frame: np.ndarray) -> _Rest:
-        left_out = values[:spared]
-        mean = (total - left_out.sum(0)) / others
-        squares = square - (left_out**2).sum(0) - others * mean**2
+        mean = (total - values.sum(0)) / others
+        squares = square - (values**2).sum(0) - others * mean**2
         again = values[1] - mean if spared > 1 else np.zeros(size)
         return _Rest(frame, values[0] - mean, again, mean + level, np.maximum(squares, 0.0) / others)
 
-    return rest(most, highest), rest(least, lowest)
+    return partial(rest, least, lowest), partial(rest, most, highest)
 
 
 def _noise(recording: Recording, rest: _Rest, step: float) -> Float[np.ndarray, "H W"]:
