@@ -10,6 +10,8 @@ import pytest
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.transfer.dark_pixels import above_level, law_of
+from cannoise_jax.physics.transfer.estimate import normal_estimate
+from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
@@ -97,6 +99,17 @@ def test_the_dark_current_is_that_of_the_pixels_that_are_not_hot():
     assert np.mean(said) == pytest.approx(truth, rel=0.008)
     low, high = found["hot_pixels"].measured["e_per_s"].ci90
     assert low < (29.0 * current[hot]).mean() < high
+
+
+def test_no_relative_spread_is_told_of_a_dark_current_that_does_not_show():
+    """Divided by a mean that may be zero it were any number."""
+    found = charge.Currents(
+        np.zeros((2, 2)), law_of(np.arange(40.0)), np.zeros((2, 2), bool), 1.0, 1.0, 9.0, 1.0
+    )
+    assert found.differ
+    told = charge._variation(found, normal_estimate(2.0, 0.1))
+    assert told["variation"].value == pytest.approx(1.5)
+    assert not charge._variation(found, normal_estimate(0.01, 0.02))
 
 
 def test_the_law_of_known_numbers():

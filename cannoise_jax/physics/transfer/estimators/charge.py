@@ -101,8 +101,9 @@ def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None
 
 
 def _variation(found: Currents | None, rate: Estimate) -> dict[str, Estimate]:
-    """Standard deviation of the dark currents of ordinary pixels over their mean; empty where none shows."""
-    if found is None or not found.differ or not rate.value > 0:
+    """Standard deviation of the dark currents of ordinary pixels over their mean; empty where none shows,
+    or no mean to be compared with."""
+    if found is None or not found.differ or not (rate.value > 0 and rate.significant):
         return {}
     value = float(np.sqrt(found.spread)) / rate.value / found.seconds
     parts = found.error / found.spread / 2, rate.stderr / rate.value, _LAW_DOUBT
