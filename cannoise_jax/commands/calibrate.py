@@ -13,6 +13,7 @@ import logging
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -199,11 +200,13 @@ def calibrate(
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in every[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
-    transfers = tuple(transfer_at(every[iso]) for iso in order)
+    channels = partial(counted, doing="photon transfer: channels")
+    transfers = tuple(transfer_at(every[iso], channels) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            entries = counted((*LISTED, *own), "mechanisms: estimators")
-            return transfers, find_mechanisms(transfer.statistics, transfer.baseline, entries)
+            each = partial(counted, doing="mechanisms: estimators")
+            found = find_mechanisms(transfer.statistics, transfer.baseline, (*LISTED, *own), each)
+            return transfers, found
     return transfers, ()
 
 

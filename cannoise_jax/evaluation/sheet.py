@@ -56,6 +56,7 @@ def _figures(s: dict[str, Any]) -> list[dict[str, str]]:
         signal += [
             Series("", ends, line["fit"][c][0] + line["fit"][c][1] * ends, colour[c], line=True)
             for c in chosen
+            if line["fit"][c]
         ]
         out.append(_figure("Linearity", plot(signal, "exposure, s", "signal above black, DN"),
                            "Line: least relative deviations from 5 to 95 % of the range."))  # fmt: skip

@@ -28,6 +28,9 @@ _RANGE = (0.05, 0.95)
 """Share of saturation between which linearity is judged (EMVA 1288, section 6.7)."""
 _OTHER_LIGHT = 10.0
 """Mean deviation, %, from which flats are not of one light rather than of a bent response."""
+_STEADY = NotMeasurable(
+    "record flats of one steady light at three exposure times or more, below 95 % of saturation"
+)
 _ROWS = (
     ("system gain", "DN/e-", "K, overall system gain"),
     ("inverse gain", "e-/DN", "1/K, inverse of the gain"),
@@ -123,7 +126,8 @@ def _linearity(
 ) -> dict[str, Any] | None:
     """Signal over exposure of flats under one light, with a line of least relative deviations, by channel;
     None for fewer than three exposures, and for flats that lie far off any line. error: mean absolute
-    deviation, %, between `_RANGE` of saturation."""
+    deviation, %, between `_RANGE` of saturation; None, as are the points of its line, of a channel that has
+    fewer than three exposures below that."""
     flats = [s for s in lit if s.recording.kind == "flat" and s.recording.exposure_s]
     if len({s.recording.exposure_s for s in flats}) < 3:
         return None
@@ -135,17 +139,23 @@ def _linearity(
         ends = (s.high[c] for s in flats if np.isfinite(s.high[c]))
         top = min([white, full_signal(flats, c), *ends]) - black[c]
         judged = (signal > _RANGE[0] * top) & (signal < _RANGE[1] * top)
-        judged = judged if judged.sum() >= 3 else signal > 0
+        judged = judged if judged.sum() >= 3 else (signal > 0) & (signal < _RANGE[1] * top)
+        out["signal"].append(signal.tolist())
+        if len(set(seconds[judged])) < 3:
+            out["deviation"].append([None] * len(seconds))
+            out["fit"].append(None)
+            out["error"].append(None)
+            continue
         design = np.stack([np.ones_like(seconds), seconds], -1)[judged] / signal[judged, None]
         line = np.linalg.lstsq(design, np.ones(judged.sum()), rcond=None)[0]
         fitted = line[0] + line[1] * seconds
         deviation = 100 * (signal - fitted) / np.where(fitted == 0, np.nan, fitted)
-        out["signal"].append(signal.tolist())
         shown = np.where(judged, deviation, np.nan)
         out["deviation"].append([float(v) if np.isfinite(v) else None for v in shown])
         out["fit"].append([float(v) for v in line])
         out["error"].append(float(np.nanmean(np.abs(deviation[judged]))))
-    return out if max(out["error"]) < _OTHER_LIGHT else None
+    told = [error for error in out["error"] if error is not None]
+    return out if told and max(told) < _OTHER_LIGHT else None
 
 
 def _dark_points(dark: Sequence[FrameStatistics], channels: Channels) -> dict[str, Any]:
@@ -235,8 +245,8 @@ def _derived(
     noise = t.outcomes("temporal dark noise", "e-")
     if name == "linearity error":
         if straight is None:
-            return [NotMeasurable("record flats of one steady light at three exposure times or more")] * 4
-        return [Estimate(round(v, 3), 0.0, (v, v)) for v in straight["error"]]
+            return [_STEADY] * 4
+        return [_STEADY if v is None else Estimate(round(v, 3), 0.0, (v, v)) for v in straight["error"]]
     if name == "sensitivity threshold":
         return [_threshold(o, base, c) for c, o in enumerate(noise)]
     if name == "SNR max":

@@ -247,6 +247,7 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
         reason = reason if len(reason) <= LONGEST else f"{reason[:LONGEST]}..."
         of_system = isinstance(error, OSError) and error.errno
         remedy = "make it readable" if of_system else "copy it again, or save it anew"
+        remedy = "it was moved or removed meanwhile" if isinstance(error, FileNotFoundError) else remedy
         raise BadInput(f"{path}: {failure}: {reason}: {remedy}") from error
 
 

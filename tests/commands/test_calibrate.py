@@ -8,10 +8,13 @@ import json
 import numpy as np
 import pytest
 
+from cannoise_jax.commands import calibrate
 from cannoise_jax.commands.calibrate import main
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.transfer import model as transfer_model
 from cannoise_jax.recordings import Recording
+from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
 from tests.recordings.folders.test_store import sets
@@ -58,6 +61,26 @@ def test_writes_a_model_with_what_it_found(folder, tmp_path, capsys):
     strengths = {f.mechanism: f.parameters for f in model.mechanisms}
     assert abs(strengths["row_noise"]["sigma_dn"] - 2.0) < 0.2
     assert set(strengths) <= {"row_noise", "offset_drift"}, "only row noise was put in"
+
+
+def test_how_far_it_is_is_said_as_estimators_end_and_not_before(folder, monkeypatch, capsys):
+    """Frames may be large: every line comes when that much is measured."""
+    measured, judged = [], transfer_model._judged
+
+    def slow(entry, *more):
+        measured.append(entry.record.id)
+        return judged(entry, *more)
+
+    said = []
+    monkeypatch.setattr(transfer_model, "_judged", slow)
+    monkeypatch.setattr(
+        calibrate, "counted", lambda items, doing: (said.append((doing, len(measured))) or i for i in items)
+    )
+    calibrate.calibrate(load_capture_set(folder))
+    channels = [at for doing, at in said if doing.endswith("channels")]
+    estimators = [at for doing, at in said if doing.endswith("estimators")]
+    assert channels == [0] * 4 and len(estimators) > 20
+    assert np.diff(estimators).max() == 1  # one of them is measured before the others
 
 
 def test_two_isos_become_two_baselines(folder, tmp_path, capsys):

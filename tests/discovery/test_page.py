@@ -63,7 +63,7 @@ def test_a_structure_without_a_name_is_described_in_words():
     said = said_of(entry, Proof(None, 9.0, 1.0, 20.0, 99), axes)
     assert said.startswith(
         "A structure without a name, from pixel to pixel, new in every frame, in proportion to all noise "
-        "(law: neighbours): strength 0.05 (90 %: 0.04 to 0.06)"
+        "(of the kind: neighbours): strength 0.05 (90 %: 0.04 to 0.06)"
     )
 
 

@@ -110,6 +110,18 @@ def test_recordings_are_listed_by_kind_and_exposure(transfers):
     assert listed == sorted(listed) and len(listed) == 8
 
 
+def test_a_flat_that_clips_in_one_channel_is_no_part_of_its_linearity():
+    """Three exposures, the longest clipped in blue: no line of two is judged, the others are as they are."""
+    blue = np.ones(SIZE)
+    blue[1::2, 1::2] = 4.0
+    flats = [made(1e5 * s * blue, "flat", s) for s in (0.005, 0.01, 0.02)]
+    darks = [made(0.0, "dark", 0.01)]
+    (setting,) = sheet_data(photon_transfer(CaptureSet("Acme X", (*flats, *darks))))
+    error = row(setting, "LE", "%")["values"]
+    assert error[3] is None and max(error[:3]) < 0.5
+    assert "not measured" in sheet_page("Acme X", [setting])
+
+
 def test_what_was_not_recorded_is_said():
     (setting,) = sheet_data(photon_transfer(CaptureSet("Acme X", (made(0.0, "dark", 0.01),))))
     assert "even, steady light" in row(setting, "K,", "DN/e-")["record"]

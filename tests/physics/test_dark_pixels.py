@@ -10,6 +10,8 @@ import pytest
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.transfer.dark_pixels import above_level, law_of
+from cannoise_jax.physics.transfer.estimate import normal_estimate
+from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
@@ -80,6 +82,34 @@ def test_a_glow_is_no_dark_current_and_no_pattern(peak, length, rate):
     expected = model.expected(jnp.zeros(SIZE), Settings(100.0, SECONDS[-1]))
     truth = 100 + 0.5 * SECONDS[-1] * (rate + glow)
     np.testing.assert_allclose(expected, truth, rtol=0.01, atol=1.5)
+
+
+def test_the_dark_current_is_that_of_the_pixels_that_are_not_hot():
+    """Few hot pixels in every channel, all known together: they are counted once, as hot pixels."""
+    rng = np.random.default_rng(12)
+    current = log_normal(rng, 20.0, 0.3)
+    hot = rng.random(SIZE) < 1e-3
+    assert max(hot[i::2, j::2].sum() for i in (0, 1) for j in (0, 1)) < 10
+    captures = recorded(np.where(hot, 30.0 * current, current), 6)
+    found, _ = calibrated(captures)
+    truth = float(current[~hot].mean())
+    assert found["dark_current"].measured["e_per_s"].value == pytest.approx(truth, rel=0.008)
+    (transfer,) = photon_transfer(captures)
+    said = [q.outcome.value for q in transfer.quantities if q.name == "dark current, by mean"]
+    assert np.mean(said) == pytest.approx(truth, rel=0.008)
+    low, high = found["hot_pixels"].measured["e_per_s"].ci90
+    assert low < (29.0 * current[hot]).mean() < high
+
+
+def test_no_relative_spread_is_told_of_a_dark_current_that_does_not_show():
+    """Divided by a mean that may be zero it were any number."""
+    found = charge.Currents(
+        np.zeros((2, 2)), law_of(np.arange(40.0)), np.zeros((2, 2), bool), 1.0, 1.0, 9.0, 1.0
+    )
+    assert found.differ
+    told = charge._variation(found, normal_estimate(2.0, 0.1))
+    assert told["variation"].value == pytest.approx(1.5)
+    assert not charge._variation(found, normal_estimate(0.01, 0.02))
 
 
 def test_the_law_of_known_numbers():

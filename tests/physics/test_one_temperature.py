@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.transfer.frames import frame_statistics
-from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
+from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm, of_one_temperature
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
@@ -44,3 +44,14 @@ def test_what_is_left_out_is_said_and_nothing_else_is():
     assert of_one_temperature(warming) == (warming, "")
     unknown = [frame_statistics(r) for r in series(None)]
     assert of_one_temperature(unknown) == (unknown, "")
+
+
+def test_flats_as_warm_as_no_dark_are_said_where_dark_charge_gathers():
+    flat = recording("flat", 5.0, -5.0, 8000.0)
+    line = no_dark_as_warm([*series(-10.0, 0.0), flat])
+    assert "flats of -5 C, darks of -10 and 0 C" in line and line.endswith("record darks of 5 s at -5 C")
+    _, said = of_one_temperature([frame_statistics(r) for r in (*series(-10.0, 0.0), flat)])
+    assert said.endswith(line) and "are used, not" in said
+    assert not no_dark_as_warm([*series(-10.0, -4.0), flat])
+    assert not no_dark_as_warm([*series(-10.0), recording("flat", 0.001, -5.0, 8000.0)])
+    assert not no_dark_as_warm([*series(None), flat]) and not no_dark_as_warm([*series(-10.0)])

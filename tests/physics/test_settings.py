@@ -55,6 +55,13 @@ def test_laws_of_mechanisms_beyond_their_isos_are_in_the_same_warning():
         asked(preset, Settings(iso=4 * float(np.asarray(preset.iso)[-1])))
 
 
+def test_a_model_of_one_iso_does_not_speak_of_a_span():
+    base = SensorModel.poisson_gaussian(0.5, 3.0, 64, 1023)
+    said = "ISO 800 is not the calibrated 100, which also stands for .* a camera without ISO"
+    with pytest.warns(ExtrapolationWarning, match=said):
+        asked(base, Settings(iso=800.0))
+
+
 def asked(model, settings=None):
     """What is said of a sample is said before it is drawn: nothing need be compiled."""
     jax.eval_shape(lambda: model.sample(KEY, FLAT, settings or Settings()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, vari
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
-from cannoise_jax.physics.transfer.table import format_transfer
+from cannoise_jax.physics.transfer.table import format_outcome, format_transfer
 from cannoise_jax.recordings import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.packing import site
@@ -390,3 +391,41 @@ def test_the_gain_of_a_model_that_bends_is_that_of_small_signals():
     assert np.mean(result.baseline.gain) < 0.95 * GAIN
     assert np.asarray(model.gain_dn_per_e) == pytest.approx(GAIN, rel=0.03)
     assert np.asarray(model.read_noise_e) == pytest.approx(READ, rel=0.05)
+
+
+def test_numbers_that_round_to_zero_have_no_sign():
+    assert format_outcome(Estimate(-0.2, 12.0, (-19.4, 19.0))) == "0 [-19, 19]"
+    assert format_outcome(Estimate(-0.0, 0.0, (-0.0, -0.0))) == "0"
+
+
+def test_what_one_channel_lacks_is_said_of_that_channel():
+    """Blue alone saturates: the others' saturation is what was not recorded."""
+    rng, light = np.random.default_rng(7), np.ones((96, 128))
+    light[1::2, 1::2] = 3.0
+    flats = [recording(rng, e * light, kind="flat", white_level=4095.0) for e in (300.0, 1000.0)]
+    captures = CaptureSet("c", (*flats, recording(rng, 0.0, white_level=4095.0)))
+    said = format_transfer(photon_transfer(captures)[0])
+    assert "saturation level of R, Gr, Gb: no pixel reached its end" in said
+
+
+def test_pixels_whose_noise_is_below_a_code_are_not_said_to_be_noisier():
+    rng = np.random.default_rng(3)
+    frames = [np.rint(20 + 0.05 * rng.standard_normal((96, 128)) + 0.24 * rng.standard_normal((6, 96, 128)))]
+    frames += [np.rint(20 + 0.12 * rng.poisson(e, (6, 96, 128))) for e in (1000, 4000)]
+    made = [
+        Recording(f.astype(np.uint16), "MONO", (20.0,) * 4, 1023.0, kind=k, exposure_s=0.01, code_step=1.0)
+        for f, k in zip(frames, ("dark", "flat", "flat"), strict=True)
+    ]
+    assert "far noisier" not in format_transfer(photon_transfer(CaptureSet("c", tuple(made)))[0])
+
+
+@pytest.mark.parametrize(("kind", "most"), [("flat", 14), ("dark", 17)])
+def test_memory_of_a_pass_is_a_few_arrays_of_a_frame(kind, most):
+    """Of the size of one frame in float64: frames may have tens of megapixels."""
+    frames = np.random.default_rng(2).normal(300, 9, (2, 1600, 2400)).astype(np.uint16)
+    taken = Recording(frames, "RGGB", (200.0,) * 4, 4095.0, kind=kind, exposure_s=1.0)
+    tracemalloc.start()
+    frame_statistics(taken)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < most * 8 * frames[0].size

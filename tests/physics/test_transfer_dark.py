@@ -177,6 +177,26 @@ def test_hot_pixels_are_measured_among_pixels_that_move_both_ways():
         assert np.mean(seen[hot & (heat > 100)]) > 0.95 and np.mean(seen[~hot]) < 0.005
 
 
+def test_hot_pixels_that_fill_in_the_longest_dark_are_told_by_shorter_ones():
+    """Heights and map are those of the pixels, whatever the longest dark cuts off."""
+    rng, size = np.random.default_rng(4), (96, 128)
+    hot = rng.random(size) < 0.02
+    heat = np.where(hot, rng.exponential(600.0, size), 1.0)
+    statistics = []
+    for seconds in (0.01, 0.25, 1.0, 4.0):
+        charge = rng.poisson(heat * seconds, (6, *size)) + 4.0 * rng.standard_normal((6, *size))
+        codes = np.clip(np.rint(200 + 2.0 * charge), 0, 3000).astype(np.uint16)
+        taken = Recording(codes, "MONO", (200.0,) * 4, 3000.0, kind="dark", exposure_s=seconds)
+        statistics.append(frame_statistics(taken))
+    cut_off = 4.0 * heat > (3000 - 200) / 2.0
+    assert cut_off[hot].mean() > 0.3
+    found = MECHANISMS["hot_pixels"].estimator.measure(statistics, assumed_baseline())
+    low, high = found["e_per_s"].ci90
+    assert low < heat[hot].mean() < high and high < 1.35 * low
+    heights = 600.0 * hot_map(statistics, assumed_baseline(), 600.0, 0.02)
+    np.testing.assert_allclose(heights[cut_off], heat[cut_off], rtol=0.1)
+
+
 @pytest.mark.parametrize("times", [(0.0005, 0.001, 0.002, 0.004), (1.0, 5.0, 10.0)])
 def test_a_few_darks_that_agree_are_not_said_to_disagree(times):
     """Few points lie on a line by luck, which is no measure of their errors."""

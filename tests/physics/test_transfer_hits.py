@@ -105,6 +105,20 @@ def test_the_rate_and_charge_of_hits_are_measured():
     assert isinstance(particles.cosmic_rays([], assumed_baseline()), NotMeasurable)
 
 
+@pytest.mark.parametrize("hot", [4e-3, 5e-4])
+def test_dark_currents_that_differ_hide_no_hits(hot):
+    """Too few hot pixels in every channel to tell the shot noise there: together, or not even together."""
+    rng = np.random.default_rng(13)
+    charge = 24 * np.exp(0.3 * rng.standard_normal(SIZE)) * np.where(rng.random(SIZE) < hot, 30, 1)
+    own, charges = dark(14, 6, 1.8, charge=charge, per_frame=10, reach=6)
+    found = particles.cosmic_rays([frame_statistics(own)], baseline(1.8, 4.0))
+    truth = 10 / (SIZE[0] * SIZE[1] * 1e-6 * 60)
+    assert found["rate"].value == pytest.approx(truth, rel=0.1)
+    assert found["charge_e"].value == pytest.approx(charges.mean() / 1.8, rel=0.12)
+    spared, _ = dark(15, 6, 1.8, charge=charge)
+    assert len(without_hits(spared)[1].charge) <= 1
+
+
 @pytest.mark.parametrize(("gain", "read", "heat"), [(0.8, 4.0, 300), (3.0, 2.0, 30), (0.2, 15.0, 5000)])
 def test_hot_pixels_are_no_telegraph_pixels_nor_noisy_ones(gain, read, heat):
     rng = np.random.default_rng(9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.transfer.frames import frame_statistics
-from cannoise_jax.physics.transfer.shape import shape_quantities
+from cannoise_jax.physics.transfer.shape import lamp_notes, shape_quantities
 from cannoise_jax.recordings.recording import Recording, per_channel
 
 SIGMA = 6.0
@@ -40,3 +40,13 @@ def test_chance_makes_no_noisy_pixels(frames):
 def test_noisy_pixels_are_counted():
     share = shapes(16, noisy=0.03)["pixels above 2 x typical"]
     assert share.value == pytest.approx(3.0, rel=0.1)
+
+
+def test_the_light_of_a_flat_that_shows_none_is_not_said_to_move():
+    rng, said = np.random.default_rng(3), {}
+    for level in (-1.0, 900.0):
+        light = np.maximum(level, 0.0) * (1 + 0.1 * (np.arange(4) == 0))[:, None, None]
+        codes = np.rint(200 + min(level, 0.0) + light + SIGMA * rng.normal(size=(4, 64, 96)))
+        flat = Recording(codes.astype(np.uint16), "RGGB", per_channel(200.0), 4095.0, kind="flat")
+        said[level] = lamp_notes([frame_statistics(flat)])
+    assert said[-1.0] == [] and "frame 1 is +10.0 %" in said[900.0][0]

@@ -75,8 +75,9 @@ def lines(found: Comparison, most: int = 14) -> list[str]:
     if not found.differences:
         return [f"{bank.camera}: nothing in these frames tells them from draws of {bank.label}"]
     out = [
-        f"{bank.camera} against {bank.label}: {len(found.differences)} differences "
-        f"(share of the mismatch; the simulator has ...; recorded | simulated)"
+        f"{bank.camera} against {bank.label}: {len(found.differences)} difference"
+        f"{'s' * (len(found.differences) > 1)} "
+        "(share of the mismatch; the simulator has ...; recorded | simulated)"
     ]
     for d in found.differences[:most]:
         where = d.where[0] if len(d.where) == 1 else f"{len(d.where)} recordings"

@@ -58,9 +58,10 @@ class Gain(NamedTuple):
 
 class Tried(NamedTuple):
     """One candidate beside the simulator before it. what: `findings`, `confirmed findings`, `findings with a
-    name` or `remainder`; steps: findings in it; score: of the composite score, nats a pixel, area: of what the two-sample area is above
-    0.5 (None: not measured); entered: whether it is in the simulator that is handed back; least:
-    change of the score that counts as none."""
+    name` or `remainder`; steps: findings in it; score: of the composite score, nats a pixel, area: of what
+    the two-sample area is above 0.5 (None: not measured, or told from chance neither before nor after);
+    entered: whether it is in the simulator that is handed back; least: change of the score that counts as
+    none."""
 
     what: str
     steps: int

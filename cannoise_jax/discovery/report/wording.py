@@ -56,7 +56,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     size = _sized(entry["amplitude"]["value"], unit, meaning)
     if unnamed:
         axes = step.named.signature.axes
-        start = f"A structure without a name, {placed(axes)} (law: {axes.law}): strength {size}"
+        start = f"A structure without a name, {placed(axes)} (of the kind: {axes.law}): strength {size}"
         if step.named.doubt is not None:
             near = step.named.doubt.nearest.replace("_", " ")
             start += f"; nearest to {near}, but {said_against(step.named.doubt)}"

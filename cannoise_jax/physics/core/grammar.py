@@ -187,7 +187,7 @@ def mechanism_from_grammar(
     *,
     id: str = "unnamed",
     default: float | None = None,
-    sentence: str = "A structure without a name: see its place in the grammar.",
+    sentence: str = "A structure without a name: see where it enters and what it varies over.",
     equation: str | None = None,
     reference: str = "",
     needs: tuple[str, ...] = (),

@@ -217,8 +217,10 @@ def warn_outside(model: Any, settings: Settings) -> None:
     low, high = float(model.iso[0]), float(model.iso[-1])
     said = []
     if not low <= np.float32(iso) <= high:
+        span = f"outside the calibrated {low:g} to {high:g}"
+        alone = f"not the calibrated {low:g}, which also stands for the one setting of a camera without ISO"
         said.append(
-            f"ISO {iso:g} is outside the calibrated {low:g} to {high:g}: "
+            f"ISO {iso:g} is {span if low < high else alone}: "
             "the gain is taken as proportional to ISO, the read noise in e- as constant"
         )
     for fitted in model.mechanisms:

@@ -50,10 +50,13 @@ class Series(NamedTuple):
     error: Float[np.ndarray, "n"]
 
 
-def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> Series | NotMeasurable:
+def dark_series(
+    darks: Sequence[FrameStatistics], channel: int, gain: float, hot: Bool[np.ndarray, "H W"] | None = None
+) -> Series | NotMeasurable:
     """One channel of repeated darks of known exposure, in electrons.
 
-    Pixels that clip, or that are hot in the longest dark, are left out (`transfer.dark_pixels`).
+    Pixels that clip, or that are hot in the longest dark, are left out (`transfer.dark_pixels`). hot: which
+    these are of all pixels, whose dark currents differ; None: the channel by itself tells.
     """
     series = sorted(
         (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
@@ -63,7 +66,7 @@ def dark_series(darks: Sequence[FrameStatistics], channel: int, gain: float) -> 
     if len(repeated) < 3:
         single = {s.recording.exposure_s for s in darks} - repeated - {None}
         return NotMeasurable(_second(single) if len(repeated) + len(single) > 2 else RECORD)
-    keep, alike = _ordinary(series[0], series[-1], channel)
+    keep, alike = _ordinary(series[0], series[-1], channel) if hot is None else (~site(hot, channel), False)
     for s in series:
         keep &= ~site(s.clipped, channel)
     if not keep.any():
@@ -109,7 +112,7 @@ def _ordinary(
         return seen, True
     law = law_of(grown[seen], least=0.5 * longest.code_step if coarse(longest) else 0.0)
     if law.shape:
-        return ~law.is_hot(grown), False
+        return ~law.is_hot(grown) & ~law.far_above(grown), False
     mean = site(longest.mean, channel)
     middle = float(np.median(mean))
     return mean < middle + FAR * robust_std(mean, middle), True

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from scipy import interpolate, optimize, special, stats
 
 FAR = 6.0
-"""Spreads of a normal law beyond which a pixel is not ordinary."""
+"""Spreads, of a normal law or of the logarithm of a log-normal one, beyond which a pixel is not ordinary."""
 _FEW = 10
 """Pixels from which a part of a law is fitted."""
 _LEAST_NATS = 12.0
@@ -84,6 +84,11 @@ class PixelLaw(NamedTuple):
     def hot(self, x: np.ndarray) -> np.ndarray:
         """Density of hot pixels."""
         return 0.5 / self.height * exponential_tail(x - self.middle, self.scale, self.height)
+
+    def far_above(self, x: np.ndarray) -> Bool[np.ndarray, "..."]:
+        """Whether a pixel lies beyond all ordinary ones: of few hot pixels no law is told."""
+        beyond = np.expm1(self.shape * FAR) / self.shape if self.shape else FAR
+        return x > self.middle + self.scale * beyond
 
     def is_hot(self, x: np.ndarray) -> Bool[np.ndarray, "..."]:
         """Whether a pixel is more likely hot than ordinary."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from cannoise_jax.vocabulary import Term
 Statistics = Sequence[FrameStatistics]
 Measured = Mapping[str, Estimate]
 Law = Literal["tails", "spread", "telegraph"]
+Each = Callable[[Sequence[Any]], Iterable[Any]]
+"""How to go through what takes its time, so that a caller can say how far it is."""
 BY_CHANCE = 3e-4
 """Chance of a strength at least as large without the effect, below which a mechanism enters a model: of the
 50 that are asked for, one camera in 70 gets one that it does not have."""

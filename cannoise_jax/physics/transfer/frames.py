@@ -117,8 +117,6 @@ def leaning(recording: Recording, columns: Float[np.ndarray, "T 2 W"]) -> Float[
 def _steady(recording: Recording, rows: np.ndarray, lean: np.ndarray | None) -> Iterator[np.ndarray]:
     """Frames without what rows do together; lean: of the light of a flat, whose rows are scaled; None: they
     are shifted."""
-    parity = np.arange(recording.size[1]) % 2
-    black = recording.black_map().astype(np.float64)
     signal = _row_signal(recording, rows)
     middle = rows.mean(0)
     harmonic = signal.shape[0] / np.sum(1 / signal, axis=0) if lean is not None else None
@@ -127,10 +125,21 @@ def _steady(recording: Recording, rows: np.ndarray, lean: np.ndarray | None) -> 
         for frame in part:
             values = frame.astype(np.float64)
             if harmonic is not None and lean is not None:
-                yield (values - black) / lean[at] * (harmonic / signal[at])[:, parity]
+                _to_light(values, recording, lean[at])
+                for p in (0, 1):
+                    values[:, p::2] *= (harmonic / signal[at])[:, p : p + 1]
             else:
-                yield values - (rows[at] - middle)[:, parity]
+                for p in (0, 1):
+                    values[:, p::2] -= (rows[at] - middle)[:, p : p + 1]
+            yield values
             at += 1
+
+
+def _to_light(values: np.ndarray, recording: Recording, lean: np.ndarray) -> None:
+    """Makes of the values of a frame what they are above black, without how the light leans."""
+    for c, black in enumerate(recording.black_map()[:2, :2].ravel()):
+        site(values, c)[...] -= np.float64(black)
+    values /= lean
 
 
 def frame_statistics(recording: Recording) -> FrameStatistics:
@@ -189,7 +198,7 @@ def _filled(variance: Float[np.ndarray, "H W"], stuck: Bool[np.ndarray, "H W"]) 
 
 def _first_pass(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, Extremes]:
     rows, columns, histograms = [], [], np.zeros((4, 1 << 16), np.int64)
-    lowest, highest = np.full(recording.size, np.inf), np.full(recording.size, -np.inf)
+    lowest, highest = np.full(recording.size, 65535, np.uint16), np.zeros(recording.size, np.uint16)
     for part in chunks(recording.frames, _CHUNK_BYTES):
         histograms += code_histograms(part)
         values = part.astype(np.float64)
@@ -212,20 +221,18 @@ def _second_pass(
     recording: Recording, rows: np.ndarray, columns: np.ndarray, relative: bool, low: Any, high: Any
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray]:
     height, width = recording.size
-    black = recording.black_map().astype(np.float64)
-    low_map, high_map = (np.zeros((height, width)) for _ in range(2))
-    for channel in range(4):
-        site(low_map, channel)[...] = low[channel] if np.isfinite(low[channel]) else -1.0
-        site(high_map, channel)[...] = high[channel] if np.isfinite(high[channel]) else np.inf
+    low = [v if np.isfinite(v) else -1.0 for v in low]
+    high = [v if np.isfinite(v) else np.inf for v in high]
     signal = _row_signal(recording, rows)
     lean = leaning(recording, columns) if relative else None
     frames_signal = np.stack([signal[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)  # [T, 4]
     middle_frame = 1 / np.mean(1 / frames_signal, axis=0) if relative else frames_signal.mean(0)
 
-    shape = (height, width)
+    # Frames may be large: only what the kind needs is kept, and changed in place.
+    scene, shape = recording.kind == "scene", (height, width)
     first: np.ndarray | None = None
     previous: np.ndarray | None = None
-    plain, total, total_square, kept, kept_square, steps = (np.zeros(shape) for _ in range(6))
+    plain, total, total_square, kept, square = (np.zeros(shape) for _ in range(5))
     clipped = np.zeros(shape, bool)
     whole_first: np.ndarray | None = None
     steady = _steady(recording, rows, lean)
@@ -233,10 +240,13 @@ def _second_pass(
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
             values = frame.astype(np.float64)
-            clipped |= (values <= low_map) | (values >= high_map)
+            for c in range(4):
+                site(clipped, c)[...] |= (site(values, c) <= low[c]) | (site(values, c) >= high[c])
             plain += values
             pixel = next(steady)
-            whole = values if lean is None else (values - black) / lean[at]
+            whole = values
+            if lean is not None:
+                _to_light(whole, recording, lean[at])
             for c in range(4):
                 if relative:
                     site(whole, c)[...] *= middle_frame[c] / frames_signal[at, c]
@@ -245,20 +255,32 @@ def _second_pass(
             # Shifted by the first frame, so that sums of squares do not cancel.
             first = pixel if first is None else first
             whole_first = whole if whole_first is None else whole_first
-            kept += pixel - first
-            kept_square += (pixel - first) ** 2
-            total += whole - whole_first
-            total_square += (whole - whole_first) ** 2
-            if previous is not None:
-                steps += (pixel - previous) ** 2
-            previous = pixel
+            _add(whole - whole_first, total, total_square)
+            if not scene:
+                _add(pixel - first, kept, square)
+            elif previous is not None:
+                square += (pixel - previous) ** 2
+            previous = pixel if scene else None
             at += 1
     mean = plain / at
     if at < 2:
         return mean, None, None, clipped
     loss = 1 - 1 / (width // 2)  # a row mean is fitted to every row of half the width
-    if recording.kind == "scene":
-        variance = steps / (2 * (at - 1)) / loss
-    else:
-        variance = (kept_square - kept**2 / at) / (at - 1) / loss
-    return mean, variance, (total_square - total**2 / at) / (at - 1), clipped
+    variance = square / (2 * (at - 1)) if scene else _variance(kept, square, at)
+    return mean, variance / loss, _variance(total, total_square, at), clipped
+
+
+def _add(values: np.ndarray, total: np.ndarray, square: np.ndarray) -> None:
+    """Adds values, which are spent, to a sum, and their squares to another."""
+    total += values
+    values *= values
+    square += values
+
+
+def _variance(total: np.ndarray, square: np.ndarray, count: int) -> np.ndarray:
+    """From the sums of values and of their squares, which are spent."""
+    total *= total
+    total /= count
+    square -= total
+    square /= count - 1
+    return square

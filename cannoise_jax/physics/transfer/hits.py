@@ -13,6 +13,7 @@ looked at, those that were hit do not count.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +27,8 @@ from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, Recording
 
+_CHUNK_BYTES = 1 << 23
+"""Of frames that are read at once."""
 _FAR = 8.0
 """Standard deviations of a pixel's noise that a hit is above its other values. Of an electron a frame, the
 most skewed of dark charge that matters, none lies as far out in 10^8."""
@@ -36,6 +39,9 @@ _REACH = 16
 _HOT, _FEWEST_HOT = 10.0, 20
 """Standard deviations above the level from which a pixel's dark charge is told from its offset, and how many
 of such pixels tell its shot noise."""
+_SHOT = 4.0
+"""Standard deviations that the shot noise of a DN of charge is taken for, as a variance, where nothing tells
+it: the gain, DN/e-, of a noise of a quarter of an electron, below what sensors read out with."""
 _PRIOR = 8.0
 """Degrees of freedom that the expected noise of a pixel counts for beside its own few frames."""
 _DEEPEST, _MIRRORED = 0.98, 1.25
@@ -111,11 +117,16 @@ _Places = dict[int, tuple[np.ndarray, np.ndarray]]
 
 def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None:
     """Where the recording was hit, with what else to put there, and the charge of every hit, DN."""
-    up, down = _extremes(recording)
     step = _step(recording)
+    # One after the other, as frames may be large.
+    down, up = _extremes(recording)
+    lowest = down()
+    below = -lowest.away / _noise(recording, lowest, step)
+    deep = below[below > _FAR]
+    del down, lowest, below
+    up = up()
     noise = _noise(recording, up, step)
-    above, below = up.away / noise, -down.away / _noise(recording, down, step)
-    far = _of_particles(up, above, up.again / noise, below)
+    far = _of_particles(up, up.away / noise, up.again / noise, deep)
     shares = np.bincount(up.frame[far], minlength=recording.count) / far.size
     if not shares.any() or shares.max() > _MOST:
         return None
@@ -137,11 +148,11 @@ def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None
 
 
 def _of_particles(
-    up: _Rest, above: np.ndarray, again: np.ndarray, below: np.ndarray
+    up: _Rest, above: np.ndarray, again: np.ndarray, deep: np.ndarray
 ) -> Bool[np.ndarray, "H W"]:
     """Which pixels were hit, by how many standard deviations the highest value of each lies above its others,
-    the next highest too, and the lowest below."""
-    far, deep = above > _FAR, below[below > _FAR]
+    the next highest too, and how many the lowest of those that lie far below."""
+    far = above > _FAR
     # Particles hit the same pixels twice by chance alone; pixels that jump do it again, and as high.
     twice = again > _FAR
     (_, times), (_, number) = ndimage.label(twice, np.ones((3, 3))), ndimage.label(far, np.ones((3, 3)))
@@ -176,37 +187,38 @@ def _step(recording: Recording) -> float:
     return float(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 1.0
 
 
-def _extremes(recording: Recording) -> tuple[_Rest, _Rest]:
-    """The highest and the lowest value of every pixel beside its others; frames brought to one level."""
+def _extremes(recording: Recording) -> tuple[Callable[[], _Rest], Callable[[], _Rest]]:
+    """The lowest and the highest value of every pixel beside its others, each once it is asked for; frames
+    brought to one level."""
     size, count = recording.size, recording.count
     spared = 2 if count >= _ENOUGH else 1  # also the next highest: a pixel may be hit twice
     total, square = np.zeros(size), np.zeros(size)
-    most, least = (np.full((2, *size), sign * np.inf) for sign in (-1, 1))
+    most, least = (np.full((spared, *size), sign * np.inf) for sign in (-1, 1))
     highest, lowest = (np.zeros(size, np.int32) for _ in range(2))
     level = float(np.median(np.asarray(recording.frames[:1])))
     at = 0
-    for part in chunks(recording.frames):
+    for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
             values = frame - float(np.median(frame))
             total += values
             square += values**2
             highest[values > most[0]] = at
             lowest[values < least[0]] = at
-            most = np.stack([np.maximum(most[0], values), np.maximum(most[1], np.minimum(most[0], values))])
-            least = np.stack(
-                [np.minimum(least[0], values), np.minimum(least[1], np.maximum(least[0], values))]
-            )
+            if spared > 1:
+                np.maximum(most[1], np.minimum(most[0], values), out=most[1])
+                np.minimum(least[1], np.maximum(least[0], values), out=least[1])
+            np.maximum(most[0], values, out=most[0])
+            np.minimum(least[0], values, out=least[0])
             at += 1
     others = count - spared
 
     def rest(values: np.ndarray, frame: np.ndarray) -> _Rest:
-        left_out = values[:spared]
-        mean = (total - left_out.sum(0)) / others
-        squares = square - (left_out**2).sum(0) - others * mean**2
+        mean = (total - values.sum(0)) / others
+        squares = square - (values**2).sum(0) - others * mean**2
         again = values[1] - mean if spared > 1 else np.zeros(size)
         return _Rest(frame, values[0] - mean, again, mean + level, np.maximum(squares, 0.0) / others)
 
-    return rest(most, highest), rest(least, lowest)
+    return partial(rest, least, lowest), partial(rest, most, highest)
 
 
 def _noise(recording: Recording, rest: _Rest, step: float) -> Float[np.ndarray, "H W"]:
@@ -215,26 +227,32 @@ def _noise(recording: Recording, rest: _Rest, step: float) -> Float[np.ndarray, 
     noise = np.empty(recording.size)
     change = _frame(recording, 1) - _frame(recording, 0)
     dof = recording.count - 2.0
+    channels = []
     for c in range(4):
         bulk = max(robust_std(site(change, c)) ** 2 / 2, step**2 / 4)
         mean, own = site(rest.mean, c), site(rest.variance, c)
         middle = float(np.median(own))
         own = own * (bulk / middle if middle > 0 else 1.0)  # the highest are not among them
         # Of a pixel below the level as of one above: telegraph pixels are either, and have to look alike.
-        charge = np.abs(mean - np.median(mean))
-        expected = bulk + _shot(own - bulk, charge, np.sqrt(bulk)) * charge
+        channels.append((bulk, own, np.abs(mean - np.median(mean))))
+    known = [charge > _HOT * np.sqrt(bulk) for bulk, _, charge in channels]
+    slopes = [
+        (own - bulk)[hot] / charge[hot] for (bulk, own, charge), hot in zip(channels, known, strict=True)
+    ]
+    for c, (bulk, own, charge) in enumerate(channels):
+        expected = bulk + _shot(slopes[c], np.concatenate(slopes), np.sqrt(bulk)) * charge
         used = (_PRIOR * expected + dof * own) / (_PRIOR + dof)
         site(noise, c)[...] = np.sqrt(np.maximum(used, expected))
     return noise
 
 
-def _shot(excess: np.ndarray, charge: np.ndarray, sigma: float) -> float:
-    """DN of variance for a DN of dark charge, from hot pixels; where those are too few, so much that none of
-    them passes for hit."""
-    known = charge > _HOT * sigma
-    if known.sum() < _FEWEST_HOT:
-        return float(charge.max())
-    return max(float(np.median(excess[known] / charge[known])), 0.0)
+def _shot(own: np.ndarray, every: np.ndarray, sigma: float) -> float:
+    """DN of variance for a DN of dark charge, from what the hot pixels of a channel show, else those of all
+    channels; where those are too few, so much that none of them passes for hit."""
+    for slopes in (own, every):
+        if len(slopes) >= _FEWEST_HOT:
+            return max(float(np.median(slopes)), 0.0)
+    return _SHOT * sigma
 
 
 def _area(

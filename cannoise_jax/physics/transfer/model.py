@@ -25,7 +25,7 @@ from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
-from cannoise_jax.physics.transfer.estimator import BY_CHANCE, Estimator, Measurable
+from cannoise_jax.physics.transfer.estimator import BY_CHANCE, Each, Estimator, Measurable
 from cannoise_jax.physics.transfer.estimators.loudness import explanation
 from cannoise_jax.physics.transfer.estimators.pick import darkest, darks_by_exposure
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -79,16 +79,18 @@ class Finding(NamedTuple):
 
 
 def find_mechanisms(
-    statistics: Sequence[FrameStatistics], baseline: Baseline, entries: Iterable[Measurable]
-) -> tuple[Finding, ...]:
-    """What the estimators of all entries say of the recordings of one setting, in their order."""
+    statistics: Sequence[FrameStatistics], baseline: Baseline, entries: Iterable[Measurable],
+    each: Each = iter,
+) -> tuple[Finding, ...]:  # fmt: skip
+    """What the estimators of all entries say of the recordings of one setting, in their order. each: goes
+    through them, one by one as they are measured."""
     asked = [e for e in entries if e.estimator is not None and not e.estimator.in_baseline]
     taken_out = [_judged(e, statistics, baseline) for e in asked if e.estimator and e.estimator.without]
     left = less_known(statistics, baseline, taken_out)
     found = {f.mechanism: f for f in taken_out}
     found = {
         id: found.get(id) or _judged(e, left if e.estimator and e.estimator.frozen else statistics, baseline)
-        for id, e in ((e.record.id, e) for e in asked)
+        for id, e in ((e.record.id, e) for e in each(asked))
     }
     for id, finding in found.items():
         for rival in finding.estimator.gives_way_to:

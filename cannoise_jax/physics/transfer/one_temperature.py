@@ -10,18 +10,24 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import DARK, Recording
 
+_GATHERS_S = 0.1
+"""Exposure of flats from which their dark charge may matter."""
+
 
 def of_one_temperature(statistics: Sequence[FrameStatistics]) -> tuple[list[FrameStatistics], str]:
-    """The recordings of one ISO without darks of another temperature, and which those are, empty for none."""
-    others, line = other_temperatures([s.recording for s in statistics])
-    return [s for s in statistics if not any(s.recording is r for r in others)], line
+    """The recordings of one ISO without darks of another temperature, and a line that says which those are,
+    and where no dark is as warm as the flats (`no_dark_as_warm`); empty for neither."""
+    recordings = [s.recording for s in statistics]
+    others, line = other_temperatures(recordings)
+    kept = [s for s in statistics if not any(s.recording is r for r in others)]
+    return kept, "; ".join(filter(None, (line, no_dark_as_warm(recordings))))
 
 
 def other_temperatures(recordings: Sequence[Recording]) -> tuple[list[Recording], str]:
     """Of recordings of one ISO the darks of another temperature, and a line that names them, empty for none.
 
-    Only where an exposure was recorded at several temperatures: a sensor that warms in its longest exposures
-    has no others. Those stay that are as warm as the flats, or else the coldest such series.
+    Darks are left out only where an exposure was recorded at several temperatures: a sensor that warms in
+    its longest exposures has no others. Those stay that are as warm as the flats, or else the coldest ones.
     """
     darks = [r for r in recordings if r.kind in DARK]
     twice = [_celsius(r) for r in darks if any(_is_again(r, other) for other in darks)]
@@ -33,6 +39,24 @@ def other_temperatures(recordings: Sequence[Recording]) -> tuple[list[Recording]
     others = [r for r in darks if r.temperature_c is not None and abs(_celsius(r) - nearest) > ALIKE_KELVIN]
     named = ", ".join(f"{r.path or r.camera} ({r.temperature_c:.4g} C)" for r in others)
     return others, f"darks of several temperatures: those of {nearest:.4g} C are used, not {named}"
+
+
+def no_dark_as_warm(recordings: Sequence[Recording]) -> str:
+    """A line where no dark has the temperature of flats whose exposure lets dark charge gather; empty where
+    one has, or nothing is known. EMVA 1288 release 4.0 takes both under the same conditions."""
+    darks = sorted({_celsius(r) for r in recordings if r.kind == "dark" and r.temperature_c is not None})
+    for r in recordings:
+        seconds, own = r.exposure_s or 0.0, r.temperature_c
+        if r.kind != "flat" or own is None or not darks or seconds < _GATHERS_S:
+            continue
+        if min(abs(own - t) for t in darks) > ALIKE_KELVIN:
+            near = " and ".join(f"{t:.4g}" for t in darks)
+            return (
+                f"flats of {own:.4g} C, darks of {near} C: their dark charge is not that of the flats, and "
+                "what is left of it and of its pattern counts as light and as PRNU: record darks of "
+                f"{seconds:g} s at {own:.4g} C"
+            )
+    return ""
 
 
 def _celsius(recording: Recording) -> float:

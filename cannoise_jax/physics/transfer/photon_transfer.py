@@ -17,6 +17,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, of_one_dark, reference_dark
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
+from cannoise_jax.physics.transfer.estimator import Each
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
@@ -105,8 +106,9 @@ def channels_of(t: PhotonTransfer) -> tuple[str, ...]:
     return channel_names(t.cfa) if apart else ("all",)
 
 
-def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
-    """Photon transfer of recordings made at one ISO setting. Raises BadInput as `photon_transfer`."""
+def transfer_at(statistics: Sequence[FrameStatistics], each: Each = iter) -> PhotonTransfer:
+    """Photon transfer of recordings made at one ISO setting. each: goes through the channels, one by one as
+    they are measured. Raises BadInput as `photon_transfer`."""
     _check_alike([s.recording for s in statistics])
     statistics = of_one_dark(without_unlit(with_measured_black(of_one_temperature(statistics)[0])))
     first = statistics[0].recording
@@ -116,7 +118,9 @@ def transfer_at(statistics: Sequence[FrameStatistics]) -> PhotonTransfer:
     lines = channel_lines(statistics)
     names = channel_names(first.cfa)
     quantities = [
-        q for c, n in enumerate(names) for q in _channel_quantities(n, c, lines[c], statistics, dark, black)
+        q
+        for c, n in enumerate(each(names))
+        for q in _channel_quantities(n, c, lines[c], statistics, dark, black)
     ]
     quantities.append(line_noise_quantity("row noise", dark, 0))
     quantities.append(line_noise_quantity("column noise", dark, 1))

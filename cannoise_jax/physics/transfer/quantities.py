@@ -28,6 +28,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import full_codes, full_signal
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
+    coarse,
     hidden_in_a_code,
     mean_square_of,
     noise_below_a_code,
@@ -134,8 +135,9 @@ def _with_rows(
 
 
 def _left_out(dark: FrameStatistics, c: int) -> str:
-    """How many noisier pixels the noise of the others is told without, where they are no few."""
-    if dark.variance is None:
+    """How many noisier pixels the noise of the others is told without, where they are no few. Below half a
+    code that is how near to the next one they are, not how noisy."""
+    if dark.variance is None or coarse(dark):
         return ""
     share = 100 * (1 - float(quiet_pixels(dark, c).mean()))
     return f"; {share:.1f} % of pixels are far noisier and set aside" if share > _NOISIER else ""

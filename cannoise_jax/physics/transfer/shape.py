@@ -79,20 +79,21 @@ def dark_lines(statistics: Sequence[FrameStatistics]) -> list[list[str]]:
         lines.append([
             "" if exposure is None else f"{exposure:g}", str(s.recording.count), f"{level:.1f}",
             f"{s.mean.mean():.1f}", noise, f"{100 * np.mean(s.mean > level + 200):.2f} %",
-            f"{np.quantile(s.mean, 0.999) - level:+.0f}", f"{np.ptp(jumps):.2f}",
+            f"{np.quantile(s.mean, 0.999) - level:+z.0f}", f"{np.ptp(jumps):.2f}",
         ])  # fmt: skip
     return lines if len(lines) > 2 else []
 
 
 def lamp_notes(statistics: Sequence[FrameStatistics]) -> list[str]:
-    """How the light of every flat moved: the first frame against the rest, and the spread of the others."""
+    """How the light of every flat that stands well above black moved: the first frame against the rest, and
+    the spread of the others."""
     notes = []
-    flats = [s for s in statistics if s.recording.kind == "flat" and s.recording.count >= 3]
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.recording.count >= 3 and s.relative]
     for s in sorted(flats, key=lambda s: float(s.mean.mean())):
         level = np.mean(s.frame_means - np.asarray(s.recording.black_level), axis=1)
         first, rest = level[0] / level[1:].mean() - 1, level[1:].std(ddof=1) / level[1:].mean()
         notes.append(
-            f"flat at {level.mean():.0f} DN: frame 1 is {100 * first:+.1f} % against the others, "
+            f"flat at {level.mean():.0f} DN: frame 1 is {100 * first:+z.1f} % against the others, "
             f"which vary by {100 * rest:.2f} %"
         )
     return notes

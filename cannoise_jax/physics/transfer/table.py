@@ -24,12 +24,17 @@ def format_transfer(result: PhotonTransfer) -> str:
     for name, unit in dict.fromkeys((q.name, q.unit) for q in result.quantities):
         group = [q for q in result.quantities if (q.name, q.unit) == (name, unit)]
         cells = _cells(group, names)
-        reasons = {q.outcome.record for q in group if isinstance(q.outcome, NotMeasurable)}
+        lacking: dict[str, list[str]] = {}
+        for q in group:
+            if isinstance(q.outcome, NotMeasurable):
+                lacking.setdefault(q.outcome.record, []).append(q.channel)
         if any(isinstance(q.outcome, Estimate) for q in group):
             lines.append([name, unit, *cells])
             notes += [f"{name}: {note}" for note in _notes(group)]
-        for reason in sorted(reasons):
-            missing.setdefault(reason, []).append(f"{name} ({unit})" if len(reasons) > 1 else name)
+        for reason, channels in sorted(lacking.items()):
+            said = f"{name} ({unit})" if len(lacking) > 1 else name
+            said += f" of {', '.join(channels)}" if len(channels) < len(group) else ""
+            missing.setdefault(reason, []).append(said)
     out = [f"{result.camera}{setting}: photon transfer (EMVA 1288 definitions), 90 % intervals"]
     if len(lines) > 1:
         out += ["", *aligned(lines)]
@@ -56,9 +61,9 @@ def format_outcome(outcome: Outcome) -> str:
     while digits < 7 and width > 0 and 10**-digits > width / 8:
         digits += 1
     value, low, high = (
-        f"{v:.{digits}f}" if abs(v) < _LONG else f"{v:.2g}" for v in (outcome.value, *outcome.ci90)
+        f"{v:z.{digits}f}" if abs(v) < _LONG else f"{v:.2g}" for v in (outcome.value, *outcome.ci90)
     )
-    return f"{value} [{low}, {high}]" if width > 0 else f"{outcome.value:g}"
+    return f"{value} [{low}, {high}]" if width > 0 else f"{outcome.value:zg}"
 
 
 def _stated_gain(result: PhotonTransfer) -> str | None:

@@ -30,6 +30,20 @@ def _flats_and_darks(groups: Sequence[Group]) -> tuple[list[Shot], list[Shot]]:
     return [s for kind, s in own if kind == "flat"], [s for kind, s in own if kind in DARK]
 
 
+def _dim(groups: Sequence[Group]) -> list[str]:
+    """Flats no brighter than the brightest dark of their own gain setting: others have another black level
+    and other dark charge."""
+    by_gain: dict[tuple, list[Group]] = {}
+    for g in groups:
+        by_gain.setdefault((g.settings["iso"], g.settings["gain_db"]), []).append(g)
+    out = []
+    for own in by_gain.values():
+        flats, darks = _flats_and_darks(own)
+        floor = max((max(s.medians) for s in darks), default=-1.0)
+        out += [s.name for s in flats if max(s.medians) <= floor]
+    return out
+
+
 def lacks(groups: Sequence[Group]) -> list[str]:
     """What the recordings of one set lack, or what looks odd of them, a line each."""
     notes = []
@@ -47,12 +61,11 @@ def lacks(groups: Sequence[Group]) -> list[str]:
     warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
     if warm and max(warm) - min(warm) > ALIKE_KELVIN:
         notes.append(f"temperatures from {min(warm):g} to {max(warm):g} C in one set: dark current differs")
-    flats, darks = _flats_and_darks(groups)
-    if flats and darks:
-        floor = max(max(s.medians) for s in darks)
-        dim = [s.name for s in flats if max(s.medians) <= floor]
-        if dim:
-            notes.append(f"{listed(dim)}: flats no brighter than the darks: check that the light was on")
+    if dim := _dim(groups):
+        notes.append(
+            f"{listed(dim)}: flats no brighter than the darks of their gain: check that the light was on, "
+            "and that none reached the darks"
+        )
     gains = {g.settings["iso"] for g in groups if g.kind in DARK}
     alone = [g.label for g in groups if g.kind == "flat" and gains and g.settings["iso"] not in gains]
     if alone:

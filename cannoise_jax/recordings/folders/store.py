@@ -18,6 +18,7 @@ import numpy as np
 from cannoise_jax.recordings.atomic import is_running, one_work
 from cannoise_jax.recordings.folders.aside import used_line
 from cannoise_jax.recordings.folders.groups import Group
+from cannoise_jax.recordings.folders.lease import GOING, Lease, remove_unused
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, check, plan_folder
 from cannoise_jax.recordings.folders.plan_text import text
 from cannoise_jax.recordings.folders.shots import Tell
@@ -41,7 +42,7 @@ from cannoise_jax.recordings.sidd import is_instance
 from cannoise_jax.recordings.unfinished import is_finished
 
 _KEPT = 6
-"""Conversions that a cache keeps."""
+"""Conversions that a cache keeps beside those in use."""
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
@@ -82,10 +83,11 @@ def capture_of(
             raise SeveralCameras(folder, several.cameras, _ONE_CAMERA) from several
         return capture, ""
     entry = cache / _key(folder, options)
-    if (entry / "plan.txt").is_file():
+    lease = _lease_of(entry)
+    if lease is not None:
         try:
             os.utime(entry)
-            return _from_cache(entry, folder, scan=True)
+            return _from_cache(lease, folder, scan=True)
         except (BadInput, OSError, ValueError):  # damaged: of no use to anyone
             shutil.rmtree(entry, ignore_errors=True)
     plan = plan_folder(
@@ -97,8 +99,7 @@ def capture_of(
     if len(cameras) > 1:
         raise SeveralCameras(folder, cameras, _ONE_CAMERA)
     check(plan)
-    _into_cache(plan, entry)
-    return _from_cache(entry, folder, scan=False)
+    return _from_cache(_into_cache(plan, entry), folder, scan=False)
 
 
 def write_plan(plan: Plan, out: Path, *, force: bool = False) -> Iterator[tuple[Path, Recording]]:
@@ -156,21 +157,37 @@ def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) ->
     return recording
 
 
-def _from_cache(entry: Path, folder: Path, scan: bool) -> tuple[CaptureSet, str]:
+def _lease_of(entry: Path) -> Lease | None:
+    try:
+        return Lease(entry) if (entry / "plan.txt").is_file() else None
+    except OSError:  # removed meanwhile
+        return None
+
+
+def _from_cache(lease: Lease, folder: Path, scan: bool) -> tuple[CaptureSet, str]:
     """The recordings of a cached conversion, under the names of the files that they were made from, and the
-    plan of it.
+    plan of it. Their frames stay in the cache as long as anybody refers to them.
 
     scan: whether saturation is to be said, which converting does already.
     """
+    entry = lease.place
     sources = json.loads((entry / _SOURCES).read_text(encoding="utf-8"))
     recordings = []
     for name in sorted(sources):
         files = tuple(str(folder / one) for one in sources[name])
         opened = open_native(entry / name)
         recording = make_recording(called(files), opened.frames, opened.known, {}, scan=scan)
-        recordings.append(dataclasses.replace(recording, sources=files))
+        frames = LazyArray(
+            partial(_read_held, lease, opened.frames), tuple(opened.frames.shape), opened.frames.dtype
+        )
+        recordings.append(dataclasses.replace(recording, sources=files, frames=frames))
     said = (entry / "plan.txt").read_text(encoding="utf-8")
     return CaptureSet(recordings[0].camera, tuple(recordings), str(folder)), said
+
+
+def _read_held(lease: Lease, frames: Any, index: Any) -> np.ndarray:
+    """lease: of the folder that holds the frames, kept by whoever can read them."""
+    return np.asarray(frames[index])
 
 
 def _lean(recording: Recording) -> Recording:
@@ -218,11 +235,13 @@ def _key(folder: Path, options: Options) -> str:
     return hashlib.sha256(text_.encode("utf-8", "surrogateescape")).hexdigest()[:24]
 
 
-def _into_cache(plan: Plan, entry: Path) -> None:
+def _into_cache(plan: Plan, entry: Path) -> Lease:
+    """The main set of a plan as an entry of the cache, in use from the start. Raises BadInput."""
     try:
         entry.parent.mkdir(parents=True, exist_ok=True)
         _prune(entry.parent)
         temporary = Path(tempfile.mkdtemp(prefix=f"{_MAKING}{os.getpid()}-", dir=entry.parent))
+        lease = Lease(temporary)
     except OSError as error:
         raise BadInput(f"{entry.parent}: cannot be written ({error.strerror}): set XDG_CACHE_HOME") from error
     try:
@@ -235,8 +254,11 @@ def _into_cache(plan: Plan, entry: Path) -> None:
         (temporary / "plan.txt").write_text(said, encoding="utf-8", errors="replace")
         try:
             os.replace(temporary, entry)
+            lease.moved(entry)
         except OSError:  # another process was faster
+            lease = Lease(entry)
             shutil.rmtree(temporary, ignore_errors=True)
+        return lease
     except (BadInput, OSError) as error:
         shutil.rmtree(temporary, ignore_errors=True)
         if not str(error).startswith(str(temporary)) and not isinstance(error, OSError):
@@ -255,11 +277,13 @@ def _prune(cache: Path) -> None:
     for left in cache.glob(f"{_MAKING}*"):  # of a run that was killed
         process = left.name.removeprefix(_MAKING).partition("-")[0]
         if not (process.isdigit() and is_running(int(process))):
-            shutil.rmtree(left, ignore_errors=True)
+            remove_unused(left)
+    for left in cache.glob(f"{GOING}*"):
+        remove_unused(left)
     made = (p for p in cache.iterdir() if p.is_dir() and not p.name.startswith("."))
     entries = sorted(made, key=lambda p: p.stat().st_mtime)
     for old in entries[: max(len(entries) - _KEPT + 1, 0)]:
-        shutil.rmtree(old, ignore_errors=True)
+        remove_unused(old)
 
 
 def _missing_parents(out: Path) -> list[Path]:

@@ -279,6 +279,17 @@ def test_a_negative_black_level_that_is_stated_is_a_problem(tmp_path):
     assert len(problems) == 1 and "-5 DN" in problems[0]
 
 
+def test_flats_are_compared_with_darks_of_their_own_gain(tmp_path):
+    """Light reached the darks of one gain: its flats are named, and not the brighter ones of the other."""
+    for gain, flat, dark in ((100, 500.0, 0.0), (200, 1500.0, 2000.0)):
+        for n in range(2):
+            more = {"EXPTIME": 1.0, "GAIN": gain, "INSTRUME": "ZWO ASI1600"}
+            shot(tmp_path / f"flat{gain}_{n}.fits", "flat", electrons=flat, **more)
+            shot(tmp_path / f"dark{gain}_{n}.fits", "dark", electrons=dark, **more)
+    (said,) = [note for note in plan_folder(tmp_path).notes if "no brighter than the darks" in note]
+    assert said.startswith("flat200_0.fits, flat200_1.fits: ")
+
+
 def test_swapped_kinds_and_darks_of_another_gain_are_said(tmp_path):
     for n in range(2):
         shot(tmp_path / "a" / f"{n}.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0)

@@ -1,6 +1,10 @@
 """What a plan leaves where it is carried out: files in place or nothing, and a cache that is sound."""
 
 import dataclasses
+import gc
+import pickle
+import subprocess
+import sys
 
 import pytest
 
@@ -151,6 +155,54 @@ def test_what_a_kill_left_in_the_cache_is_removed_and_a_full_one_is_named(tmp_pa
     with pytest.raises(BadInput, match="cache of converted folders.*no space.*XDG_CACHE_HOME"):
         capture_of(folder, Options({"camera": "X"}), cache)
     assert len(list(cache.iterdir())) == 1
+
+
+_READER = """
+import sys
+from pathlib import Path
+from cannoise_jax.recordings.folders.store import Options, capture_of
+capture, _ = capture_of(Path(sys.argv[1]), Options({}), Path(sys.argv[2]))
+print("open", flush=True)
+for line in sys.stdin:
+    print(int(sum(int(r.frames[:].sum()) for r in capture.recordings)), flush=True)
+"""
+
+
+def test_a_conversion_that_another_process_reads_stays_until_that_ends(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    with subprocess.Popen(
+        [sys.executable, "-c", _READER, str(folder), str(cache)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as reader:  # fmt: skip
+        assert reader.stdout.readline() == "open\n"
+        read = next(cache.iterdir())
+
+        def others(first):
+            for n in range(first, first + 8):
+                capture_of(folder, Options({"black_level": (900.0 + n,)}), cache)
+
+        others(0)
+        reader.stdin.write("again\n")
+        reader.stdin.flush()
+        total = sum(int(r.frames[:].sum()) for r in capture_of(folder, Options({}), cache)[0].recordings)
+        assert reader.stdout.readline() == f"{total}\n"
+        reader.kill()  # as without a word
+    gc.collect()
+    others(8)
+    assert not read.exists() and len(list(cache.iterdir())) == store._KEPT
+
+
+def test_frames_of_a_conversion_can_be_read_while_anything_refers_to_them(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    captures = [capture_of(folder, Options({"camera": f"{n}"}), cache)[0] for n in range(9)]
+    frames = [capture.recordings[0].frames for capture in captures]
+    copy = pickle.loads(pickle.dumps(frames[0]))
+    assert len({f[:].tobytes() for f in (*frames, copy)}) == 1
+    assert len(list(cache.iterdir())) == 9
+    del frames, captures
+    gc.collect()
+    capture_of(folder, Options({"camera": "last"}), cache)
+    assert len(list(cache.iterdir())) == store._KEPT + 1 and copy[:].any()  # one is held by the copy
 
 
 def test_flats_below_the_darks_are_refused(tmp_path):

@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, da
 from cannoise_jax.physics.transfer.dark_pixels import FAR, MOST_HOT, PixelLaw, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
+from cannoise_jax.physics.transfer.estimators.full_pixels import as_unfilled, charge_fills
 from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -36,22 +37,25 @@ _SURE = 3.3
 
 
 def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """e_per_s, from the growth of the mean with exposure; from that of the variance where the two disagree
-    (see `transfer.dark`). Channels are averaged. variation, of the pixels that are not hot, where the longest
-    dark less the shortest shows one beyond its noise."""
+    """e_per_s, of the pixels that are not hot, from the growth of their mean with exposure; from that of the
+    variance where the two disagree (see `transfer.dark`). Channels are averaged. variation, of the same
+    pixels, where the longest dark less the shortest shows one beyond its noise."""
     if baseline is None:
         return _SERIES
     darks = darks_by_exposure(statistics)
+    found = currents(statistics, baseline)
+    # All channels together tell more of few hot pixels than each by itself, and none counts twice.
+    hot = found.out if found is not None and found.law.shape else None
     channels = []
     for c in range(4):
-        series = dark_series(darks, c, baseline.gain[c])
+        series = dark_series(darks, c, baseline.gain[c], hot)
         if isinstance(series, NotMeasurable):
             return series
         channels.append(series)
     pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
     by_mean, by_variance, agree, _ = dark_currents(pooled, baseline.gain_error)
     rate = by_mean if agree else by_variance
-    return {"e_per_s": rate} | _variation(currents(statistics, baseline), rate)
+    return {"e_per_s": rate} | _variation(found, rate)
 
 
 class Currents(NamedTuple):
@@ -97,8 +101,9 @@ def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None
 
 
 def _variation(found: Currents | None, rate: Estimate) -> dict[str, Estimate]:
-    """Standard deviation of the dark currents of ordinary pixels over their mean; empty where none shows."""
-    if found is None or not found.differ or not rate.value > 0:
+    """Standard deviation of the dark currents of ordinary pixels over their mean; empty where none shows,
+    or no mean to be compared with."""
+    if found is None or not found.differ or not (rate.value > 0 and rate.significant):
         return {}
     value = float(np.sqrt(found.spread)) / rate.value / found.seconds
     parts = found.error / found.spread / 2, rate.stderr / rate.value, _LAW_DOUBT
@@ -114,14 +119,16 @@ def grown(
     seconds = dark.recording.exposure_s
     if found is None or not found.differ or pair is None or pair[1] is None or seconds is None:
         return None
-    long, short = pair[:2]
+    long = pair[0]
     share = seconds / found.seconds
     added = np.where(long.clipped, 0.0, found.charge) * share
     for c in range(4):
         site(added, c)[...] *= baseline.gain[c]
     left = 0.0
-    for s in {id(s): s for s in (dark, long, short) if s is not None}.values():
-        part = float(s is dark) - share * float(s is long) + share * float(s is short)
+    of_dark, of_long, of_short = (s.recording for s in (dark, long, pair[1]))
+    for s in {id(s.recording): s for s in (dark, long, pair[1])}.values():
+        own = s.recording
+        part = float(own is of_dark) - share * float(own is of_long) + share * float(own is of_short)
         left += part**2 * _noise_of_mean(s, baseline)
     return added, left / _noise_of_mean(dark, baseline)
 
@@ -137,7 +144,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     hot ones with exponential heights (`transfer.dark_pixels`), on the longest dark less the shortest.
 
     Heat only adds: where no more pixels lie far above the median than below, none is hot. Of pixels that are
-    full it is known that they are hot, and at least as much as fills them.
+    full in every dark but the shortest it is known that they are hot, and at least as much as fills them.
     """
     pair = long_and_short(statistics)
     if pair is None or baseline is None:
@@ -147,7 +154,7 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
         return NotMeasurable("every pixel of the longest dark is cut off: record a shorter one")
     charge, law = _charge_and_law(long, short, baseline)
     values = charge[~long.clipped]
-    full = int(np.sum(_full(long, short)))
+    full = int(np.sum(charge_fills(long, short)))
     above = full + int(np.sum(law.is_hot(values) if law.shape else values > law.middle + FAR * law.scale))
     if above - full < 10 or (law.shape and not law.fraction):
         return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
@@ -181,12 +188,6 @@ def hot_map(
     return np.where(law.is_hot(charge), (charge - law.middle) / law.height, 0.0)
 
 
-def _full(long: FrameStatistics, short: FrameStatistics | None) -> Bool[np.ndarray, "H W"]:
-    """Pixels that charge fills: those that are full in a short dark as well are stuck."""
-    full = long.clipped & (long.mean > long.recording.white_level / 2)
-    return full if short is None else full & ~(short.clipped & (short.mean > short.recording.white_level / 2))
-
-
 def _charge_and_law(
     long: FrameStatistics, short: FrameStatistics | None, baseline
 ) -> tuple[Float[np.ndarray, "H W"], PixelLaw]:
@@ -200,7 +201,7 @@ def _charge_and_law(
             charge = charge - np.median(charge, axis=axis, keepdims=True) + np.median(charge)
     # Means of pixels jump by codes where frames are coarse.
     least = 0.5 * step_of(long) / float(np.mean(baseline.gain)) if coarse(long) else 0.0
-    full = charge[_full(long, short)]
+    full = charge[charge_fills(long, short)]
     values = charge[~long.clipped]
     top = float(np.median(full) - np.median(values)) if full.size else 0.0
     return charge, law_of(values, least=least, full=full.size, ceiling=max(top, 0.0))
@@ -236,7 +237,8 @@ def log_estimate(value: float, error: float, within: tuple[float, float] = (0.0,
 def long_and_short(
     statistics: Sequence[FrameStatistics],
 ) -> tuple[FrameStatistics, FrameStatistics | None, float] | None:
-    """The longest dark, the shortest if it is of at most half its exposure, and the seconds between."""
+    """The longest dark, the shortest if it is of at most half its exposure, and the seconds between. Pixels
+    that are full in the longest are those of shorter ones (`as_unfilled`)."""
     darks = darks_by_exposure(statistics)
     if not darks:
         return None
@@ -244,7 +246,9 @@ def long_and_short(
     long_s, short_s = long.recording.exposure_s or 0.0, short.recording.exposure_s or 0.0
     if long_s <= 0:
         return None
-    return (long, short, long_s - short_s) if short_s <= _SHORT * long_s else (long, None, long_s)
+    if short_s > _SHORT * long_s:
+        return long, None, long_s
+    return as_unfilled(long, short, darks), short, long_s - short_s
 
 
 def charge_map(
