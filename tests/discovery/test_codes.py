@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.signatures.codes import Codes, comb_score
 from tests.discovery.capture import capture_set
 
@@ -57,3 +58,16 @@ def test_null_is_not_too_small():
 def test_darks_cut_off_at_black_are_neither_hot_nor_curved(black):
     found = diagnose(capture_set(1, black=black), compare=False)
     assert found.findings == ["black_clipping"]
+
+
+@pytest.mark.parametrize("skipped", [True, False])
+def test_codes_are_judged_in_frames_that_are_all_alike(skipped):
+    """Flats and darks whose codes lie within a few standard deviations have no rail at their extremes."""
+
+    def alter(rng):
+        return lambda dn, *_: np.where(np.rint(dn) % 8 == 7, np.rint(dn) + 1, dn) if skipped else dn
+
+    looking = splits_of(capture_set(3, alter, kinds="df")).looking
+    comb = next(s for s in looking.signatures if s.name == "comb").score(looking.fields)
+    assert comb is not None
+    assert (comb.log_p < -100 and comb.amplitude == 8) if skipped else comb.log_p > -7

@@ -12,6 +12,7 @@ from cannoise_jax.discovery.search import declare
 from cannoise_jax.mechanisms import VOCABULARY
 from tests.discovery.capture import capture_set
 from tests.discovery.test_compare_bank import fixed, rows
+from tests.discovery.test_simulated_level import taken
 
 ENTRIES = declare.registered()
 NAMES = frozenset(entry.id for entry in ENTRIES)
@@ -41,6 +42,18 @@ def test_what_the_recordings_lack_is_named(drawn, name):
 @pytest.mark.parametrize("law", [rows, fixed])
 def test_less_is_named_and_as_much_or_more_is_not(law):
     assert names(law(1.0), law(2.0)) and not names(law(2.0), law(2.0)) and not names(law(2.0), law(1.0))
+
+
+def test_a_dark_current_is_told_too_strong_beside_what_the_recordings_have():
+    drawn = taken(2, 4.0)
+    own = own_effects(drawn, ENTRIES, NAMES, float(np.log(0.008)))
+    (found,) = excess(own, splits_of(taken(1, 1.5), True, drawn, searched(ENTRIES)).looking)
+    assert found.mechanism == "dark_current"
+    assert found.simulated == pytest.approx(4.0, abs=4 * found.simulated_error)
+    assert found.recorded == pytest.approx(1.5, abs=4 * found.recorded_error)
+    assert found.recorded_error < 0.1
+    said = too_much(found, VOCABULARY["dark_current"])["sentence"]
+    assert said.startswith("The simulator has 4") and "the recordings 1." in said
 
 
 def test_a_report_says_how_much():

@@ -7,9 +7,11 @@ import pytest
 from scipy import integrate, stats
 
 from cannoise_jax.discovery.frames.battery import prepare
-from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings, splits_of
+from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import name
+from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.heat import Heat, known_heat
 from cannoise_jax.signatures.hot import heat_again, hot_score, mask_hot
@@ -206,3 +208,23 @@ def test_pixels_that_jump_are_off_in_the_mean_too(jumping):
     }
     assert (read["telegraph"][1] > read["hot_additive"][1]) == jumping
     assert read["telegraph"][0] == "rts"
+    assert scores["telegraph"].payload == jumping
+
+
+@pytest.mark.parametrize("frames", [4, 12])
+def test_pixels_in_either_level_half_of_the_time_are_no_hot_ones(frames):
+    """However many frames make their mean sure, beside row noise and column offsets."""
+
+    def alter(rng):
+        jump = 14.0 * rng.gamma(4, 0.25, (96, 128)) * (rng.random((96, 128)) < 0.008)
+        columns = 1.0 * rng.standard_normal((1, 128))
+
+        def change(dn, signal, kind, t):
+            return dn + columns + rng.standard_normal((96, 1)) + jump * (rng.random(dn.shape) < 0.5)
+
+        return change
+
+    looking = splits_of(capture_set(6, alter, kinds="d", frames=frames)).looking
+    found = stepwise(looking.fields, looking.signatures, frozenset(MECHANISMS), np.log(0.01))
+    names = [step.named.mechanism for step in found.steps]
+    assert "rts" in names and "hot_pixels" not in names

@@ -8,13 +8,14 @@ from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 
-def taken(seed, rate, rows=0.0):
-    """Darks of three exposures and a flat; rate: dark current, e-/s; rows: of the readout, DN."""
+def taken(seed, rate, rows=0.0, black=300.0):
+    """Darks of three exposures and a flat; rate: dark current, e-/s; rows: of the readout, DN; black: level
+    of the codes, DN, which the files state as 300."""
     rng = np.random.default_rng(seed)
     own = []
     for kind, light, seconds in (("dark", 0, 0.01), ("dark", 0, 2.0), ("dark", 0, 8.0), ("flat", 900, 0.01)):
         charge = rng.poisson(light + rate * seconds, (8, 64, 96)) + 4 * rng.standard_normal((8, 64, 96))
-        codes = 300 + 2 * charge + rows * rng.standard_normal((8, 64, 1))
+        codes = black + 2 * charge + rows * rng.standard_normal((8, 64, 1))
         own.append(
             Recording(
                 np.rint(codes).astype(np.uint16), "MONO", (300.0,) * 4, 16383.0, kind=kind,
@@ -42,3 +43,13 @@ def test_rows_of_the_simulator_make_its_level_less_sure():
         assert abs(value) < 4 * error
         errors.append(error)
     assert errors[1] > 2 * errors[0]
+
+
+@pytest.mark.parametrize("level", [299.0, 300.0, 301.5])
+def test_a_black_level_counts_against_that_of_the_simulator(level):
+    """Whatever the files state, and whatever dark current both have."""
+    looking = splits_of(taken(1, 0.5), True, taken(2, 0.5, black=level)).looking
+    score = locate(looking.fields, looking.signatures).scores["black_level"]
+    value, _, error = score.parameters["black_level_error"]
+    assert abs(value - (300.0 - level)) < 4 * error and error < 0.1
+    assert (score.log_p < -20) == (level != 300.0)

@@ -1,0 +1,74 @@
+"""Series of exposures, each with darks of its own: what dark charge adds belongs to no black level and to no
+light. A plain NumPy camera."""
+
+import jax
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.draws import draw_like, drawing
+from cannoise_jax.discovery.frames.faults import at_one_temperature
+from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.discovery.search.model import baseline_model
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+GAIN, READ, BLACK, RATE = 1.6, 4.0, 300.0, 40.0
+
+
+def series(seed=0, exposures=(1.0, 2.0, 4.0), celsius=(None,), size=(96, 112)):
+    """A flat and darks of every exposure; the dark current doubles in 7 K."""
+    rng, out = np.random.default_rng(seed), []
+    for kind, light in (("dark", 0.0), ("flat", 400.0)):
+        for seconds in exposures:
+            for warm in celsius if kind == "dark" else celsius[:1]:
+                rate = RATE * 2 ** ((warm - celsius[0]) / 7) if warm is not None else RATE
+                charge = rng.poisson((light + rate) * seconds, (5, *size))
+                codes = BLACK + GAIN * (charge + READ * rng.standard_normal(charge.shape))
+                out.append(
+                    Recording(
+                        np.rint(codes).astype(np.uint16), "MONO", (BLACK,) * 4, 16383.0, kind=kind,
+                        exposure_s=seconds, temperature_c=warm, path=f"{kind}_{seconds:g}_{warm}",
+                    )
+                )  # fmt: skip
+    return CaptureSet("made", tuple(out))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return diagnose(series(), key=jax.random.key(1), compare=False)
+
+
+def test_dark_current_is_named_confirmed_and_has_its_size(found):
+    (step,), (proof,) = found.fitted.steps, found.proofs
+    assert step.named.mechanism == "dark_current" and proof.confirmed
+    value, _, error = proof.score.parameters["dark_current"]
+    assert abs(value - RATE) < 4 * error and error < 0.03 * RATE
+
+
+def test_the_black_level_of_the_model_is_that_of_no_exposure(found):
+    assert np.asarray(found.model.black_level) == pytest.approx([BLACK] * 4, abs=1.5)
+    assert np.asarray(found.model.read_noise_e)[0] == pytest.approx([READ] * 4, rel=0.08)
+
+
+@pytest.mark.parametrize("charge", [0.0, 90.0])
+def test_light_of_flats_is_asked_for_by_their_mean(charge):
+    """Whatever a simulator adds to it, the mean of its draws is that of the recording."""
+    capture = series(2, exposures=(1.0, 2.0))
+    first = splits_of(capture).looking
+    plain = drawing(baseline_model(capture, first), jax.random.key(3))
+
+    def more(number, clean, settings):
+        return plain(number, clean, settings) + np.uint16(charge)
+
+    drawn = draw_like(more, first)
+    for field in (f for f in first.fields if f.lit):
+        error = float(field.sigma.mean()) / np.sqrt(drawn[field.number].size)
+        assert abs(drawn[field.number].mean() - field.mean.mean()) < 8 * error + 0.002 * field.signal.mean()
+
+
+def test_darks_of_another_temperature_are_left_out_and_said():
+    capture = series(4, exposures=(1.0, 2.0), celsius=(10.0, 24.0))
+    kept, (line,) = at_one_temperature(capture)
+    assert [r.temperature_c for r in kept.recordings] == [10.0] * 4
+    assert "dark_1_24.0 (24 C)" in line and "bin/calibrate" in line
+    assert at_one_temperature(kept)[1] == ()
