@@ -147,14 +147,19 @@ def _at_zero(recording: Recording) -> str:
 
 
 def contradicted_black(statistics: Sequence[FrameStatistics]) -> str:
-    """A line where the black level that is stated is that of no dark; empty where it agrees, or no dark
-    tells."""
+    """A line where the black level that is stated is that of no dark, nor where their line to no exposure
+    ends; empty where it agrees, or no dark tells."""
     dark = reference_dark(statistics)
     if dark is None or dark.variance is None:
         return ""
-    levels = [float(s.frame_means.mean()) for s in statistics if s.recording.kind in DARK]
+    darks = [s for s in statistics if s.recording.kind in DARK]
+    levels = [float(s.frame_means.mean()) for s in darks]
     stated = float(np.mean(dark.recording.black_level))
     away = max(min(levels) - stated, stated - max(levels))
+    seconds = [s.recording.exposure_s for s in darks]
+    if None not in seconds and len(set(seconds)) > 1:
+        slope, ends = np.polyfit(np.array(seconds, float), levels, 1)
+        away = min(away, abs(float(ends) - stated)) if slope > 0 else away
     noise = np.sqrt(float(np.median(dark.variance)) / median_quotient(dark.dof))
     if away <= max(_OUTSIDE * noise, 2 * max(dark.code_step, 1.0)):
         return ""
