@@ -30,6 +30,7 @@ from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.excess import Excess, excess
 from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
+from cannoise_jax.discovery.proof.in_full import in_full
 from cannoise_jax.discovery.proof.judged import (
     CALIBRATED,
     Judged,
@@ -133,6 +134,7 @@ def diagnose(
     if splits.can_prove:
         tell("prove: on the frames held back")
         fitted, proven = standing(fitted, prove(fitted, splits), tell)
+    fitted, proven = in_full(fitted, proven, own, raw.looking)
     sides = judged.sides(first, fitted.steps, kept, less=bool(too_much))
     gated = remains = quality = panel = None
     against: tuple[Doubt | None, ...] = (None,) * len(fitted.steps)

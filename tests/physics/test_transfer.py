@@ -429,3 +429,11 @@ def test_memory_of_a_pass_is_a_few_arrays_of_a_frame(kind, most):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < most * 8 * frames[0].size
+
+
+def test_the_channel_that_leaves_a_camera_without_gain_is_named():
+    rng, light = np.random.default_rng(7), np.ones((96, 128))
+    light[1::2, 1::2] = 3.0
+    flat = recording(rng, 1000.0 * light, kind="flat", white_level=4095.0)
+    found = transfer(flat, recording(rng, 0.0, white_level=4095.0)).baseline
+    assert isinstance(found, NotMeasurable) and found.record.startswith("of B: values of all flats pile up")

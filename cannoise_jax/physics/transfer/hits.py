@@ -119,12 +119,12 @@ def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None
     """Where the recording was hit, with what else to put there, and the charge of every hit, DN."""
     step = _step(recording)
     # One after the other, as frames may be large.
-    down, up = _extremes(recording)
-    lowest = down()
-    below = -lowest.away / _noise(recording, lowest, step)
+    lowest, highest = _extremes(recording)
+    down = lowest()
+    below = -down.away / _noise(recording, down, step)
     deep = below[below > _FAR]
-    del down, lowest, below
-    up = up()
+    del lowest, down, below
+    up = highest()
     noise = _noise(recording, up, step)
     far = _of_particles(up, up.away / noise, up.again / noise, deep)
     shares = np.bincount(up.frame[far], minlength=recording.count) / far.size

@@ -270,9 +270,13 @@ def _baseline(
     quantities: list[Quantity],
 ) -> Baseline | NotMeasurable:  # fmt: skip
     reads = [q.outcome for q in quantities if q.name == "temporal dark noise" and q.unit == "DN"]
+    lacking = [
+        n for n, one in zip(channel_names(first.cfa), lines, strict=True) if isinstance(one, NotMeasurable)
+    ]
     for outcome in (*lines, *reads):
         if isinstance(outcome, NotMeasurable):
-            return outcome
+            some = 0 < len(lacking) < len(lines) and outcome in lines and first.cfa != "MONO"
+            return NotMeasurable(f"of {', '.join(lacking)}: {outcome.record}") if some else outcome
     slopes = [line.slope for line in lines if isinstance(line, Line)]
     noises = [r for r in reads if isinstance(r, Estimate)]
     return Baseline(
