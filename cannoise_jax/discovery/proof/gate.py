@@ -78,15 +78,15 @@ class Tried(NamedTuple):
     @property
     def nearer(self) -> bool:
         """Whether the two-sample area improved beyond its interval."""
-        return self.area is not None and self.area.sure[1] < 0
+        return self.area is not None and self.area.high < 0
 
     @property
     def worse(self) -> bool:
-        """Whether a measure became worse beyond its interval."""
+        """Whether a measure became worse beyond its interval, which few frames tell too narrow."""
         score = (
             0 if self.score is None else int(self.score.low > self.least) - int(self.score.high < -self.least)
         )
-        area = 0 if self.area is None else int(self.area.sure[1] < 0) - int(self.area.sure[0] > 0)
+        area = 0 if self.area is None else int(self.area.high < 0) - int(self.area.sure > 0)
         return min(score, area) < 0
 
 
@@ -212,7 +212,7 @@ def _gained(gated: Gated) -> float:
 def _told(panel: Panel, looked: Looked) -> bool:
     """Whether the recordings may still be told from the draws: else nothing better is looked for."""
     areas = panel.areas([looked])
-    return areas is None or areas[0].sure[0] > 0.5
+    return areas is None or areas[0].low > 0.5
 
 
 def _tried(what: str, steps: tuple[Step, ...], panel: Panel, before: Looked, after: Looked) -> Tried:

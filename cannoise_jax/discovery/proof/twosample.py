@@ -70,13 +70,12 @@ class Area(NamedTuple):
     freedom: int = 1
 
     @property
-    def sure(self) -> tuple[float, float]:
-        """Between which it surely is: of few frames the interval by resampling is too narrow, that of
-        Student's law with their degrees of freedom is not."""
+    def sure(self) -> float:
+        """What it surely exceeds: of few frames the interval by resampling is too narrow, that of Student's
+        law with their degrees of freedom is not."""
         if not np.isfinite(self.error):
-            return self.low, self.high
-        half = float(stats.t.isf(0.05, self.freedom)) * self.error
-        return min(self.low, self.value - half), max(self.high, self.value + half)
+            return self.low
+        return min(self.low, self.value - float(stats.t.isf(0.05, self.freedom)) * self.error)
 
 
 class TwoSample(NamedTuple):
