@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare.sources import open_source
-from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.diagnose import diagnose, lesser
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
 from cannoise_jax.discovery.proof.gate import Gain, Tried
 from cannoise_jax.discovery.proof.twosample import Area, differs
 from cannoise_jax.discovery.proof.verdict import verdict_of
+from cannoise_jax.discovery.search.name import UNKNOWN
 from tests.discovery.capture import capture_set
 from tests.discovery.test_compare_bank import camera, fixed, rows, tails
 
@@ -97,6 +98,34 @@ def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
         assert (found.model, found.steps, found.remainder) == (handed_back, ("a", "b"), True)
         entered = {t.what for t in found.tried if t.entered}
         assert entered == {"findings", "remainder"}
+
+
+@pytest.mark.parametrize("nearer, handed_back", [(0.1, ["ab", "a"]), (0.4, ["ab", "a", "given"])])
+def test_what_may_be_handed_back_where_more_differs_than_before(nearer, handed_back):
+    """Without the remainder, without what has no name, and as it was given where none of it helps."""
+    areas = {"given": 0.4, "ab": nearer, "ab+": nearer, "a": nearer}
+    bench, draws = Bench(areas), gate_module.of_model("given")
+    steps = tuple(SimpleNamespace(named=SimpleNamespace(mechanism=m)) for m in ("dsnu", UNKNOWN))
+    sides = SimpleNamespace(
+        plain=draws, model="given", bare="given", of=lambda some: "ab"[: len(some)] or "given", level=str
+    )
+    given = bench.look(draws, 0)
+    after = bench.look(gate_module.of_model("ab"), 0)
+    entered = (gate_module._tried("findings", steps, bench, given, after),)
+    spare = gate_module.Gated("ab", given, given, steps, entered, False)
+    late = (*entered, entered[0]._replace(what="remainder"))
+    whole = gate_module.Gated("ab+", given, given, steps, late, True, spare)
+    found = list(lesser(whole, bench, sides, (None, None), steps))
+    assert [one.model for one in found] == handed_back
+    assert [len(one.steps) for one in found] == [2, 1, 0][: len(found)]
+    assert not any(one.remainder for one in found)
+
+
+def test_a_change_of_few_frames_is_worse_only_where_student_s_law_says_so():
+    change = Area(0.06, 0.03, 0.09, 0.025, 2)
+    assert (
+        not tried()._replace(area=change).worse and tried()._replace(area=change._replace(freedom=30)).worse
+    )
 
 
 def test_an_area_counts_by_its_own_scatter_and_never_when_it_is_small():

@@ -27,6 +27,7 @@ from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, re
 from cannoise_jax.discovery.frames.calibrate import gain_groups
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.contrasts import code_step
+from cannoise_jax.discovery.frames.draws import misses
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -215,8 +216,6 @@ def _one(
 
 _TRIES = 3
 """Times that a light is asked for until its mean is that of the recording."""
-_SURE, _SHARE = 6.0, 2e-3
-"""Standard errors of a site's mean, and share of its signal, by which that is missed."""
 
 
 def _off(raws: list[Raw], known: Light, fitted: np.ndarray) -> Float[np.ndarray, "h w"] | None:
@@ -224,9 +223,8 @@ def _off(raws: list[Raw], known: Light, fitted: np.ndarray) -> Float[np.ndarray,
     off = fitted - np.mean([known.fit(d.mean, d.usable) for d in raws], 0)
     for at in SITES:
         pixels = np.concatenate([d.mean[at][d.usable[at]] for d in raws])
-        if pixels.size and abs(float(np.mean(off[at]))) > max(
-            _SURE * float(np.std(pixels)) / np.sqrt(pixels.size), _SHARE * float(np.mean(fitted[at]))
-        ):
+        error = float(np.std(pixels)) / np.sqrt(max(pixels.size, 1))
+        if pixels.size and misses(float(np.mean(off[at])), error, float(np.mean(fitted[at]))):
             return off
     return None
 

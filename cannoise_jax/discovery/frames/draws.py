@@ -27,7 +27,7 @@ _CHUNK, _PIXELS = 4, 1 << 17
 many more as have so many pixels in all: drawing a few pixels takes as long as drawing many."""
 
 _SURE, _SHARE = 6.0, 2e-3
-"""Standard errors of a site's mean, and share of its signal, by which the mean of a flat is missed."""
+"""Standard errors of a site's mean, and share of its level, by which the mean of a flat is missed."""
 _FAR, _AROUND = 5.0, 15
 """Standard deviations to which a pixel counts, and rows and columns of a site over which light is even."""
 
@@ -96,8 +96,13 @@ def _off(field: Fields, drawn: np.ndarray) -> Float[np.ndarray, "h w"] | None:
         held = np.where(kept, np.clip(away, middle - _FAR * sigma, middle + _FAR * sigma), middle)
         off[at] = -ndimage.uniform_filter(held, _AROUND, mode="nearest")
         error = float(np.median(sigma)) / np.sqrt(max(kept.sum(), 1))
-        missed |= abs(held.mean()) > max(_SURE * error, _SHARE * float(field.signal[at].mean()))
+        missed |= misses(float(held.mean()), error, float(field.signal[at].mean()))
     return off if missed else None
+
+
+def misses(off: float, error: float, level: float) -> bool:
+    """Whether the mean of a site is off by more than chance makes it and than matters, DN."""
+    return abs(off) > max(_SURE * error, _SHARE * level)
 
 
 def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
