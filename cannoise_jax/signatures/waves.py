@@ -45,9 +45,9 @@ _LEAST_REST = 0.01
 _MOST_OF_LINES = 0.5
 """Share of what whole rows or columns share that lies in one line, from which on the line is judged first: a
 law of many frequencies would take it for its own."""
-_LINES, _NEXT_LINE = 3, 0.3
-"""Lines that are looked for one after the other, and how far another one stands out at least, against the
-first."""
+_LINES, _NEXT_LINE, _SHARP = 3, 0.3, 10.0
+"""Lines that are looked for one after the other, how far another one stands out at least of what is about it,
+against the first, and in powers of that: rows that wander slowly have peaks of up to five."""
 _COLOURED = 1.5
 """Level from which on noise is taken as coloured: three standard deviations of what white noise shows."""
 
@@ -164,13 +164,13 @@ def _of_lines(power: Float[np.ndarray, "h w"], at: tuple[int, int]) -> float:
     shared = power[:, 0] if at[1] <= 0.6 * _PAD else power[0]
     place, length = (at[0], h) if at[1] <= 0.6 * _PAD else (at[1], 2 * (w - 1))
     beyond = np.maximum(shared - 1, 0)
-    level = ndimage.uniform_filter1d(beyond, _WINDOW, mode="wrap") + 1
+    around, near = (n * ndimage.uniform_filter1d(beyond, n, mode="wrap") for n in (_WINDOW, _OWN))
+    sharp = beyond / (1 + np.maximum(around - near, 0) / (_WINDOW - _OWN))
     own = _line(shared.size, place, length)
-    least = beyond[place] / level[place]
     for _ in range(_LINES - 1):
-        left = np.where(own, 0, beyond / level)
+        left = np.where(own, 0, sharp)
         other = int(np.argmax(left))
-        if left[other] < max(_NEXT_LINE * least, 1.0):
+        if left[other] < max(_NEXT_LINE * sharp[place], _SHARP):
             break
         own |= _line(shared.size, other, length)
     return float(beyond[own].sum() / max(beyond.sum(), 1e-30))

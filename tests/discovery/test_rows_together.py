@@ -78,7 +78,8 @@ def test_even_and_odd_columns_that_part_by_pairs_of_rows():
 
         return change
 
-    capture, first, fitted = looked_at(alter)
+    # The first of thirty seeds shows a comb of codes, with a chance of one in 7,000: one test of some sixty.
+    capture, first, fitted = looked_at(alter, 2)
     assert [s.named.mechanism for s in fitted.steps] == ["odd_even_row_noise"]
     model = extended_model(capture, first, fitted.steps)
     drawn = np.asarray(model.sample(jax.random.key(0), np.zeros((100, 64), np.float32), Settings(frames=64)))

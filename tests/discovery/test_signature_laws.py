@@ -115,6 +115,7 @@ UNTOLD = {
     "clocking, hits, corrected, lattice, taps": "zero without an effect, which recordings alone show",
     "tap_gains": "zero without steps",
     "kurtosis, light_tails, pixel_spread, taps_redrawn": "told of one side alone: zero on the other",
+    "wave_redrawn_2, wave_redrawn_3": "the score of the first wave",
     "saturation, signal_step, iso_step, code_spacing, pile_up, variance_curve": "of levels and codes",
 }
 """Signatures whose error is held against no spread here, and what their values are without an effect."""

@@ -25,6 +25,9 @@ from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
 """A bound on time: longer lists than this are no explanation."""
+_STANDS_FAR_OUT = 30.0
+"""Nats of a finding from which on another of its kind is looked for. Weak ones may be of something that is
+found only later: in noise of rows that something else hid for a while, lines of up to 12 were found."""
 _SOME = 0.05
 """Share of the pixels that a finding takes out, beyond chance, that another one takes out in its stead. With
 each that is hit by charge its neighbours go, a ninth of them at least being those that were hit."""
@@ -267,12 +270,12 @@ def _active(
     signatures: tuple[Signature, ...], steps: list[Step], given_up: set[str]
 ) -> tuple[Signature, ...]:
     """Signatures that can be trusted beside the steps, those that are looked for after another one once that
-    is a step."""
+    is a step that stands out far."""
     found = [(s.named.signature, s.named.score) for s in steps]
     names = {p.name for p, _ in found}
     doubtful = given_up | {n for p, score in found for n in (*p.covers, *p.hides(score))}
-    next_ones = {"", *(names - doubtful)}
-    return tuple(p for p in signatures if p.name not in doubtful | names and p.after in next_ones)
+    before = {"", *({p.name for p, score in found if score.evidence > _STANDS_FAR_OUT} - doubtful)}
+    return tuple(p for p in signatures if p.name not in doubtful | names and p.after in before)
 
 
 def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:
