@@ -32,20 +32,28 @@ from cannoise_jax.signatures.signature import (
 
 
 def stated_score(
-    fields, *, kind: str, baselines: tuple[GroupBaseline, ...], stated: tuple, doubt: float
+    fields,
+    *,
+    kind: str,
+    baselines: tuple[GroupBaseline, ...],
+    stated: tuple,
+    doubt: float,
+    charge: tuple[float, ...],
 ) -> Score | None:
     """Fitted gain or read noise per channel against the stated one, log ratio; doubt: variance of the
-    difference over that of the fit, above 1 where the stated value is itself a fit."""
+    difference over that of the fit, above 1 where the stated value is itself a fit. charge: variance of dark
+    charge in the fitted read noise that is not in the stated one, DN^2."""
     u = i = 0.0
     dof = 0
-    for baseline, (gain, read) in zip(baselines, stated, strict=True):
+    for baseline, (gain, read), more in zip(baselines, stated, charge, strict=True):
         if gain is None:
             continue
-        value, error, other = (
-            (baseline.gain, baseline.gain_stderr, gain)
-            if kind == "gain"
-            else (baseline.read_noise, baseline.read_stderr, read)
-        )
+        value, error, other = baseline.gain, baseline.gain_stderr, gain
+        if kind == "read":
+            # Never less than a tenth of it: the charge is a fit as well.
+            least = (0.1 * baseline.read_noise) ** 2
+            value = np.sqrt(np.maximum(baseline.read_noise**2 - more, least))
+            error, other = baseline.read_stderr * baseline.read_noise / value, read
         for c in range(4):
             if error[c] <= 0 or other[c] <= 0:
                 continue
@@ -210,6 +218,7 @@ def restated(
                 baselines=recorded.baselines,
                 stated=recorded.stated,
                 doubt=1.5 if recorded.fitted_too else 1.0,
+                charge=recorded.charge,
             ),
             covers=covers,
             simulate=NOT_SIMULATED,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import alike
 from cannoise_jax.recordings.recording import DARK, mosaic_map
 from cannoise_jax.signatures.added import as_map, placed, strength
@@ -43,6 +44,10 @@ from cannoise_jax.signatures.signature import (
 
 STANDS_OUT = 6.0
 """Standard deviations of the map from which on a pixel is not of the level: as the level itself is fitted."""
+
+
+_SURELY = 3.0
+"""Standard errors from which on the level of darks rises."""
 
 
 def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, float]]:
@@ -91,6 +96,23 @@ def dark_rise(levels: list[tuple[Fields, np.ndarray, float]], jitter: float = 0.
     return slope_of(t, y, v, np.array([f.group for f, _, _ in levels], int))
 
 
+def charge_beyond(
+    fields: tuple[Fields, ...], jitter: float, rise: tuple[float, float], baselines: Sequence[Baseline]
+) -> tuple[float, ...]:
+    """Variance that the dark charge of the shortest dark of every gain setting has beyond that of darks that
+    rise by `rise`, DN^2; zeros where both rise alike. That noise is none of the readout's."""
+    slope, error = dark_rise(dark_levels(fields), jitter)
+    beyond, error = slope - rise[0], float(np.hypot(error, rise[1]))
+    out = []
+    for g, baseline in enumerate(baselines):
+        darks = [f for f in fields if f.group == g and f.kind in DARK]
+        seconds = min((f.exposure_s or 0.0 for f in darks), default=0.0)
+        unit = darks[0].unit if darks else 1.0
+        surely = np.isfinite(error) and abs(beyond) > _SURELY * error
+        out.append(float(np.mean(baseline.gain)) * unit * beyond * seconds if surely else 0.0)
+    return tuple(out)
+
+
 def slope_of(
     seconds: Float[np.ndarray, "n"],
     level: Float[np.ndarray, "n"],
@@ -137,7 +159,7 @@ def black_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | No
     # What dark current adds in the shortest exposure is no fault of the black level.
     at_lowest = [(f, level / unit[f.number], e / unit[f.number]) for f, level, e in levels]
     rise, doubt = dark_rise(at_lowest, recorded.jitter)
-    known = (rise, doubt) if rise > 3 * doubt else (0.0, 0.0)
+    known = (rise, doubt) if rise > _SURELY * doubt else (0.0, 0.0)
     groups = [[d for d in levels if d[0].group == g] for g in sorted({f.group for f, _, _ in levels})]
     least = _shortest(levels)
     judged = [d for d in groups if alike(_shortest(d), least) or np.isfinite(doubt)]

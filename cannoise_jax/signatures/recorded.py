@@ -75,7 +75,8 @@ class Recorded(NamedTuple):
     whether neighbours see the same colour. times: numbers of the frames of every recording, in the order they
     were taken. occurred: see `Occurred`. units: DN of each gain setting in one of the lowest, where they are
     known. seconds: exposures that recordings state. rise: how the level of the judged simulator's darks rises
-    with the exposure, and its standard error, DN/s at the lowest gain.
+    with the exposure, and its standard error, DN/s at the lowest gain. charge: variance that the charge of
+    the shortest dark of every gain setting has beyond that of the simulator's, DN^2.
     """
 
     black: Float[np.ndarray, "g 4"]
@@ -94,6 +95,7 @@ class Recorded(NamedTuple):
     units: tuple[float, ...] = (1.0,)
     seconds: tuple[float, ...] = ()
     rise: tuple[float, float] = (0.0, 0.0)
+    charge: tuple[float, ...] = (0.0,)
 
     @property
     def several_exposures(self) -> bool:

@@ -15,15 +15,15 @@ from cannoise_jax.recordings.recording import CaptureSet, Recording
 GAIN, READ, BLACK, RATE = 1.6, 4.0, 300.0, 40.0
 
 
-def series(seed=0, exposures=(1.0, 2.0, 4.0), celsius=(None,), size=(96, 112)):
+def series(seed=0, exposures=(1.0, 2.0, 4.0), celsius=(None,), size=(96, 112), base=RATE, read=READ):
     """A flat and darks of every exposure; the dark current doubles in 7 K."""
     rng, out = np.random.default_rng(seed), []
     for kind, light in (("dark", 0.0), ("flat", 400.0)):
         for seconds in exposures:
             for warm in celsius if kind == "dark" else celsius[:1]:
-                rate = RATE * 2 ** ((warm - celsius[0]) / 7) if warm is not None else RATE
+                rate = base * 2 ** ((warm - celsius[0]) / 7) if warm is not None else base
                 charge = rng.poisson((light + rate) * seconds, (5, *size))
-                codes = BLACK + GAIN * (charge + READ * rng.standard_normal(charge.shape))
+                codes = BLACK + GAIN * (charge + read * rng.standard_normal(charge.shape))
                 out.append(
                     Recording(
                         np.rint(codes).astype(np.uint16), "MONO", (BLACK,) * 4, 16383.0, kind=kind,
@@ -72,3 +72,18 @@ def test_darks_of_another_temperature_are_left_out_and_said():
     assert [r.temperature_c for r in kept.recordings] == [10.0] * 4
     assert "dark_1_24.0 (24 C)" in line and "bin/calibrate" in line
     assert at_one_temperature(kept)[1] == ()
+
+
+@pytest.mark.parametrize("read", [READ, 1.3 * READ])
+def test_noise_of_dark_charge_is_no_read_noise(read):
+    """Of a simulator with half of the dark current the shortest dark is less noisy; its noise there is told
+    beside that charge."""
+    drawn = series(6, base=RATE / 2, read=read)
+    looking = splits_of(series(5), True, drawn).looking
+    names = ("stated_read", "dark_level")
+    scores = {s.name: s.score(looking.fields) for s in looking.signatures if s.name in names}
+    assert scores["dark_level"].log_p < -50
+    error, _, doubt = scores["stated_read"].parameters["relative_error"]
+    own, simulated = (r**2 + RATE / 2 * 1.0 for r in (READ, read))  # in the shortest dark, of 1 s
+    assert abs(error - (np.sqrt(own / simulated) - 1)) < 4 * doubt + 0.01
+    assert (scores["stated_read"].log_p < -20) == (read != READ)

@@ -23,7 +23,7 @@ from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Record
 from cannoise_jax.signatures.behind_gain import BEHIND
 from cannoise_jax.signatures.code_spacing import occurrences
 from cannoise_jax.signatures.fields import Fields, referred, refit
-from cannoise_jax.signatures.levels import frame_jitter
+from cannoise_jax.signatures.levels import charge_beyond, frame_jitter
 from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Recorded
 from cannoise_jax.signatures.signature import Signature
 
@@ -114,11 +114,12 @@ def prepare(
     if drawn is not None:
         rise = drawn_rise(drawn, baselines, units)
         black, rounded = drawn_black(drawn, baselines, units, rise[0], black), 0.0
+    jitter = frame_jitter(same)
     recorded = Recorded(
         black,
         greens,
         rounded,
-        frame_jitter(same),
+        jitter,
         collect_codes(capture, stacks, fields, chosen, step),
         baselines,
         stated,
@@ -131,6 +132,7 @@ def prepare(
         tuple(units),
         tuple(r.exposure_s for r in capture.recordings if r.exposure_s is not None),
         rise,
+        charge_beyond(same, jitter, rise, baselines),
     )
     return Prepared(
         same,
