@@ -92,13 +92,13 @@ def extended_model(
             model = with_addition(model, step, more, temperature)
     if start is not None and np.size(model.iso) != np.size(bare.iso):
         return model
-    level = bare if start is None or levelled else start
-    return balanced(bare, _as_dark(model, level, prepared), prepared)
+    measured = start is None or levelled
+    return balanced(bare, _as_dark(model, bare, prepared) if measured else model, prepared)
 
 
-def _as_dark(model: SensorModel, before: SensorModel, prepared: Prepared) -> SensorModel:
-    """The model with black levels lowered by what its findings add to the shortest dark of each gain setting:
-    it was measured there, with the charge of that exposure, before any of them was known."""
+def _as_dark(model: SensorModel, bare: SensorModel, prepared: Prepared) -> SensorModel:
+    """The model, which has the black levels of the fitted baseline, with these lowered by what it adds to the
+    shortest dark of each gain setting: they were measured there, with the charge of that exposure."""
     isos = [float(iso) for iso in np.asarray(model.iso)]
     levels = np.stack([np.asarray(black_at(model, iso), float) for iso in isos])
     moved = levels.copy()
@@ -113,7 +113,7 @@ def _as_dark(model: SensorModel, before: SensorModel, prepared: Prepared) -> Sen
         r = min(darks, key=lambda r: r.exposure_s or 0.0)
         settings = Settings(iso, r.exposure_s or 0.0, r.temperature_c)
         dark = jnp.zeros(r.size, jnp.float32)
-        lifted = np.asarray(model.expected(dark, settings)) - np.asarray(before.expected(dark, settings))
+        lifted = np.asarray(model.expected(dark, settings)) - np.asarray(bare.expected(dark, settings))
         moved[n] -= [robust_mean(lifted[at]) for at in SITES]
     return model if np.allclose(moved, levels, atol=_SAME_LEVEL) else with_black_levels(model, moved)
 
