@@ -10,6 +10,7 @@ from cannoise_jax.discovery.frames.draws import draw_like, drawing
 from cannoise_jax.discovery.frames.faults import at_one_temperature
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.search.model import baseline_model
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 GAIN, READ, BLACK, RATE = 1.6, 4.0, 300.0, 40.0
@@ -87,3 +88,15 @@ def test_noise_of_dark_charge_is_no_read_noise(read):
     own, simulated = (r**2 + RATE / 2 * 1.0 for r in (READ, read))  # in the shortest dark, of 1 s
     assert abs(error - (np.sqrt(own / simulated) - 1)) < 4 * doubt + 0.01
     assert (scores["stated_read"].log_p < -20) == (read != READ)
+
+
+def test_the_black_level_of_a_simulator_that_is_right_stays():
+    """Of one that lacks half of the dark current."""
+    given = SensorModel.poisson_gaussian(
+        np.full((1, 4), GAIN), np.full((1, 4), READ), np.full((1, 4), BLACK), 16383.0, "MONO", iso=(100.0,)
+    ).with_mechanism("dark_current", e_per_s=RATE / 2)
+    found = diagnose(series(8), given, jax.random.key(2), compare=False)
+    assert [s.named.mechanism for s in found.fitted.steps] == ["dark_current"]
+    assert np.asarray(found.model.black_level) == pytest.approx([BLACK] * 4, abs=0.1)
+    parts = [f.parameters["e_per_s"] for f in found.model.mechanisms if f.record.id == "dark_current"]
+    assert len(parts) == 2 and sum(parts) == pytest.approx(RATE, rel=0.03)
