@@ -29,7 +29,7 @@ from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.excess import Excess, excess
-from cannoise_jax.discovery.proof.gate import Gated, gate, remaining
+from cannoise_jax.discovery.proof.gate import Gated, gate, lesser, remaining
 from cannoise_jax.discovery.proof.in_full import in_full
 from cannoise_jax.discovery.proof.judged import (
     CALIBRATED,
@@ -42,15 +42,15 @@ from cannoise_jax.discovery.proof.judged import (
 )
 from cannoise_jax.discovery.proof.lowered import at_shares, shares
 from cannoise_jax.discovery.proof.prove import prove, standing, unconfirmed, unproven
-from cannoise_jax.discovery.proof.quality import NAMED, Panel, composite_proofs, open_panel, quality_of
-from cannoise_jax.discovery.proof.sides import Sides, of_model
+from cannoise_jax.discovery.proof.quality import composite_proofs, open_panel, quality_of
+from cannoise_jax.discovery.proof.sides import Sides
 from cannoise_jax.discovery.report.save import save
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search import declare
 from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.maps import beside_others
-from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -222,42 +222,17 @@ def judged_by(
     return jax.random.fold_in(key, 2), seen, unseen, sides, 2 * row.mde * share**0.25 if row else None
 
 
-def lesser(
-    gated: Gated,
-    panel: Panel | None,
-    sides: Sides,
-    against: Sequence[Doubt | None],
-    steps: Sequence[Step],
-) -> Iterator[Gated]:
-    """What may be handed back in place of a simulator from which the recordings differ by more than from the
-    one that was judged: without the remainder, without findings against whose name something speaks, and,
-    where nothing in it is surely nearer, as it was judged."""
-    if gated.remainder:
-        gated = gated.without_remainder
-        yield gated
-    if panel is None or sides.model is None:
-        return
-    doubted = {id(s) for s, d in zip(steps, against, strict=True) if d is not None}
-    sure = tuple(s for s in gated.steps if id(s) not in doubted and s.named.mechanism != UNKNOWN)
-    if sure and len(sure) < len(gated.steps):
-        model = sides.level(sides.of(sure))
-        gated = gated.with_only(sure, model, panel.look(of_model(model), NAMED), panel)
-        yield gated
-    if not gated.helps:
-        yield gated.with_only((), sides.model, gated.before, panel)
-
-
 def checked(
     judged: Judged,
     sides: Sides,
     gated: Gated | None,
-    lesser: Callable[[Gated], Iterator[Gated]],
+    instead: Callable[[Gated], Iterator[Gated]],
     splits: Splits,
     alpha: float,
     key: Key[Array, ""],
 ) -> tuple[Gated | None, Checked | None, SensorModel]:
     """What differs between the frames held back and draws before and after (None: none can be drawn), and the
-    simulator that is handed back. Where more differs than before, the first of what is `lesser` is by which
+    simulator that is handed back. Where more differs than before, the first of what is `instead` is by which
     less does; where too few frames were held back for the gate, all that was found goes."""
     before = source_of(sides.model, sides.plain, judged.label, key)
     model = sides.exported if gated is None else gated.model
@@ -272,7 +247,7 @@ def checked(
             return gated, found, model
         if gated is None and sides.model is not None:
             return None, found.unchanged, sides.model
-        for less in lesser(gated) if gated is not None else ():
+        for less in instead(gated) if gated is not None else ():
             without = against(less.model)
             if without.nats < found.nats:
                 gated, found, model = less, without, less.model

@@ -224,5 +224,6 @@ def restated(
             simulate=NOT_SIMULATED,
             detectable=BY_SHIFT,
             restates=kind,
+            beyond=recorded.fitted_too,
         ),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
@@ -20,7 +21,6 @@ from cannoise_jax.signatures.pixels import (
     mask_noisy,
     noisy_map,
     square_map,
-    sums_of_squares,
 )
 from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p, spread_of
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score
@@ -34,10 +34,11 @@ _START = 0.005
 
 def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     """A small share of pixels with extra fluctuation of exponentially spread size."""
-    found = sums_of_squares(fields)
+    found = square_map(fields)
     if found is None:
         return None
-    squares, n = found
+    whole, usable, n = found
+    squares = whole[usable]
     counts, centre = histogram(squares)
     best, at, share = 0.0, 1.0, 0.0
     ratios = []
@@ -60,7 +61,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
-        payload=restless(fields),
+        payload=_restless(fields, whole, usable, n),
         gain=best,
         penalty=float(np.log(squares.size)),
         amplitude=float(amplitude),
@@ -83,13 +84,18 @@ _RESTLESS = 1.5
 they jump: of fixed ones it is one, of those that are in either level half of the time two and more."""
 
 
-def restless(fields: tuple[Fields, ...]) -> bool:
+def _restless(
+    fields: tuple[Fields, ...],
+    squares: Float[np.ndarray, "h w"],
+    usable: Bool[np.ndarray, "h w"],
+    freedom: int,
+) -> bool:
     """Whether most of the pixels that stand out in the mean of the darks vary more than their charge lets
-    them: a jump of which half is in the mean is as large in the noise."""
-    found, sums = square_map(fields), above_neighbours(fields, "additive")
-    if found is None or sums is None:
+    them: a jump of which half is in the mean is as large in the noise. squares, usable, freedom: see
+    `square_map`."""
+    sums = above_neighbours(fields, "additive")
+    if sums is None:
         return False
-    squares, usable, freedom = found
     u = np.where(sums.information > 0, sums.score / np.sqrt(np.maximum(sums.information, 1e-30)), 0.0)
     off = usable & (u > _FAR * spread_of(u[usable]))
     if off.sum() < _FEW:

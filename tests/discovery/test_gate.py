@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare.sources import open_source
-from cannoise_jax.discovery.diagnose import diagnose, lesser
+from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
-from cannoise_jax.discovery.proof.gate import Gain, Tried
+from cannoise_jax.discovery.proof.gate import Gain, Tried, lesser
 from cannoise_jax.discovery.proof.twosample import Area, differs
 from cannoise_jax.discovery.proof.verdict import verdict_of
 from cannoise_jax.discovery.search.name import UNKNOWN

@@ -132,7 +132,7 @@ def prepare(
         tuple(units),
         tuple(r.exposure_s for r in capture.recordings if r.exposure_s is not None),
         rise,
-        charge_beyond(same, jitter, rise, baselines),
+        charge_beyond(same, jitter, rise, baselines) if stated is not None else (),
     )
     return Prepared(
         same,

@@ -10,7 +10,7 @@ back is no worse than the one that was given, or the report says so first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from cannoise_jax.discovery.proof.quality import (
 from cannoise_jax.discovery.proof.sides import Sides, of_model
 from cannoise_jax.discovery.proof.twosample import Area
 from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import stratum
 
@@ -202,6 +203,31 @@ def remaining(
         if enters:
             gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
     return gated
+
+
+def lesser(
+    gated: Gated,
+    panel: Panel | None,
+    sides: Sides,
+    against: Sequence[Doubt | None],
+    steps: Sequence[Step],
+) -> Iterator[Gated]:
+    """What may be handed back in place of a simulator from which the recordings differ by more than from the
+    one that was judged: without the remainder, without findings against whose name something speaks, and,
+    where nothing in it is surely nearer, as it was judged."""
+    if gated.remainder:
+        gated = gated.without_remainder
+        yield gated
+    if panel is None or sides.model is None:
+        return
+    doubted = {id(s) for s, d in zip(steps, against, strict=True) if d is not None}
+    sure = tuple(s for s in gated.steps if id(s) not in doubted and s.named.mechanism != UNKNOWN)
+    if sure and len(sure) < len(gated.steps):
+        model = sides.level(sides.of(sure))
+        gated = gated.with_only(sure, model, panel.look(of_model(model), NAMED), panel)
+        yield gated
+    if not gated.helps:
+        yield gated.with_only((), sides.model, gated.before, panel)
 
 
 def _gained(gated: Gated) -> float:

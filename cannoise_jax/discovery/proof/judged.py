@@ -112,7 +112,7 @@ def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
     aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
     return prepared._replace(
         fields=without_all(own, prepared.fields),
-        signatures=tuple(p for p in prepared.signatures if p.name not in aside or p.restates or p.beyond),
+        signatures=tuple(p for p in prepared.signatures if p.name not in aside or p.beyond),
     )
 
 
