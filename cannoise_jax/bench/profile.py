@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,8 +53,8 @@ def kind_of(name: str) -> str:
 def shares(kernels: Iterable[Kernel], calls: int) -> tuple[dict[str, float], list[tuple[str, float, int]]]:
     """Seconds a call by kind, time between kernels as `IDLE`, and the longest kernels, numbers in their names
     taken out."""
-    spent: Counter[str] = Counter()
-    alone: Counter[str] = Counter()
+    spent: dict[str, float] = defaultdict(float)
+    alone: dict[str, float] = defaultdict(float)
     times: Counter[str] = Counter()
     until = None
     for kernel in sorted(kernels, key=lambda k: (k.begun, k.ended)):
@@ -67,9 +67,13 @@ def shares(kernels: Iterable[Kernel], calls: int) -> tuple[dict[str, float], lis
         alone[name] += counted
         times[name] += 1
         until = max(until, kernel.ended)
-    of_a_call = {kind: ns * 1e-9 / calls for kind, ns in spent.most_common()}
-    longest = [(name, ns * 1e-9 / calls, times[name] // calls) for name, ns in alone.most_common(20)]
+    of_a_call = {kind: ns * 1e-9 / calls for kind, ns in _most(spent)}
+    longest = [(name, ns * 1e-9 / calls, times[name] // calls) for name, ns in _most(alone)[:20]]
     return of_a_call, longest
+
+
+def _most(spent: dict[str, float]) -> list[tuple[str, float]]:
+    return sorted(spent.items(), key=lambda one: -one[1])
 
 
 def kernels_in(folder: Path) -> list[Kernel]:
