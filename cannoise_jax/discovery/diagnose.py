@@ -29,7 +29,7 @@ from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
 from cannoise_jax.discovery.proof.excess import Excess, excess
-from cannoise_jax.discovery.proof.gate import Gated, gate, lesser, remaining
+from cannoise_jax.discovery.proof.gate import Gated, gate, lesser, remaining, sure_of
 from cannoise_jax.discovery.proof.in_full import in_full
 from cannoise_jax.discovery.proof.judged import (
     CALIBRATED,
@@ -152,8 +152,8 @@ def diagnose(
             )
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
-        well = described(fitted.steps, against)
-        gated = remaining(gated, panel, sides, well, rest)
+        well, sure = described(fitted.steps, against), sure_of(fitted.steps, against)
+        gated = remaining(gated, panel, sides, well, sure, rest)
     if compare:
         tell("check: what still differs")
         less = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)

@@ -51,6 +51,25 @@ IN_CAMERA_DENOISING = Mechanism(
 )
 
 
+_KERNELS = tuple(looks.defects.MEANS.values())
+"""Places of the neighbours whose mean is put in a pixel's place: the first, unless the map says another."""
+
+
+def _around(x, sites, power: int = 1):
+    """Sum over the neighbours over their number^power: of those that the map names, which is k where kernel k
+    is put, from 1 on."""
+
+    def summed(steps):
+        return lambda y: jnp.asarray(sum(shifted(y, dy, dx) for dy, dx in steps)) / len(steps) ** power
+
+    kernel = jnp.clip(jnp.round(jnp.max(sites)).astype(jnp.int32) - 1, 0, len(_KERNELS) - 1)
+    return jax.lax.switch(kernel, [summed(steps) for steps in _KERNELS], x)
+
+
+def _painted(x, sites):
+    return x + jnp.clip(sites, 0, 1) * (_around(x, sites) - x)
+
+
 def _defect_maps(key, values, context: Context):
     return {"sites": (jax.random.uniform(key, (1, *context.size)) < values["fraction"]).astype(jnp.float32)}
 
@@ -58,8 +77,8 @@ def _defect_maps(key, values, context: Context):
 def _defect_effect(values, maps, context: Context):
     own, base, sites = context.own_variance(), context.mean_dn, maps["sites"]
     return Effect(
-        mean=(sites * (neighbour_mean(base, 2) - base))[0],
-        variance=(sites * (neighbour_mean(own, 2) / 4 - own))[0],
+        mean=(_painted(base, sites) - base)[0],
+        variance=(jnp.clip(sites, 0, 1) * (_around(own, sites, 2) - own))[0],
     )
 
 
@@ -67,14 +86,14 @@ DEFECT_CORRECTION = Mechanism(
     id="defect_correction",
     point=Point("digital", "code", "pixel", "frozen", distribution="sparse"),
     parameters=(Parameter("fraction", "1", 0.01, 1e-7, 1.0, "share of the pixels"),),
-    equation=r"y_{ij} \to \frac{1}{4}\sum_{\mathrm{nn,\ same\ colour}} y \ \mathrm{at\ listed\ pixels}",
+    equation=r"y_{ij} \to \frac{1}{n}\sum_{\mathrm{neighbours}} y \ \mathrm{at\ listed\ pixels}",
     sentence="Bad pixels and focus pixels are painted over with their neighbours' mean: too smooth to be "
     "true.",
     reference="Adobe Digital Negative specification 1.7, opcode FixBadPixelsList",
     needs=("pair", "burst"),
     confused_with=("in_camera_denoising", "dead_pixels"),
     amplitude=lambda values, context: values["fraction"],
-    sample=lambda key, x, values, maps, context: x + maps["sites"] * (neighbour_mean(x, 2) - x),
+    sample=lambda key, x, values, maps, context: _painted(x, maps["sites"]),
     draw_maps=_defect_maps,
     effect=_defect_effect,
 )

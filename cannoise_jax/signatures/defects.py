@@ -53,6 +53,9 @@ MONO_KERNELS: dict[str, tuple[tuple[int, int], ...]] = {
     "next_left": ((0, -1),),
 }
 
+MEANS = KERNELS | MONO_KERNELS
+"""All of them; a camera model names one by its place here, from 1 on."""
+
 _BESIDE_MEAN = {"median of eight": 0.09}
 """Variance of what is put there about the mean of the same neighbours, over that of a pixel."""
 
@@ -264,7 +267,8 @@ def corrected(recorded: Recorded, *, name: str, lifted_by: tuple[str, ...]) -> S
 
     def pattern(fields: tuple[Fields, ...], score: Score[str], rng: np.random.Generator) -> np.ndarray | None:
         ratio = _likelihood(fields, score.payload)
-        return None if ratio is None else (ratio > _SURELY).astype(np.float32)
+        kernel = 1 + list(MEANS).index(score.payload)
+        return None if ratio is None else kernel * (ratio > _SURELY).astype(np.float32)
 
     return plain(
         name=name,

@@ -204,6 +204,11 @@ class Signature:
         """Mechanisms that a score may mean, and the evidence for each in nats."""
         return self.readings(score, scores) if self.readings else ((self.mechanism, score.evidence),)
 
+    @property
+    def redraws_frames(self) -> bool:
+        """Whether it is one random number a frame: a few frames then say all that is known of its spread."""
+        return (self.axes.varies_over, self.axes.time) == ("frame", "redrawn")
+
     def score_again(self, fields: Many, found: Score) -> Score | None:
         """The score of a finding on other frames."""
         return self.again(fields, found) if self.again else self.score(fields)

@@ -23,10 +23,13 @@ from cannoise_jax.signatures.pixels import (
     square_map,
 )
 from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p, spread_of
+from cannoise_jax.signatures.returning import returning_log_p
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
 from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 
+_LOOKED_AT = np.log(0.05)
+"""Log p from which on nothing more is asked."""
 _START = 0.005
 """Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
 128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
@@ -55,6 +58,10 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
             best, at, share = gain, float(mean), f
     number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
     log_p = sparse_log_p(counts, ratios)
+    # Rare events make other pixels noisy the next time.
+    returning = returning_log_p(fields, usable) if log_p < _LOOKED_AT else None
+    if returning is not None:
+        log_p = max(log_p, returning)
     sigma = float(np.mean([np.median(f.sigma) for f in darks(fields)]))
     amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
     error = amplitude / np.sqrt(max(share * squares.size, 1.0))

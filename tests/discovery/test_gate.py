@@ -78,9 +78,22 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
     named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
     sides = SimpleNamespace(plain=draws, model="given", bare="given", of=named.get, level=str)
     found = gate_module.gate(Bench(areas), sides, ("a", "b"), proofs)
-    found = gate_module.remaining(found, Bench(areas), sides, ("a",), lambda model: model + "+")
+    found = gate_module.remaining(found, Bench(areas), sides, ("a",), ("a",), lambda model: model + "+")
     assert (found.model, "".join(found.steps), found.remainder) == (handed_back, steps, rest)
     assert areas[found.model] <= areas["given"]
+
+
+def test_findings_with_a_name_stay_where_one_without_keeps_the_remainder_from_helping():
+    """All are well described, b has no name."""
+    areas = {"given": 0.4, "ab": 0.2, "ab+": 0.3, "a+": 0.05, "given+": 0.03}
+    bench, proofs = Bench(areas), SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
+    sides = SimpleNamespace(
+        plain=gate_module.of_model("given"), model="given", bare="given",
+        of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
+    )  # fmt: skip
+    found = gate_module.gate(bench, sides, ("a", "b"), proofs)
+    found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
+    assert (found.model, found.steps, found.remainder) == ("a+", ("a",), True)
 
 
 def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
@@ -94,7 +107,7 @@ def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
             of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
         )  # fmt: skip
         found = gate_module.gate(bench, sides, ("a", "b"), proofs)
-        found = gate_module.remaining(found, bench, sides, ("a",), lambda model: model + "+")
+        found = gate_module.remaining(found, bench, sides, ("a",), ("a",), lambda model: model + "+")
         assert (found.model, found.steps, found.remainder) == (handed_back, ("a", "b"), True)
         entered = {t.what for t in found.tried if t.entered}
         assert entered == {"findings", "remainder"}

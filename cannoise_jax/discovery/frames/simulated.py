@@ -15,6 +15,9 @@ from cannoise_jax.recordings.recording import DARK, CaptureSet
 from cannoise_jax.signatures.levels import STANDS_OUT, slope_of
 from cannoise_jax.signatures.recorded import GroupBaseline
 
+_SURE = 3.0
+"""Standard errors of the mean of all sites, of which that of one is twice as large."""
+
 
 def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float) -> tuple:
     """Gain (DN/e-) and read noise (DN) of a simulator per gain setting, fitted on its own draws."""
@@ -54,15 +57,19 @@ def drawn_black(
     stated: Float[np.ndarray, "g 4"],
 ) -> Float[np.ndarray, "g 4"]:
     """Black levels of a simulator per gain setting and site, DN: of its darks of the shortest exposure, less
-    what they rise by in that; as stated where it draws no darks. rise: see `drawn_rise`."""
+    what they rise by in that; as stated where it draws no darks, or where its few frames, which rows that
+    wander or an offset move as a whole, are no further from that than by chance. rise: see `drawn_rise`."""
     out = np.array(stated, float)
     for g, baseline in enumerate(baselines):
         darks = [r for r in drawn.recordings if r.kind in DARK and r.iso == baseline.iso]
         if darks:
             r = min(darks, key=lambda r: r.exposure_s or 0.0)
-            mean = np.asarray(r.frames, np.float32).mean(0)
-            charge = rise * units[g] * (r.exposure_s or 0.0)
-            out[g] = [robust_mean(mean[at]) - charge for at in SITES]
+            frames = np.asarray(r.frames, np.float32)
+            mean, charge = frames.mean(0), rise * units[g] * (r.exposure_s or 0.0)
+            level = np.array([robust_mean(mean[at]) - charge for at in SITES])
+            error = np.sqrt(_level(frames)[1])
+            if abs(np.mean(level - out[g])) > _SURE * error or np.ptp(level - out[g]) > _SURE * 2 * error:
+                out[g] = level
     return out
 
 

@@ -34,9 +34,18 @@ from cannoise_jax.discovery.proof.own_part import (
     own_part,
     owned,
 )
-from cannoise_jax.discovery.proof.shadow import LEFT_TOGETHER, SLACK, TRACE, outweighs, shadowed, undrawn
+from cannoise_jax.discovery.proof.shadow import (
+    LEFT_TOGETHER,
+    SLACK,
+    TRACE,
+    outshines,
+    outweighs,
+    shadowed,
+    undrawn,
+)
 from cannoise_jax.discovery.proof.shared_noise import shared
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
+from cannoise_jax.discovery.proof.whole_lines import in_parts
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -148,6 +157,7 @@ def doubts(
             or ranged(steps[n])
             or lasting(steps[n])
             or by_level(steps[n])
+            or in_parts(steps[n])
             or not_gaussian(steps, n)
             or shared(steps[n])
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
@@ -165,6 +175,8 @@ def doubts(
         for n in left:
             larger = [k for k in unknown if outweighs(steps[k], steps[n])]
             moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
+            if confirmed[n] and outshines(steps[n], [steps[k] for k in unknown]):
+                continue
             of_its_own = confirmed[n] and not larger
             out[n] = shadowed(mine[n], every_one, of_its_own, TRACE * moved)
     return tuple(out)

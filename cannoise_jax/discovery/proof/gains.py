@@ -74,16 +74,18 @@ def frame_interval(with_it: Scored, without: Scored) -> tuple[float, float, floa
 
 
 def at_most_twice(with_it: Scored, without: Scored) -> tuple[Scored, Scored]:
-    """Both with no part of a recording's frames counting for more than twice the typical one of that
-    recording: a few pixels far out may gain more than all others, and their scatter then says nothing."""
-    if with_it.parts is None or without.parts is None:
-        return with_it, without
-    values = with_it.parts - without.parts
+    """Both with no part of a recording's frames, or no frame where they were not cut, counting for more than
+    twice the typical one of that recording: a few pixels or frames far out may gain more than all others, and
+    their scatter then says nothing. What one loses has a bound, the price of its offset."""
+    values, cut = with_it.log_prob - without.log_prob, False
+    if with_it.parts is not None and without.parts is not None:
+        values, cut = with_it.parts - without.parts, True
     for r in np.unique(with_it.recording):
         own = with_it.recording == r
         values[own] = np.minimum(values[own], 2 * max(float(np.median(values[own])), 0.0))
-    kept = without._replace(log_prob=np.zeros(len(values)), parts=np.zeros(values.shape))
-    return with_it._replace(log_prob=values.sum(1), parts=values), kept
+    kept = without._replace(log_prob=np.zeros(len(values)), parts=np.zeros(values.shape) if cut else None)
+    gains = values.sum(1) if cut else values
+    return with_it._replace(log_prob=gains, parts=values if cut else None), kept
 
 
 def held_out_gain(found: Score, again: Score) -> float:
@@ -128,4 +130,9 @@ def jackknife_interval(
         return float("nan"), float("nan")
     g = gains.size
     half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
-    return gain - half, gain + half
+    low = gain - half
+    if signature.redraws_frames and g > 2:
+        # Of a few frames that lie far apart the scatter of what each gains says nothing, but that any one can
+        # be left out does; and a likelihood ratio exceeds 20 with a chance of 1/20 where there is nothing.
+        low = max(low, float(gains.min()) - float(np.log(20)))
+    return low, gain + half

@@ -20,6 +20,7 @@ from cannoise_jax.discovery.proof.heldout import Scored
 from cannoise_jax.discovery.proof.prove import Proofs
 from cannoise_jax.discovery.proof.quality import (
     NAMED,
+    NAMED_WITH_REST,
     PLAIN,
     REST_ALONE,
     SURE,
@@ -158,28 +159,30 @@ def remaining(
     panel: Panel,
     sides: Sides,
     described: tuple[Step, ...],
+    sure: tuple[Step, ...],
     with_rest: Callable[[SensorModel], SensorModel],
 ) -> Gated:
-    """With the remainder where it helps. described: findings against which nothing speaks; with_rest: adds
-    what the frames that look show beyond a camera model."""
+    """With the remainder where it helps. described: findings that account for most of what they bear on;
+    sure: those with a name against which nothing speaks; with_rest: adds what the frames that look show
+    beyond a camera model."""
     if sides.model is None:
         return gated
-    spare, well = gated, tuple(s for s in gated.steps if any(s is d for d in described))
+    spare, well, named = gated, _those(gated.steps, described), _those(gated.steps, sure)
     # Findings that describe badly what they describe keep the remainder from describing it: it is tried in
     # their place too, and beside the fitted baseline, which also has nothing too much. Findings are what can
     # be understood: they are given up only where the recordings are told less well without them, and less
     # well than with the remainder beside them; all of them only where much less well.
     beside: tuple[SensorModel, Looked, Tried] | None = None
+    last: int | None = None
     for what, some, number in (
         ("remainder", gated.steps, WITH_REST),
         ("remainder in place of what nothing describes well", well, WELL_WITH_REST),
+        ("remainder in place of findings without a name", named, NAMED_WITH_REST),
         ("remainder beside the baseline", (), REST_ALONE),
     ):
-        if number != WITH_REST and (
-            len(some) == len(gated.steps if number == WELL_WITH_REST else well)
-            or not _told(panel, gated.after)
-        ):
+        if last is not None and (len(some) == last or not _told(panel, gated.after)):
             continue
+        last = len(some)
         base = spare.model if number == WITH_REST else sides.level(sides.of(some) if some else sides.bare)
         candidate = with_rest(base)
         if candidate is base:
@@ -205,6 +208,16 @@ def remaining(
     return gated
 
 
+def _those(steps: Sequence[Step], chosen: Sequence[Step]) -> tuple[Step, ...]:
+    return tuple(s for s in steps if any(s is c for c in chosen))
+
+
+def sure_of(steps: Sequence[Step], against: Sequence[Doubt | None]) -> tuple[Step, ...]:
+    """The steps with a name against which nothing speaks."""
+    told = zip(steps, against, strict=True)
+    return tuple(s for s, doubt in told if doubt is None and s.named.mechanism != UNKNOWN)
+
+
 def lesser(
     gated: Gated,
     panel: Panel | None,
@@ -220,8 +233,7 @@ def lesser(
         yield gated
     if panel is None or sides.model is None:
         return
-    doubted = {id(s) for s, d in zip(steps, against, strict=True) if d is not None}
-    sure = tuple(s for s in gated.steps if id(s) not in doubted and s.named.mechanism != UNKNOWN)
+    sure = _those(gated.steps, sure_of(steps, against))
     if sure and len(sure) < len(gated.steps):
         model = sides.level(sides.of(sure))
         gated = gated.with_only(sure, model, panel.look(of_model(model), NAMED), panel)

@@ -159,7 +159,7 @@ def prove(
     less = dict(zip(lawful, told_by[len(alike) :], strict=True))
     out: list[Proof] = []
     again, looking = others_out(steps, second.fields), others_out(steps, first.fields)
-    once = any(step.named.signature.drawn_once for step in steps)
+    once = any(step.named.signature.drawn_once or step.named.signature.redraws_frames for step in steps)
     together = others_out(steps, splits.together.fields) if once else None
     for n, step in enumerate(steps):
         fields = again(n)
@@ -191,6 +191,8 @@ def prove(
             gain = held_out_gain(step.named.score, score)
             low, high = jackknife_interval(signature, fields, step.named.score, score, gain)
             out.append(Proof(score, gain, low, high, pixels))
+        if together is not None and signature is not None and signature.redraws_frames:
+            out[-1] = _of_every_frame(out[-1], signature.score(together(n)))
     if together is not None:
         out = _maps_beside(steps, out, again(len(steps)), together(len(steps)))
     complete = len(known) == len(steps)
@@ -199,6 +201,13 @@ def prove(
         -float(base.log_prob.sum()) / pixels if pixels else None,
         -float(full.log_prob.sum()) / pixels if pixels and complete else None,
     )
+
+
+def _of_every_frame(proof: Proof, whole: Score | None) -> Proof:
+    """The proof with the strength that all frames show: those held back may be a few that lie close."""
+    if whole is None or proof.score is None or not proof.score.amplitude > 0 or not (proof.gain or 0) > 0:
+        return proof
+    return proof._replace(score=whole)
 
 
 def _maps_beside(

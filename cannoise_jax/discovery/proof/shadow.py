@@ -20,6 +20,8 @@ _OF_ITS_OWN = 0.3
 TRACE = 0.05
 """Of the nats that stronger findings without a name change: less may be a trace of them. Blocks that jump,
 clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, columns and dark current."""
+_FAR_MORE = 3.0
+"""Times the evidence of all that has no name together."""
 _SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
 
 
@@ -39,6 +41,12 @@ def outweighs(one: Step, other: Step) -> bool:
     first, second = one.named.signature, other.named.signature
     alike = first.frozen == second.frozen or not (first.reads or second.reads)
     return alike and one.named.score.gain > other.named.score.gain
+
+
+def outshines(one: Step, unknown: Sequence[Step]) -> bool:
+    """Whether a step has far more evidence than all that has no name together: it is no trace of that,
+    however much the draws of what only resembles something are off where it is seen."""
+    return one.named.score.gain > _FAR_MORE * sum(max(k.named.score.gain, 0.0) for k in unknown)
 
 
 def shadowed(
