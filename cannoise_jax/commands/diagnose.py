@@ -57,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     for finding in report["findings"]:
         print(f"- {finding['mechanism']}: {finding['sentence']}")
     for much in report["too_much"]:
-        print(f"- too much {much['mechanism']}: {much['sentence']}")
+        print(f"- {much['sign']} {much['mechanism']}: {much['sentence']}")
     before, after = report["before"]["two_sample_auc"], report["after"]["two_sample_auc"]
     if before is not None:
         print(f"told from draws of the simulator with an area of {before:.3f} before, {after:.3f} after")

@@ -207,8 +207,8 @@ ENTRIES: tuple[Entry, ...] = (
              3, "sensor", "1", "excess noise factor F^2, minus one", listed=33),
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
-        signatures=looks.always(
-            looks.random_gain.skewed(name="excess_skewness", covers=imprints.EXCESS,
+        signatures=lambda recorded: (
+            looks.random_gain.skewed(recorded, name="excess_skewness", covers=imprints.EXCESS,
                 lifted_by=imprints.EXCESS),
         ),
         examples=Examples("variance"),

@@ -7,12 +7,15 @@ shows: up to some thousand electrons."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.memory import cleaned
 from cannoise_jax.signatures.plain import carried, plain
+from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score, normal_log_p
 from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature, unchanged
 
@@ -32,25 +35,26 @@ def _left(field: Fields) -> float:
     return (1 - 2 / field.frames) * (1 - 1 / field.frames) ** -0.5
 
 
-def _third(field: Fields, far: float) -> Float[np.ndarray, "h w"]:
+def _third(field: Fields, contrasts: np.ndarray, far: float) -> Float[np.ndarray, "h w"]:
     """Sum over the frames of the third powers of the residuals, those beyond `far` left out."""
     total = np.zeros(field.mean.shape)
-    for z in each_frame(field._replace(contrasts=cleaned(field), before=0), static=False):
+    for z in each_frame(field._replace(contrasts=contrasts, before=0), static=False):
         z = np.where(np.abs(z) < far, z, 0).astype(np.float64)
         total += z * z * z
     return total
 
 
-def _unlit(fields: tuple[Fields, ...], group: int, far: float) -> tuple[float, float]:
-    """Third cumulant of the noise of the darks of a gain setting, values beyond `far` DN left out as they are
-    of the lit ones, DN^3, and its standard error; 0 without."""
+def _of_darks(darks: tuple[Fields, ...], lit: Fields, far: float) -> tuple[float, float]:
+    """Third cumulant of the noise of the darks of a lit recording's gain setting and pixels, DN^3, values
+    beyond `far` DN left out as they are there, and its standard error; 0 without darks."""
     values, weights = [], []
-    for f in fields:
-        if f.lit or f.group != group or _too_few(f):
+    for f in darks:
+        kept = f.usable & lit.usable
+        if f.group != lit.group or _too_few(f) or not kept.any():
             continue
-        third = (_third(f, far / float(np.median(f.sigma))) * f.sigma.astype(np.float64) ** 3)[f.usable] / (
-            f.frames * _left(f)
-        )
+        # As they are: what stands out would be in the scale of the noise.
+        cubes = _third(f, f.contrasts[: f.frames - 1], far / float(np.median(f.sigma)))
+        third = (cubes * f.sigma.astype(np.float64) ** 3)[kept] / (f.frames * _left(f))
         values.append(float(third.mean()))
         weights.append(third.size / max(float(third.var()), 1e-30))
     if not values:
@@ -58,19 +62,21 @@ def _unlit(fields: tuple[Fields, ...], group: int, far: float) -> tuple[float, f
     return float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
 
 
-def excess_score(fields: tuple[Fields, ...]) -> Score | None:
+def excess_score(fields: tuple[Fields, ...], *, unlit: tuple[Fields, ...] = ()) -> Score | None:
     """Third moment of the temporal noise beyond that of Poisson noise of the fitted gain, at every signal,
     and beyond that of the darks, which no light made. Amplitude: F^2 - 1. Of 300 draws of a flat of 40
-    electrons, six frames, without it p is below 0.1 in 4 %, 0.05 in 2 %, 0.01 in 0.3 %."""
+    electrons, six frames, without it p is below 0.1 in 4 %, 0.05 in 2 %, 0.01 in 0.3 %.
+
+    unlit: the darks with all that light hides in the lit recordings, where it was not taken out."""
     halves = np.zeros((2, 3))
     for f in fields:
         if not f.lit or _too_few(f):
             continue
         base = (float(np.mean(f.gain)) * f.shot / f.sigma).astype(np.float64) * _left(f)
         bright = base < 0.12
-        unlit = _unlit(fields, f.group, _FAR * float(np.median(f.sigma)))
-        also, doubt = (k * _left(f) / f.sigma.astype(np.float64) ** 3 for k in unlit)
-        off = _third(f, _FAR) - f.frames * (base + also)
+        dark = _of_darks(unlit, f, _FAR * float(np.median(f.sigma)))
+        also, doubt = (k * _left(f) / f.sigma.astype(np.float64) ** 3 for k in dark)
+        off = _third(f, cleaned(f), _FAR) - f.frames * (base + also)
         kept = f.usable & (base > 0.004)
         for n, part in enumerate((kept & bright, kept & ~bright)):
             w = base * part
@@ -103,13 +109,15 @@ def excess_score(fields: tuple[Fields, ...]) -> Score | None:
     )
 
 
-def skewed(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+def skewed(
+    recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
+) -> Signature:
     """Shot noise more skewed than its variance says: that of a random gain."""
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "signal", "skewed"),
         reads=CONTRASTS | {"shot", "signal"},
-        score=excess_score,
+        score=partial(excess_score, unlit=recorded.unlit),
         absorb=unchanged,
         simulate=carried(lambda s: {"excess": s.amplitude}),
         covers=covers,

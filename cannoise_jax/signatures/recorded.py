@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.baseline import Baseline
+from cannoise_jax.signatures.fields import Fields
 
 _ANOTHER_GAIN = 1.2
 """Gain over another from which on strengths at both are told apart."""
@@ -76,7 +77,8 @@ class Recorded(NamedTuple):
     were taken. occurred: see `Occurred`. units: DN of each gain setting in one of the lowest, where they are
     known. seconds: exposures that recordings state. rise: how the level of the judged simulator's darks rises
     with the exposure, and its standard error, DN/s at the lowest gain. charge: variance that the charge of
-    the shortest dark of every gain setting has beyond that of the simulator's, DN^2.
+    the shortest dark of every gain setting has beyond that of the simulator's, DN^2. unlit: the darks as
+    they were recorded, with all that is taken out of them later.
     """
 
     black: Float[np.ndarray, "g 4"]
@@ -96,6 +98,7 @@ class Recorded(NamedTuple):
     seconds: tuple[float, ...] = ()
     rise: tuple[float, float] = (0.0, 0.0)
     charge: tuple[float, ...] = (0.0,)
+    unlit: tuple[Fields, ...] = ()
 
     @property
     def several_exposures(self) -> bool:

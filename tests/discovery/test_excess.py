@@ -62,3 +62,35 @@ def test_a_report_says_how_much():
     assert said["recorded"]["ci90"][0] == 0 and said["simulated"]["unit"] == "DN"
     report = {"verdict": "partly explained", "findings": [], "too_much": [said], "remains": None}
     assert verdict(report) == "Partly explained. The simulator has too much row noise."
+
+
+HEAT = (
+    30
+    * np.random.default_rng(77).exponential(1, (96, 128))
+    * (np.random.default_rng(78).random((96, 128)) < 0.01)
+)
+
+
+def warm(times, elsewhere=False):
+    """Pixels of one unit, or of another, that stand out in the long darks so many times as far."""
+    heat = np.roll(HEAT, (7, 11), (0, 1)) if elsewhere else HEAT
+    return lambda rng: lambda dn, signal, kind, exposure: dn + rng.poisson(heat * times * exposure / 0.1)
+
+
+def hot_of(recorded, drawn):
+    own_set = capture_set(101, drawn, kinds="d")
+    own = own_effects(own_set, ENTRIES, NAMES, float(np.log(0.008)))
+    looking = splits_of(capture_set(201, recorded, kinds="d"), True, own_set, searched(ENTRIES)).looking
+    return [found for found in excess(own, looking) if found.mechanism == "hot_pixels"]
+
+
+@pytest.mark.parametrize("times, sign", [(0.4, "too little"), (2.5, "too much")])
+def test_pixels_of_the_same_unit_are_told_too_weak_or_too_strong(times, sign):
+    (found,) = hot_of(warm(1.0), warm(times))
+    assert found.sign == sign
+    assert found.recorded / found.simulated == pytest.approx(1 / times, rel=0.1)
+
+
+def test_pixels_as_strong_or_of_another_unit_are_not():
+    assert not hot_of(warm(1.0), warm(1.0))
+    assert not hot_of(warm(1.0), warm(0.7, elsewhere=True))

@@ -206,3 +206,17 @@ def test_what_differs_where_nothing_did_is_worse(before, after, worse):
         SimpleNamespace(differences=[SimpleNamespace(nats=n) for n in each]) for each in (before, after)
     )
     assert Checked(one, two, None, True).worse == worse  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("alone, handed_back", [(0.1, ("a", ("a",))), (0.4, ("given", ()))])
+def test_findings_whose_names_hold_enter_where_all_together_are_worse(alone, handed_back):
+    areas = {"given": 0.4, "ab": 0.6, "a": alone, "a+": 0.5, "given+": 0.5}
+    bench, proofs = Bench(areas), SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
+    sides = SimpleNamespace(
+        plain=gate_module.of_model("given"), model="given", bare="given",
+        of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
+    )  # fmt: skip
+    found = gate_module.gate(bench, sides, ("a", "b"), proofs)
+    assert found.model == "given"
+    found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
+    assert (found.model, found.steps) == handed_back

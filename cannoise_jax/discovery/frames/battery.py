@@ -133,6 +133,7 @@ def prepare(
         tuple(r.exposure_s for r in capture.recordings if r.exposure_s is not None),
         rise,
         charge_beyond(same, jitter, rise, baselines) if stated is not None else (),
+        tuple(f for f in same if not f.lit),
     )
     return Prepared(
         same,

@@ -1,4 +1,5 @@
-"""What a simulator has more of than the recordings, by the signatures that tell it in its own draws."""
+"""What a simulator has more of than the recordings, by the signatures that tell it in its own draws; and what
+single pixels have at another strength than at the same places of the recordings."""
 
 from __future__ import annotations
 
@@ -20,15 +21,25 @@ _LESS_OF_FEW = 0.5
 """The same of what a few pixels have: two units of one camera have more and fewer."""
 
 
+_SAME_PLACES = 0.2
+"""Strength at the places of the simulator's own, over its own, from which on the recordings are of that unit:
+pixels of another one lie elsewhere."""
+
+
 class Excess(NamedTuple):
-    """A mechanism of which the simulator has too much: its strength in the simulator's draws and in the
-    recordings, with the standard error of either."""
+    """A mechanism of which the simulator has too much, or of single pixels of the same unit too little: its
+    strength in the simulator's draws and in the recordings, with the standard error of either."""
 
     mechanism: str
     simulated: float
     recorded: float
     simulated_error: float
     recorded_error: float
+
+    @property
+    def sign(self) -> str:
+        """What the simulator has of it."""
+        return "too much" if self.simulated > self.recorded else "too little"
 
 
 def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
@@ -46,6 +57,15 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
         if named.mechanism == UNKNOWN or signature is None or (level and not signature.beyond):
             continue
         there = _strength(named.signature.quoted(named.score, named.mechanism))
+        same = _at_its_places(step, recorded)
+        if same is not None:
+            share, error = same
+            off = abs(share - 1) / error
+            if off > _SURE and not _LESS < share < 1 / _LESS:
+                here = (share * there[0], error * there[0])
+                # How many pixels are drawn says nothing of the same ones.
+                out.append((off, Excess(named.mechanism, there[0], here[0], here[1], here[1])))
+            continue
         score = signature.score(recorded.fields)
         if score is not None and signature.beyond:
             more, _, error = next(iter(score.parameters.values()))
@@ -56,6 +76,19 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
         if sigmas > _SURE and here[0] < (_LESS_OF_FEW if rare else _LESS) * there[0]:
             out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1])))
     return tuple(e for _, e in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _at_its_places(step: Step, recorded: Prepared) -> tuple[float, float] | None:
+    """Strength of the recordings where the simulator's single pixels stand out, over theirs, and its standard
+    error; None where it does not tell, or the recordings are of another unit."""
+    signature, score = step.named.signature, step.named.score
+    if not signature.single_pixels or signature.strength is None or not score.amplitude > 0:
+        return None
+    # Both by what the same heat of every pixel explains, whatever law it was drawn from.
+    own, again = (signature.strength(score, step.before, f) for f in (step.before, recorded.fields))
+    if own is None or again is None or not again.error > 0 or again.amplitude < _SAME_PLACES * own.amplitude:
+        return None
+    return again.amplitude / own.amplitude, again.error / own.amplitude
 
 
 def _strength(score: Score) -> tuple[float, float]:

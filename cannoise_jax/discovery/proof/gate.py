@@ -20,6 +20,7 @@ from cannoise_jax.discovery.proof.heldout import Scored
 from cannoise_jax.discovery.proof.prove import Proofs
 from cannoise_jax.discovery.proof.quality import (
     NAMED,
+    NAMED_ALONE,
     NAMED_WITH_REST,
     PLAIN,
     REST_ALONE,
@@ -48,6 +49,11 @@ draws come nearer by all that a classifier sees."""
 WORTH_ALL = 0.05
 """By how much the two-sample area has to fall for all findings to be given up: what can be understood, drawn
 anew for another unit and taken to other settings is worth that much."""
+
+
+FARTHER = 0.01
+"""By how much the two-sample area may rise with the remainder, however sure: what one gain setting gains must
+not be at the cost of another."""
 
 
 class Gain(NamedTuple):
@@ -167,6 +173,8 @@ def remaining(
     beyond a camera model."""
     if sides.model is None:
         return gated
+    if sure and not gated.steps:
+        gated = _named_alone(gated, panel, sides, sure)
     spare, well, named = gated, _those(gated.steps, described), _those(gated.steps, sure)
     # Findings that describe badly what they describe keep the remainder from describing it: it is tried in
     # their place too, and beside the fitted baseline, which also has nothing too much. Findings are what can
@@ -191,7 +199,8 @@ def remaining(
         tried = _tried(what, some, panel, gated.after, looked)
         if some:
             tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(spare)))
-        enters = tried.better and (len(some) == len(gated.steps) or tried.nearer)
+        nearer = tried.nearer or (len(some) == len(gated.steps) and not _farther(tried))
+        enters = tried.better and nearer
         if gated.steps and not some:
             enters = enters and tried.area is not None and tried.area.value < -WORTH_ALL
         tried = tried._replace(entered=enters)
@@ -206,6 +215,24 @@ def remaining(
         if enters:
             gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
     return gated
+
+
+def _farther(tried: Tried) -> bool:
+    return tried.area is not None and tried.area.value > FARTHER
+
+
+def _named_alone(gated: Gated, panel: Panel, sides: Sides, sure: tuple[Step, ...]) -> Gated:
+    """With the findings whose names hold, where all findings together made the draws worse."""
+    model = sides.level(sides.of(sure))
+    looked = panel.look(of_model(model), NAMED_ALONE)
+    tried = _tried("findings with a name", sure, panel, gated.before, looked)
+    tried = tried._replace(entered=tried.better)
+    every = (*gated.tried, tried)
+    return (
+        Gated(model, gated.before, looked, sure, every, False)
+        if tried.better
+        else gated._replace(tried=every)
+    )
 
 
 def _those(steps: Sequence[Step], chosen: Sequence[Step]) -> tuple[Step, ...]:

@@ -160,12 +160,13 @@ def open_panel(
     return dataclasses.replace(panel, patches=size, control=reached)
 
 
-PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST, WELL_WITH_REST, REST_ALONE, NAMED_WITH_REST = range(9)
+PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST, WELL_WITH_REST, REST_ALONE = range(8)
+NAMED_WITH_REST, NAMED_ALONE = 8, 9
 """Numbers of the simulators that are drawn, for their random numbers."""
 
 
 def _keys(key: Key[Array, ""]) -> Key[Array, "n"]:
-    return jax.random.split(key, NAMED_WITH_REST + 1)
+    return jax.random.split(key, NAMED_ALONE + 1)
 
 
 def _pair(draw: Drawings, halves: tuple[Prepared, Prepared], key: Key[Array, ""]) -> Pair:

@@ -62,8 +62,8 @@ def document(
     baseline: of the simulator that is handed back; not_measured: what of it was not, a line each; gate: how
       it was chosen.
     shadows: of flats, which count as light, see `light.shadowed`.
-    too_much: mechanisms that the simulator has more of than the recordings: simulated and recorded, value,
-      unit and ci90 of each, and a sentence.
+    too_much: mechanisms that the simulator has more of than the recordings, or whose single pixels it has too
+      weak: sign, simulated and recorded, value, unit and ci90 of each, and a sentence.
     remains: what differs whatever its name, see `outcome`; remainder_share: of the whole gain.
     testable: ids; not_testable: mechanism and needs, what to record.
       Every id that the run may name is in exactly one of them, and every testable one in findings or

@@ -1,4 +1,4 @@
-"""What a simulator has too much of, in a report."""
+"""What a simulator has too much of, or of the same pixels too little, in a report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cannoise_jax.vocabulary import Term
 
 
 def too_much(found: Excess, term: Term) -> dict[str, Any]:
-    """A mechanism of which the simulator has too much."""
+    """A mechanism of which the simulator has another strength."""
 
     def size(value: float, error: float) -> dict[str, Any]:
         ci90 = [max(value - Z90 * error, 0.0), value + Z90 * error]
@@ -26,6 +26,7 @@ def too_much(found: Excess, term: Term) -> dict[str, Any]:
     name = found.mechanism.replace("_", " ")
     return {
         "mechanism": found.mechanism,
+        "sign": found.sign,
         "simulated": simulated,
         "recorded": recorded,
         "sentence": f"The simulator has {said} of {name}, the recordings {'' if seen else 'at most '}{here}.",

@@ -127,9 +127,10 @@ def verdict(report: dict[str, Any]) -> str:
 
 
 def _excess(report: dict[str, Any]) -> str:
-    """What the simulator has too much of, as a sentence; nothing where there is nothing."""
-    much = [_name(e["mechanism"]) for e in report.get("too_much", ())]
-    return f" The simulator has too much {' and too much '.join(much)}." if much else ""
+    """What the simulator has at another strength, as a sentence; nothing where there is nothing."""
+    of = {"too much": "too much", "too little": "too little of"}
+    much = [f"{of[e['sign']]} {_name(e['mechanism'])}" for e in report.get("too_much", ())]
+    return f" The simulator has {' and '.join(much)}." if much else ""
 
 
 def _largest(report: dict[str, Any]) -> str:
