@@ -167,7 +167,10 @@ def moments(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> l
             nats = _nats_of_means(compared, j, k)
             if best == 0:
                 nats *= 1e-3  # the energies say the same, and have its size in DN
-            sign = 1 if j.recorded[best] > j.simulated[best] else -1
+            recorded, simulated = float(j.recorded[best]), float(j.simulated[best])
+            if order == 0 and best > first:  # how uneven, whichever side has more
+                recorded, simulated = abs(recorded), abs(simulated)
+            sign = 1 if recorded > simulated else -1
             place = bank.MOMENTS[best - first]
             note = "" if best == first else words.place(place)
             out.append(

@@ -233,12 +233,14 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     elsewhere = again is None or not again.error > 0 or not found.same_spot(again)
     if again is None or elsewhere or (proof.confirmed and not again.amplitude > 0):
         again = found
-    score = step.named.signature.quoted(again, mechanism)
+    # What has lost its name is measured as what it came nearest to.
+    nearest = step.named.doubt.nearest if step.named.doubt else mechanism
+    score = step.named.signature.quoted(again, nearest)
     term = diagnosis.terms[mechanism]
     name_is = (
         "UNKNOWN_STRUCTURE" if mechanism == UNKNOWN else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
     )
-    unit = term.unit if mechanism != UNKNOWN else _unit(score)
+    unit = diagnosis.terms[nearest].unit if nearest != UNKNOWN else _unit(score)
     value = score.amplitude
     interval = list(score.interval90)
     per_pixel = None

@@ -97,8 +97,8 @@ PLACES: dict[str, Place] = {
         sites=lambda size, blocks: size, spread=_whole,
     ),
     "channel": Place(
-        "between colours", "between the colour channels", ("channel",), within_rows=True, whole=True,
-        sites=lambda size, blocks: (2, 2), spread=_mosaic, alike=NEAR,
+        "between sites of the mosaic", "between the four sites of the mosaic", ("channel",),
+        within_rows=True, whole=True, sites=lambda size, blocks: (2, 2), spread=_mosaic, alike=NEAR,
     ),
     "block": Place(
         "between regions of the frame", "between regions of the frame", ("bbox",), within_rows=True,
