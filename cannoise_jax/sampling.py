@@ -211,6 +211,8 @@ def check_level(level: str, given: bool) -> None:
 
 
 def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
+    if len(nlf) != 2:
+        raise ValueError("nlf: give two numbers, (shot, read)")
     for name, value in zip(("shot", "read"), nlf, strict=True):
         if isinstance(value, jax.core.Tracer):
             continue

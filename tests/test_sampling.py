@@ -345,6 +345,11 @@ def test_a_noise_level_that_no_camera_has_is_refused(model, shot, read):
         sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (shot, read))
 
 
+def test_one_number_is_no_noise_level(model):
+    with pytest.raises(ValueError, match="give two numbers"):
+        sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (0.01,))
+
+
 def test_a_clean_image_in_dn_is_refused(model):
     with pytest.raises(ValueError, match="so it is not normalised"):
         sample_noise(

@@ -71,3 +71,19 @@ def test_codes_are_judged_in_frames_that_are_all_alike(skipped):
     comb = next(s for s in looking.signatures if s.name == "comb").score(looking.fields)
     assert comb is not None
     assert (comb.log_p < -100 and comb.amplitude == 8) if skipped else comb.log_p > -7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dead_column_in_broad_flats_leaves_no_comb(seed):
+    """Its codes are as narrow as the read noise."""
+
+    def alter(rng):
+        def change(dn, signal, kind, exposure):
+            dark = 200 + 1.5 * 2 * rng.standard_normal(dn.shape)
+            return np.where(np.arange(dn.shape[1]) == 40, dark, dn)
+
+        return change
+
+    looking = splits_of(capture_set(seed, alter, kinds="f", read=20.0)).looking
+    comb = next(s for s in looking.signatures if s.name == "comb").score(looking.fields)
+    assert comb is not None and comb.log_p > -7

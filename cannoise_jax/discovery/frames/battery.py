@@ -38,6 +38,8 @@ ONE_ELECTRON = 0.8
 
 _KNOWN_GAIN = 0.2
 """Standard error of a gain, as a share of it, below which strengths are carried over by it."""
+_DEAD = 0.5
+"""Share of the light from which on a pixel that misses it has other noise than its signal says."""
 LEAST_SIDE = 32
 """Rows and columns from which the laws of the statistics hold."""
 
@@ -246,6 +248,8 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
         wide = (
             f.usable & (f.sigma > BROAD * step) & (f.mean > low + 6 * f.sigma) & (f.mean < high - 6 * f.sigma)
         )
+        if f.lit and f.static is not None:  # dead pixels are as narrow as the read noise
+            wide &= f.static * f.sigma > -_DEAD * f.signal * np.sqrt(f.frames)
         is_dark = f.kind in DARK
         if not is_dark and wide.mean() < 0.02:
             continue
