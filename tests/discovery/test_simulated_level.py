@@ -53,3 +53,16 @@ def test_a_black_level_counts_against_that_of_the_simulator(level):
     value, _, error = score.parameters["black_level_error"]
     assert abs(value - (300.0 - level)) < 4 * error and error < 0.1
     assert (score.log_p < -20) == (level != 300.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_chance_mean_of_rows_that_a_simulator_draws_is_no_black_level(seed):
+    """Its rows move the mean of a few frames as a whole."""
+    drawn = taken(20 + seed, 0.5)
+    rng = np.random.default_rng(seed)
+    for r in drawn.recordings:
+        drift = np.rint(4 * rng.standard_normal((len(r.frames), 1, 1)))
+        r.frames[:] = (r.frames + drift).astype(np.uint16)
+    looking = splits_of(taken(1, 0.5), True, drawn).looking
+    score = locate(looking.fields, looking.signatures).scores["black_level"]
+    assert score.log_p > -7
