@@ -23,7 +23,7 @@ from cannoise_jax.physics.transfer.quantities import (
     in_electrons,
 )
 from cannoise_jax.physics.transfer.quiet import (
-    BELOW_A_CODE,
+    PATTERN_BELOW_A_CODE,
     hidden_in_a_code,
     pattern_below_a_code,
     step_of,
@@ -75,7 +75,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
 
 def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
     if pattern_below_a_code(dark) or hidden_in_a_code(dark, step_of(dark), c):
-        return NotMeasurable(BELOW_A_CODE)
+        return NotMeasurable(PATTERN_BELOW_A_CODE)
     keep = quiet_pixels(dark, c) & ~site(dark.clipped, c)
     if not keep.any():
         return NotMeasurable(CUT_OFF)

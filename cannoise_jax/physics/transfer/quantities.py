@@ -85,6 +85,9 @@ def noise_quantities(
         level = scatter_estimate(dark.frame_means[:, c])
         if not np.isclose(black.level[c], level.value, rtol=1e-9, atol=0):
             level = normal_estimate(black.level[c], black.error[c])
+        if dark.rounded is not None:
+            stored = float(dark.frame_means[:, c].mean())
+            level_note = f"before rounding: noise below a code is stored with a mean of {stored:.4f} DN"
         out.append(Quantity("black level", "DN", name, level, black.note or level_note))
     if isinstance(line, NotMeasurable):
         out += [Quantity("system gain", "DN/e-", name, line), Quantity("inverse gain", "e-/DN", name, line)]
@@ -93,7 +96,8 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        odd = coarser_range(statistics, c) or bends(statistics, black.level, c) or uneven_gain(statistics, c)
+        bent = bends(statistics, black.level, c, black.error[c])
+        odd = coarser_range(statistics, c) or bent or uneven_gain(statistics, c)
         note = "; ".join(filter(None, (set_aside(line), odd)))
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
