@@ -204,7 +204,7 @@ def calibrate(
     transfers = tuple(transfer_at(every[iso], channels) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            each = partial(counted, doing="mechanisms: estimators")
+            each = partial(counted, doing="mechanisms: estimators", named=lambda entry: entry.record.id)
             found = find_mechanisms(transfer.statistics, transfer.baseline, (*LISTED, *own), each)
             return transfers, found
     return transfers, ()
