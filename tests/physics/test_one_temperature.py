@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
+from cannoise_jax.physics.transfer.doubling import NAME
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm, of_one_temperature
@@ -94,3 +95,26 @@ def test_one_warm_flat_tells_no_sensitivities():
     assert {f.mechanism for f in findings if lacking in getattr(f.estimates, "record", "")} >= {
         "prnu", "column_gain",
     }  # fmt: skip
+
+
+def test_darks_of_two_temperatures_tell_by_how_many_kelvin_the_dark_current_doubles():
+    own = [*series(-10.0, 10.0), recording("flat", 0.001, -10.0, 8000.0)]
+    (transfer,), findings = calibrate(CaptureSet("cooled", tuple(own)))
+    (found,) = transfer.outcomes(NAME)
+    true = 10 * np.log(2) / np.log(2.6)
+    assert found.ci90[0] < true < found.ci90[1] and found.value == pytest.approx(true, rel=0.05)
+    model = sensor_model((transfer,), findings)
+    laws = {m.mechanism: m.scaling for m in model.mechanisms}
+    assert laws["dark_current"].doubling_c == pytest.approx(found.value)
+    # Within the recordings' own darks only those as warm as the flats are used for the rate.
+    (rate,) = of_all_pixels(transfer).outcomes("dark current, by mean")
+    assert rate.value == pytest.approx(2.0, rel=0.03)
+
+
+def test_one_temperature_tells_no_doubling_and_says_so():
+    own = [*series(-10.0), recording("flat", 0.001, -10.0, 8000.0)]
+    (transfer,) = photon_transfer(CaptureSet("cooled", tuple(own)))
+    (found,) = transfer.outcomes(NAME)
+    assert "at another temperature" in found.record
+    flats = CaptureSet("cooled", (recording("dark", 0.001, -10.0), recording("flat", 0.001, -10.0, 8000.0)))
+    assert not photon_transfer(flats)[0].outcomes(NAME)

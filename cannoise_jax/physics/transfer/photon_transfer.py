@@ -16,6 +16,7 @@ import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, mean_level, of_one_dark, reference_dark
+from cannoise_jax.physics.transfer.doubling import NAME, kelvin_to_double
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer.estimator import Each
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
@@ -113,6 +114,7 @@ def transfer_at(statistics: Sequence[FrameStatistics], each: Each = iter) -> Pho
     """Photon transfer of recordings made at one ISO setting. each: goes through the channels, one by one as
     they are measured. Raises BadInput as `photon_transfer`."""
     _check_alike([s.recording for s in statistics])
+    doubling = kelvin_to_double(statistics)
     statistics = list(map(with_rounding_told, of_one_temperature(statistics)[0]))
     statistics = of_one_dark(without_unlit(with_measured_black(statistics)))
     first = statistics[0].recording
@@ -129,6 +131,7 @@ def transfer_at(statistics: Sequence[FrameStatistics], each: Each = iter) -> Pho
     quantities.append(line_noise_quantity("row noise", dark, 0))
     quantities.append(line_noise_quantity("column noise", dark, 1))
     quantities += shape_quantities(dark) if dark is not None and not unchanging(dark) else []
+    quantities += [] if doubling is None else [Quantity(NAME, "K", "all", doubling)]
     unknown = "needs a known photon flux: record flats under a calibrated light"
     quantities.append(Quantity("quantum efficiency", "e-/photon", "all", NotMeasurable(unknown)))
     return PhotonTransfer(
