@@ -187,24 +187,25 @@ def calibrate(
 
     # As `photon_transfer`, which does not say how far it is.
     every: dict[float | None, list[FrameStatistics]] = {}
+    alike: dict[float | None, list[FrameStatistics]] = {}
     for recording in counted(capture.recordings, "photon transfer: recordings"):
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
-        every[iso], others = of_one_temperature(every[iso])
-        wrong = faults(every[iso])  # of the gain the table says it
+        alike[iso], others = of_one_temperature(every[iso])
+        wrong = faults(alike[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
         said = wrong.black, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
         for line in filter(None, (others, *said)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
-    if note := told([s for iso in order for s in every[iso]]):
+    if note := told([s for iso in order for s in alike[iso]]):
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
     channels = partial(counted, doing="photon transfer: channels")
     transfers = tuple(transfer_at(every[iso], channels) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
-            each = partial(counted, doing="mechanisms: estimators")
+            each = partial(counted, doing="mechanisms: estimators", named=lambda entry: entry.record.id)
             found = find_mechanisms(transfer.statistics, transfer.baseline, (*LISTED, *own), each)
             return transfers, found
     return transfers, ()

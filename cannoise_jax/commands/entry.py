@@ -147,13 +147,13 @@ def cache_folder() -> Path:
         raise BadInput("no home folder to keep converted files in: set XDG_CACHE_HOME") from error
 
 
-def progress(doing: str) -> Callable[[int, int], None]:
+def progress(doing: str) -> Callable[..., None]:
     """Says on stderr how many are done and how long the rest will take, once that is worth saying: on one
-    line of a terminal, else a line every ten seconds."""
+    line of a terminal, else a line every ten seconds. next_one: what is being done now."""
     started = last = time.monotonic()
     spoken = False
 
-    def tell(number: int, total: int) -> None:
+    def tell(number: int, total: int, next_one: str = "") -> None:
         nonlocal last, spoken
         now = time.monotonic()
         terminal = sys.stderr.isatty()
@@ -172,17 +172,20 @@ def progress(doing: str) -> Callable[[int, int], None]:
         last, spoken = now, True
         left = (now - started) / number * (total - number)
         text = f"{doing}: {number} of {total}, {duration(left)} left"
-        print(f"\r{text}  " if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
+        text += f", now {next_one}" if next_one else ""
+        line, end = (f"\r{text:<72}", "") if terminal else (text, "\n")
+        print(line, end=end, file=sys.stderr, flush=True)
 
     return tell
 
 
-def counted(items: Sequence[Any], doing: str) -> Iterator[Any]:
-    """The items one by one, with word of how far it is."""
+def counted(items: Sequence[Any], doing: str, named: Callable[[Any], str] | None = None) -> Iterator[Any]:
+    """The items one by one, with word of how far it is. named: what an item is called while it is done."""
     tell = progress(doing)
     for number, item in enumerate(items):
         yield item
-        tell(number + 1, len(items))
+        following = [named(other) for other in items[number + 1 : number + 2]] if named else []
+        tell(number + 1, len(items), *following)
 
 
 def duration(seconds: float) -> str:

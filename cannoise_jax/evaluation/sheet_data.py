@@ -31,11 +31,13 @@ _OTHER_LIGHT = 10.0
 _STEADY = NotMeasurable(
     "record flats of one steady light at three exposure times or more, below 95 % of saturation"
 )
+_NOISE = "temporal dark noise, rows included"
 _ROWS = (
     ("system gain", "DN/e-", "K, overall system gain"),
     ("inverse gain", "e-/DN", "1/K, inverse of the gain"),
-    ("temporal dark noise", "DN", "sigma_y.dark, temporal dark noise"),
-    ("temporal dark noise", "e-", "sigma_d, temporal dark noise"),
+    ("temporal dark noise, as recorded", "DN", "sigma_y.dark, temporal dark noise, quantisation included"),
+    (_NOISE, "DN", "temporal dark noise without quantisation"),
+    (_NOISE, "e-", "sigma_d, temporal dark noise without quantisation"),
     ("sensitivity threshold", "e-", "mu_e.min, absolute sensitivity threshold"),
     ("saturation level", "e-", "mu_e.sat, saturation capacity"),
     ("SNR max", "", "SNR max"),
@@ -78,7 +80,7 @@ def _setting(t: PhotonTransfer) -> dict[str, Any]:
         "size": list(first.size),
         "cfa": t.cfa,
         "recordings": sorted((_recording(s, channels) for s in statistics), key=_order),
-        "table": _table(t, base, straight, len(names)),
+        "table": _table(t, straight, len(names)),
         "gain": base.gain[: len(names)].tolist() if base else None,
         "read_noise_dn": base.read_noise[: len(names)].tolist() if base else None,
         "transfer": points,
@@ -214,12 +216,10 @@ def _spectrum(s: FrameStatistics, offset: np.ndarray, unit: np.ndarray, channels
     return out
 
 
-def _table(
-    t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None, count: int
-) -> list[dict[str, Any]]:
+def _table(t: PhotonTransfer, straight: dict[str, Any] | None, count: int) -> list[dict[str, Any]]:
     rows = []
     for name, unit, title in _ROWS:
-        outcomes: Sequence[Outcome] = _derived(t, base, straight, name, unit) or t.outcomes(name, unit)
+        outcomes: Sequence[Outcome] = _derived(t, straight, name, unit) or t.outcomes(name, unit)
         if not outcomes:
             continue
         outcomes = outcomes if len(outcomes) == count else list(outcomes) * count
@@ -229,7 +229,11 @@ def _table(
                 "name": title,
                 "unit": unit,
                 "values": [o.value if isinstance(o, Estimate) else None for o in outcomes],
-                "ci90": [list(o.ci90) if isinstance(o, Estimate) else None for o in outcomes],
+                # A number that is no estimate, as the linearity error, has no interval.
+                "ci90": [
+                    list(o.ci90) if isinstance(o, Estimate) and o.ci90[0] < o.ci90[1] else None
+                    for o in outcomes
+                ],
                 "text": [format_outcome(o) if isinstance(o, Estimate) else "" for o in outcomes],
                 "record": missing[0] if len(missing) == len(outcomes) else "",
             }
@@ -237,24 +241,25 @@ def _table(
     return rows
 
 
-def _derived(
-    t: PhotonTransfer, base: Baseline | None, straight: dict[str, Any] | None, name: str, unit: str
-) -> list[Outcome]:
+def _derived(t: PhotonTransfer, straight: dict[str, Any] | None, name: str, unit: str) -> list[Outcome]:
     """Quantities that follow from others, by the standard's own equations."""
     saturation = t.outcomes("saturation level", "e-")
-    noise = t.outcomes("temporal dark noise", "e-")
+    recorded = t.outcomes("temporal dark noise, as recorded", "e-")
+    if name == _NOISE:  # without darks that of the pixels is what is known
+        return t.outcomes(name, unit) or t.outcomes("temporal dark noise", unit)
     if name == "linearity error":
         if straight is None:
             return [_STEADY] * 4
-        return [_STEADY if v is None else Estimate(round(v, 3), 0.0, (v, v)) for v in straight["error"]]
+        errors = [v if v is None else float(f"{v:.3g}") for v in straight["error"]]
+        return [_STEADY if v is None else Estimate(v, 0.0, (v, v)) for v in errors]
     if name == "sensitivity threshold":
-        return [_threshold(o, base, c) for c, o in enumerate(noise)]
+        return list(map(_threshold, recorded))
     if name == "SNR max":
         return [_of_saturation(o, lambda e: np.sqrt(e) if not unit else 10 * np.log10(e)) for o in saturation]
     if name == "dynamic range":
         out: list[Outcome] = []
-        for c, (full, dark) in enumerate(zip(saturation, noise, strict=True)):
-            least = _threshold(dark, base, c)
+        for full, dark in zip(saturation, recorded, strict=True):
+            least = _threshold(dark)
             if isinstance(full, NotMeasurable) or isinstance(least, NotMeasurable):
                 out.append(full if isinstance(full, NotMeasurable) else least)
                 continue
@@ -263,14 +268,11 @@ def _derived(
     return []
 
 
-def _threshold(noise: Outcome, base: Baseline | None, channel: int) -> Outcome:
-    """Signal of SNR 1, e-: sqrt(sigma_d^2 + rounding) + 1/2 (EMVA 1288, eq. 27, over eta)."""
+def _threshold(noise: Outcome) -> Outcome:
+    """Signal of SNR 1, e-: sigma_y.dark / K + 1/2 (EMVA 1288, eq. 27, over eta)."""
     if isinstance(noise, NotMeasurable):
         return noise
-    rounding = (base.code_step / base.gain[channel]) ** 2 / 12 if base else 0.0
-    low, value, high = (
-        float(np.sqrt(v**2 + rounding)) + 0.5 for v in (noise.ci90[0], noise.value, noise.ci90[1])
-    )
+    low, value, high = (v + 0.5 for v in (noise.ci90[0], noise.value, noise.ci90[1]))
     return Estimate(value, noise.stderr, (low, high))
 
 

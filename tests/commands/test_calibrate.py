@@ -74,7 +74,9 @@ def test_how_far_it_is_is_said_as_estimators_end_and_not_before(folder, monkeypa
     said = []
     monkeypatch.setattr(transfer_model, "_judged", slow)
     monkeypatch.setattr(
-        calibrate, "counted", lambda items, doing: (said.append((doing, len(measured))) or i for i in items)
+        calibrate,
+        "counted",
+        lambda items, doing, named=None: (said.append((doing, len(measured))) or i for i in items),
     )
     calibrate.calibrate(load_capture_set(folder))
     channels = [at for doing, at in said if doing.endswith("channels")]

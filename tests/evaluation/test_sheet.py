@@ -57,7 +57,31 @@ def test_the_table_is_that_of_photon_transfer_and_the_equations_of_the_standard(
     np.testing.assert_allclose(row(setting, "SNR max", "")["values"], np.sqrt(full))
     np.testing.assert_allclose(row(setting, "DR", "dB")["values"], 20 * np.log10(full / least), rtol=1e-6)
     assert max(row(setting, "LE", "%")["values"]) < 0.5  # the light is proportional to the time
+    assert row(setting, "LE", "%")["ci90"] == [None] * 4  # it is a mean of deviations, no estimate
     assert "calibrated light" in row(setting, "eta", "e-/photon")["record"]
+
+
+@pytest.mark.parametrize("read_e", [0.2, 1.5])
+def test_the_dark_noise_is_that_of_the_recorded_codes(read_e):
+    """sigma_y.dark of EMVA 1288 is the scatter of what is stored, and mu_e.min follows from it."""
+    rng = np.random.default_rng(5)
+    own = []
+    for kind, light, seconds in (("dark", 0.0, 0.01), *(("flat", 400.0 * k, 0.01 * k) for k in (1, 4, 12))):
+        noise = read_e * rng.standard_normal((12, *SIZE)) + 0.1 * rng.standard_normal((12, SIZE[0], 1))
+        values = 64.3 + GAIN * (rng.poisson(light, noise.shape) + noise)
+        codes = np.rint(values).astype(np.uint16)
+        own.append(Recording(codes, "MONO", (64.0,) * 4, WHITE, kind=kind, exposure_s=seconds, camera="A"))
+    (setting,) = sheet_data(photon_transfer(CaptureSet("A", tuple(own))))
+    codes = own[0].frames.astype(float)
+    codes -= codes.mean((1, 2), keepdims=True)
+    sigma = float(np.sqrt(codes.var(0, ddof=1).mean()))
+    found = row(setting, "sigma_y.dark", "DN")
+    assert found["values"][0] == pytest.approx(sigma, rel=0.01)
+    assert found["ci90"][0][0] < found["values"][0] < found["ci90"][0][1]
+    (gain,) = row(setting, "K,", "DN/e-")["values"]
+    assert row(setting, "mu_e.min", "e-")["values"][0] == pytest.approx(found["values"][0] / gain + 0.5)
+    (bare,) = row(setting, "temporal dark noise without", "DN")["values"]
+    assert bare == pytest.approx(GAIN * np.hypot(read_e, 0.1), rel=0.03)
 
 
 def test_the_points_lie_on_the_line_and_the_spectrum_shows_the_pattern(transfers):

@@ -36,6 +36,26 @@ def one(transfer, name):
     return found
 
 
+def test_whole_dead_columns_are_no_gain_of_columns():
+    columns = np.isin(np.arange(SIZE[1]), (20, 21, 67, 110))
+    transfers, findings = calibrate(recordings(lambda codes, dark: np.where(columns, dark, codes)))
+    for name, true in (("PRNU1288, pixels", 100 * PRNU), ("PRNU1288", 100 * PRNU)):
+        assert one(transfers[0], name).value == pytest.approx(true, rel=0.04), name
+    for name in ("PRNU1288, rows", "PRNU1288, columns"):
+        assert one(transfers[0], name).value < 0.15, name
+    note = next(q.note for q in of_all_pixels(transfers[0]).quantities if q.name == "PRNU1288")
+    share = columns.mean()
+    with_them = float(note.split(" % with them")[0].split()[-1])
+    assert with_them == pytest.approx(100 * np.sqrt(share / (1 - share)), rel=0.15)
+    found = {f.mechanism: f for f in findings}
+    assert found["column_gain"].measured is None
+    assert found["dead_pixels"].measured["fraction"].value == pytest.approx(share)
+    model = sensor_model(transfers, findings)
+    light = np.asarray(model.expected(np.full(SIZE, 0.5), Settings(exposure_s=1.0))) - BLACK
+    lit = light[:, ~columns] / np.median(light)
+    assert np.std(lit.mean(0)) < 2 * PRNU / np.sqrt(SIZE[0])
+
+
 def test_dead_and_stuck_pixels_are_named_and_left_out(caplog):
     rng = np.random.default_rng(7)
     dead, stuck = (rng.random(SIZE) < share for share in (0.004, 0.002))

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import warnings
 
+import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
+from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
+from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, photon_transfer
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
@@ -99,3 +102,29 @@ def test_offsets_that_round_are_no_sensitivities_of_a_dim_flat():
     (prnu,) = of_all_pixels(transfers[0]).outcomes("PRNU1288")
     assert isinstance(prnu, Estimate) and prnu.ci90[0] == 0
     assert {f.mechanism for f in findings if f.verdict == "in the model"} == {"dsnu"}
+
+
+@pytest.mark.parametrize("level", [10.2, 10.37, 10.7])
+@pytest.mark.parametrize("read", [0.16, 0.3])
+def test_the_model_of_darks_below_a_code_has_their_mean_and_the_light_its_own(level, read):
+    """A black level between two codes is stored as a mean that light, which dithers, does not stand on."""
+    rng = np.random.default_rng(round(100 * level + 10 * read))
+    noise = read * rng.standard_normal((16, *SIZE))
+    own = [dataclasses.replace(recording("dark", level + noise), kind="bias", exposure_s=0.0)]
+    for seconds, light in ((0.01, 10.0), (0.05, 50.0), (0.2, 200.0), (0.5, 500.0)):
+        charge = rng.poisson(light, (8, *SIZE))
+        flat = recording("flat", level + 0.2 * charge + read * rng.standard_normal((8, *SIZE)))
+        own.append(dataclasses.replace(flat, exposure_s=seconds))
+    (transfer,), findings = calibrate(CaptureSet("quiet", tuple(own)))
+    seen = of_all_pixels(transfer)
+    (black,), (gain,) = seen.outcomes("black level"), seen.outcomes("system gain")
+    assert black.ci90[0] - 0.02 <= level <= black.ci90[1] + 0.02
+    assert gain.value == pytest.approx(0.2, abs=max(3 * gain.stderr, 0.004))
+    (note,) = (q.note for q in seen.quantities if q.name == "system gain")
+    assert "per second" not in note and "straight" not in note
+    drawn = sensor_model((transfer,), findings).sample(
+        jax.random.key(0), np.zeros((256, 256)), Settings(exposure_s=0.0)
+    )
+    assert float(np.mean(drawn)) == pytest.approx(own[0].frames.mean(), abs=0.015)
+    lacking = {o.record for o in seen.outcomes("DSNU1288", "DN") if isinstance(o, NotMeasurable)}
+    assert not any("never change" in why for why in lacking)

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
-from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
+from cannoise_jax.physics.transfer.estimators.dead import dead_pixels
+from cannoise_jax.physics.transfer.estimators.light import flicker
+from cannoise_jax.physics.transfer.estimators.maps import column_gain, pixel_read_noise_map, prnu
 from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.estimators.telegraph import rts
 from cannoise_jax.physics.transfer.faults import faults
@@ -60,6 +62,8 @@ def test_unlit_parts_are_told_and_bear_on_nothing(kind):
     for noise in result.outcomes("temporal dark noise", "e-"):
         assert isinstance(noise, Estimate) and noise.value == pytest.approx(READ, rel=0.03)
     assert {o.record for o in result.outcomes("PRNU1288") if isinstance(o, NotMeasurable)} == {UNLIT}
+    for measured in (prnu, column_gain, dead_pixels, flicker):
+        assert measured(result.statistics).record == UNLIT
 
 
 def test_vignetting_dust_and_dim_flats_are_lit():

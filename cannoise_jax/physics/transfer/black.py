@@ -80,7 +80,7 @@ def black_level(statistics: Sequence[FrameStatistics]) -> Black:
         return Black(statistics[0].recording.black_level, (0.0,) * 4, None, True, "")
     flats = [s.recording for s in statistics if s.recording.kind == "flat" and s.recording.exposure_s]
     own = _seconds(dark.recording)
-    at_reference = Black(per_channel(dark.frame_means.mean(0)), _errors(dark), own, True, "")
+    at_reference = Black(per_channel(mean_level(dark)), _errors(dark), own, True, "")
     if not flats or own is None:
         return at_reference
     first = min(flats, key=lambda r: r.exposure_s or 0.0)
@@ -96,7 +96,7 @@ def of_one_dark(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
     dark = reference_dark(statistics)
     if dark is None or black_level(statistics).note:
         return list(statistics)
-    level = dark.frame_means.mean(0)
+    level = mean_level(dark)
     out = []
     for s in statistics:
         own = s.recording
@@ -116,7 +116,7 @@ def black_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Bl
     dark = reference_dark(statistics)
     if flat.dark_shot is None or dark is None:
         return black
-    return black._replace(level=per_channel(dark.frame_means.mean(0)))
+    return black._replace(level=per_channel(mean_level(dark)))
 
 
 def black_at(
@@ -131,9 +131,7 @@ def black_at(
     if dark is None or reference is None:
         return Black(statistics[0].recording.black_level, (0.0,) * 4, seconds, True, "")
     own = _seconds(dark.recording)
-    near = Black(
-        per_channel(dark.frame_means.mean(0)), _errors(dark), own, True, "", _excess(dark, reference)
-    )
+    near = Black(per_channel(mean_level(dark)), _errors(dark), own, True, "", _excess(dark, reference))
     if seconds is None or own is None or as_long(own, seconds, darks):
         return near
     series = [s for s in darks if _seconds(s.recording) is not None and _as_warm(s, temperature_c)]
@@ -145,7 +143,7 @@ def black_at(
     if between is not None:
         (low, high), weight = between
         parts = (1 - weight, low), (weight, high)
-        level = sum(w * s.frame_means.mean(0) for w, s in parts)
+        level = sum(w * mean_level(s) for w, s in parts)
         error = np.sqrt(sum(np.square(w * np.asarray(_errors(s))) for w, s in parts))
         excess = sum(w * np.asarray(_excess(s, reference)) for w, s in parts)
         return Black(per_channel(level), per_channel(error), seconds, True, said, per_channel(excess))
@@ -158,6 +156,12 @@ def black_at(
         note=f"of flats at {seconds:g} s taken from a dark of {own:g} s, whose dark charge counts as black: "
         f"record a dark at {seconds:g} s",
     )  # fmt: skip
+
+
+def mean_level(dark: FrameStatistics) -> Float[np.ndarray, "4"]:
+    """Mean of a dark before rounding, DN per site."""
+    level = dark.frame_means.mean(0)
+    return level if dark.rounded is None else level - np.asarray(dark.rounded[0])
 
 
 def stand_in(statistics: Sequence[FrameStatistics]) -> tuple[float, float] | None:
@@ -217,7 +221,7 @@ def _least_seconds(darks: Sequence[FrameStatistics]) -> float:
     if len(short) < 2:
         return _SHORT_S
     first, last = (pick(short, key=lambda s: _seconds(s.recording) or 0.0) for pick in (min, max))
-    rise = last.frame_means.mean(0) - first.frame_means.mean(0)
+    rise = mean_level(last) - mean_level(first)
     error = np.hypot(_errors(last), _errors(first))
     return 0.0 if float(np.mean(rise)) > _GROWN * float(np.sqrt(np.mean(error**2) / 4)) else _SHORT_S
 
@@ -274,7 +278,8 @@ def _as_warm(s: FrameStatistics, temperature_c: float | None) -> bool:
 
 
 def _errors(s: FrameStatistics) -> PerChannel:
-    return per_channel(np.array([mean_error(s, c) for c in range(4)]))
+    errors = np.array([mean_error(s, c) for c in range(4)])
+    return per_channel(errors if s.rounded is None else np.hypot(errors, s.rounded[1]))
 
 
 def _extended(series: Sequence[FrameStatistics], seconds: float) -> tuple[PerChannel, PerChannel]:
@@ -282,7 +287,7 @@ def _extended(series: Sequence[FrameStatistics], seconds: float) -> tuple[PerCha
     about it where that is significant (chi-square at 99 %)."""
     times = np.array([_seconds(s.recording) or 0.0 for s in series]) - seconds
     design = np.stack([np.ones_like(times), times], -1)
-    levels: Float[np.ndarray, "n 4"] = np.array([s.frame_means.mean(0) for s in series])
+    levels: Float[np.ndarray, "n 4"] = np.array([mean_level(s) for s in series])
     values, errors = np.empty(4), np.empty(4)
     for c in range(4):
         # A code's rounding is even over the noise of pixels, but no mean is surer than a thousandth of a DN.

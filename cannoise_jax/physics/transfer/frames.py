@@ -53,6 +53,8 @@ class FrameStatistics:
       never change, likewise; None where there are none.
     dark_shot: variance by channel that the dark charge of a flat, whose mean is taken out of its means
       (`black.of_one_dark`), adds beyond that of the reference dark, DN^2; None: it is not taken out.
+    rounded: what rounding adds to the means of a dark that is quieter than a code, and the error of that, DN
+      per site (`quiet.with_rounding_told`); None: nothing that matters.
     shot: what charge that the means are without, but the frames not, adds to the variances, DN^2; None where
       there is none.
     """
@@ -76,6 +78,7 @@ class FrameStatistics:
     unlit: Bool[np.ndarray, "H W"] | None = None
     dead: Bool[np.ndarray, "H W"] | None = None
     dark_shot: PerChannel | None = None
+    rounded: tuple[PerChannel, PerChannel] | None = None
     shot: Float[np.ndarray, "H W"] | None = None
     stuck: Bool[np.ndarray, "H W"] | None = None
 

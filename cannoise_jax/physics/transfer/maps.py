@@ -24,12 +24,12 @@ from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_levels, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
-from cannoise_jax.physics.transfer.estimate import root
+from cannoise_jax.physics.transfer.estimate import NotMeasurable, root
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.estimators import glow as glows
 from cannoise_jax.physics.transfer.estimators import telegraph as telegraph_pixels
-from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
+from cannoise_jax.physics.transfer.estimators.light_alone import light_alone
 from cannoise_jax.physics.transfer.estimators.maps import (
     column_part,
     offset_pattern,
@@ -207,9 +207,10 @@ def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
 def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """Fixed sensitivities of the pixels, in units of their rms."""
     flat = brightest_flat(seen.statistics)
-    if flat is None:
+    alone = None if flat is None else light_alone(seen.statistics, flat)
+    if alone is None or isinstance(alone, NotMeasurable):
         return {}
-    found = response_pattern(flat, dark_map(seen.statistics, flat))
+    found = response_pattern(alone.flat, alone.dark)
     rest = seen.draw(found.pixels.shape)
     # Where there is less light a pixel shows less of its sensitivity, and of its shot noise by the root.
     light = np.maximum(found.light, 0.01)
@@ -222,9 +223,10 @@ def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
 def column_response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """Fixed gains of the columns, in units of their rms."""
     flat = brightest_flat(seen.statistics)
-    if flat is None:
+    alone = None if flat is None else light_alone(seen.statistics, flat)
+    if alone is None or isinstance(alone, NotMeasurable):
         return {}
-    found = response_pattern(flat, dark_map(seen.statistics, flat))
+    found = response_pattern(alone.flat, alone.dark)
     height, width = found.pixels.shape
     share = float(np.mean(found.pixels[found.keep] ** 2)) / height
     sigma = root(column_part(found)).value or values["sigma"]

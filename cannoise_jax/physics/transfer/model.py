@@ -24,6 +24,7 @@ from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import black_level
+from cannoise_jax.physics.transfer.doubling import NAME, doubling_of
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE, Each, Estimator, Measurable
 from cannoise_jax.physics.transfer.estimators.loudness import explanation
@@ -238,6 +239,7 @@ def sensor_model(transfers: Sequence[PhotonTransfer], findings: Sequence[Finding
             if record.scaling.doubling_c
             else None,
             **(_exposures(first.statistics) if record.scaling.exposure else {}),
+            **(doubling_of(first.outcomes(NAME)) if record.scaling.doubling_c else {}),
         )
         if finding.point is None:
             model = model.with_mechanism(record, scaling=law, **values)

@@ -46,17 +46,24 @@ def no_dark_as_warm(recordings: Sequence[Recording]) -> str:
     one has, or nothing is known. EMVA 1288 release 4.0 takes both under the same conditions."""
     darks = sorted({_celsius(r) for r in recordings if r.kind == "dark" and r.temperature_c is not None})
     for r in recordings:
-        seconds, own = r.exposure_s or 0.0, r.temperature_c
-        if r.kind != "flat" or own is None or not darks or seconds < _GATHERS_S:
-            continue
-        if min(abs(own - t) for t in darks) > ALIKE_KELVIN:
+        if r.kind == "flat" and darks and unlike_darks(r, recordings):
             near = " and ".join(f"{t:.4g}" for t in darks)
             return (
-                f"flats of {own:.4g} C, darks of {near} C: their dark charge is not that of the flats, and "
-                "what is left of it and of its pattern counts as light and as PRNU: record darks of "
-                f"{seconds:g} s at {own:.4g} C"
+                f"flats of {r.temperature_c:.4g} C, darks of {near} C: their dark charge is not that of the "
+                "flats, and what is left of it counts as light: "
+                f"record darks of {r.exposure_s:g} s at {r.temperature_c:.4g} C"
             )
     return ""
+
+
+def unlike_darks(flat: Recording, recordings: Sequence[Recording]) -> bool:
+    """Whether the exposure of a flat lets dark charge gather, and none of the darks, of known temperatures,
+    is as warm: then none shows the pattern of that charge."""
+    own, seconds = flat.temperature_c, flat.exposure_s or 0.0
+    darks = [_celsius(r) for r in recordings if r.kind == "dark" and r.temperature_c is not None]
+    if own is None or not darks or seconds < _GATHERS_S:
+        return False
+    return min(abs(own - t) for t in darks) > ALIKE_KELVIN
 
 
 def _celsius(recording: Recording) -> float:

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, Outcome, root
-from cannoise_jax.physics.transfer.estimators.dark_map import DarkMap, dark_map
+from cannoise_jax.physics.transfer.estimators.dark_map import DarkMap
+from cannoise_jax.physics.transfer.estimators.light_alone import LightAlone, light_alone
 from cannoise_jax.physics.transfer.fit import Line, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
@@ -22,7 +23,7 @@ from cannoise_jax.physics.transfer.quantities import (
     in_electrons,
 )
 from cannoise_jax.physics.transfer.quiet import (
-    BELOW_A_CODE,
+    PATTERN_BELOW_A_CODE,
     hidden_in_a_code,
     pattern_below_a_code,
     step_of,
@@ -74,7 +75,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
 
 def _dark_split(dark: FrameStatistics, c: int) -> Split | NotMeasurable:
     if pattern_below_a_code(dark) or hidden_in_a_code(dark, step_of(dark), c):
-        return NotMeasurable(BELOW_A_CODE)
+        return NotMeasurable(PATTERN_BELOW_A_CODE)
     keep = quiet_pixels(dark, c) & ~site(dark.clipped, c)
     if not keep.any():
         return NotMeasurable(CUT_OFF)
@@ -134,22 +135,21 @@ def pattern_quantities(
         default=None,
     )
     unseen = 0.0 if dark is None else unseen_offsets([dark])
-    found = None if flat is None else _prnu(flat, dark_map(statistics, flat, c), unseen, c, black)
+    alone = lacking if flat is None else light_alone(statistics, flat, c)
+    found = alone if isinstance(alone, NotMeasurable) else _prnu(alone, unseen, c, black)
     for part in parts:
         title = titles[part].format("PRNU")
-        if found is None:
-            out.append(Quantity(title, "%", name, lacking))
+        if isinstance(found, NotMeasurable):
+            out.append(Quantity(title, "%", name, found))
         else:
             outcome, note = found[part]
             out.append(Quantity(title, "%", name, outcome, note if part == "total" else ""))
     return out
 
 
-def _prnu(
-    flat: FrameStatistics, dark: DarkMap | None, unseen: float, c: int, black: PerChannel
-) -> dict[str, tuple[Outcome, str]]:
-    """The relative sensitivities by parts, with a note. dark: what to take out pixel by pixel; unseen:
-    variance of offsets that no dark shows, DN^2."""
+def _prnu(alone: LightAlone, unseen: float, c: int, black: PerChannel) -> dict[str, tuple[Outcome, str]]:
+    """The relative sensitivities by parts, with a note. unseen: variance of unseen offsets, DN^2."""
+    flat, dark = alone.flat, alone.dark
     parts = temporal_parts(flat, c, relative=True)
     level = flat.frame_means[:, c].mean() - black[c]
     signal = site(flat.mean, c) - black[c]
@@ -172,9 +172,8 @@ def _prnu(
         part: root(estimate.of_which(unseen / level**2)).scaled(100.0 / np.sqrt(response.square))
         for part, estimate in found.items()
     }
-    note = f"at {level:.0f} DN, shading taken out" + (
-        "; rows left out: the light flickers" if unsteady else ""
-    )
+    note = f"at {level:.0f} DN, shading taken out" + ("; " if alone.note else "") + alone.note
+    note += "; rows left out: the light flickers" if unsteady else ""
     note += _odd_left_out(response, flat, parts.pixel / parts.frames, sigmas["total"].value / 100, c)
     out: dict[str, tuple[Outcome, str]] = {part: (sigma, note) for part, sigma in sigmas.items()}
     if unsteady:

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
-from cannoise_jax.physics.transfer.black import Black, black_level, of_one_dark, reference_dark
+from cannoise_jax.physics.transfer.black import Black, black_level, mean_level, of_one_dark, reference_dark
+from cannoise_jax.physics.transfer.doubling import NAME, kelvin_to_double
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
 from cannoise_jax.physics.transfer.estimator import Each
 from cannoise_jax.physics.transfer.fit import ChannelMaps, Line, fit_line
@@ -41,6 +42,7 @@ from cannoise_jax.physics.transfer.quiet import (
     hidden_in_a_code,
     noise_below_a_code,
     unchanging,
+    with_rounding_told,
 )
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.ranges import finest
@@ -61,6 +63,8 @@ _ENOUGH = 0.05
 _MANY = 256
 """Pixels that have to be left of a flat without those that are noisy in the dark: a line through fewer is
 better with them."""
+_TELLS = 0.02
+"""Relative error of a slope through flats alone up to which darks need not tell it."""
 _TOLD = 4
 """Frames of a dark from which a pixel of three times the noise of the others is told, mostly."""
 
@@ -110,7 +114,9 @@ def transfer_at(statistics: Sequence[FrameStatistics], each: Each = iter) -> Pho
     """Photon transfer of recordings made at one ISO setting. each: goes through the channels, one by one as
     they are measured. Raises BadInput as `photon_transfer`."""
     _check_alike([s.recording for s in statistics])
-    statistics = of_one_dark(without_unlit(with_measured_black(of_one_temperature(statistics)[0])))
+    doubling = kelvin_to_double(statistics)
+    statistics = list(map(with_rounding_told, of_one_temperature(statistics)[0]))
+    statistics = of_one_dark(without_unlit(with_measured_black(statistics)))
     first = statistics[0].recording
     step = _code_step(statistics)
     dark = reference_dark(statistics)
@@ -125,6 +131,7 @@ def transfer_at(statistics: Sequence[FrameStatistics], each: Each = iter) -> Pho
     quantities.append(line_noise_quantity("row noise", dark, 0))
     quantities.append(line_noise_quantity("column noise", dark, 1))
     quantities += shape_quantities(dark) if dark is not None and not unchanging(dark) else []
+    quantities += [] if doubling is None else [Quantity(NAME, "K", "all", doubling)]
     unknown = "needs a known photon flux: record flats under a calibrated light"
     quantities.append(Quantity("quantum efficiency", "e-/photon", "all", NotMeasurable(unknown)))
     return PhotonTransfer(
@@ -142,7 +149,7 @@ def of_all_pixels(t: PhotonTransfer) -> PhotonTransfer:
         return t
     statistics = [with_all_sites(s) for s in t.statistics]
     dark, step = reference_dark(statistics), _code_step(statistics)
-    black = _of_all(black_level(t.statistics))
+    black = _of_all(black_level(t.statistics), reference_dark(t.statistics))
     lit = lit_of(statistics)
     line = _line(lit, dark, black.level, step, ALL)
     own = _channel_quantities("all", ALL, line, statistics, dark, black)
@@ -152,9 +159,11 @@ def of_all_pixels(t: PhotonTransfer) -> PhotonTransfer:
     return replace(t, baseline=base, quantities=tuple(quantities))
 
 
-def _of_all(black: Black) -> Black:
+def _of_all(black: Black, dark: FrameStatistics | None) -> Black:
     """With the level of all sites together after those of each."""
     error = float(np.sqrt(np.mean(np.square(black.error)) / 4))
+    if dark is not None and dark.rounded is not None:  # of which all sites know as little
+        error = float(np.hypot(error, np.mean(dark.rounded[1])))
     return black._replace(level=(*black.level, float(np.mean(black.level))), error=(*black.error, error))  # type: ignore[arg-type]
 
 
@@ -224,7 +233,7 @@ def _levels(
             levels.append(ChannelMaps(signal, variance, usable, s.recording.count, s.dof, False))
     if dark is not None and dark.variance is not None:
         # Charge that a longer dark holds beyond black has shot noise like any other.
-        charge = max(float(dark.frame_means[:, c].mean()) - black[c], 0.0)
+        charge = max(float(mean_level(dark)[c]) - black[c], 0.0)
         zero = np.full(site(dark.mean, c).shape, charge)
         usable, variance = ~site(dark.clipped, c), pixel_variance(dark, c)
         if below := noise_below_a_code(dark, step, c):
@@ -249,6 +258,12 @@ def _line(
     levels = _levels(lit, dark, black, step, c)
     if all(level.known_signal for level in levels):
         return NotMeasurable(DIMMER)
+    quiet = None if dark is None else noise_below_a_code(dark, step, c)
+    bounded = quiet is not None and quiet.read.ci90[0] <= 0
+    if bounded:  # then flats of several levels tell the slope alone, and the dark would bend it
+        line = fit_line([level for level in levels if not level.known_signal], step**2 / 12)
+        if line is not None and line.slope.stderr < _TELLS * line.slope.value:
+            return line
     line = fit_line(levels, step**2 / 12)
     if line is None or not line.sure:
         if dark is None:
@@ -256,12 +271,11 @@ def _line(
         return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, step, c) else UNSURE)
     if line.dropped > SET_ASIDE and any(s.recording.kind == "scene" for s in lit):
         return NotMeasurable(f"{100 * line.dropped:.0f} % of pixels change by more than noise: {STILL}")
-    quiet = None if dark is None else noise_below_a_code(dark, step, c)
-    if quiet is None or quiet.read.ci90[0] > 0:
+    if quiet is None or not bounded:
         return line
-    # Of the darks' variance only the most that it can be is known.
+    # Of the darks' variance only the most that it can be is known, and of their level where it may be.
     brightest = max(float(np.median(level.signal)) for level in levels)
-    doubt = 0.5 * quiet.read.ci90[1] ** 2 / brightest
+    doubt = (0.5 * quiet.read.ci90[1] ** 2 + quiet.level.stderr * line.slope.value) / brightest
     return replace(line, slope=normal_estimate(line.slope.value, float(np.hypot(line.slope.stderr, doubt))))
 
 

@@ -85,6 +85,9 @@ def noise_quantities(
         level = scatter_estimate(dark.frame_means[:, c])
         if not np.isclose(black.level[c], level.value, rtol=1e-9, atol=0):
             level = normal_estimate(black.level[c], black.error[c])
+        if dark.rounded is not None:
+            stored = float(dark.frame_means[:, c].mean())
+            level_note = f"before rounding: noise below a code is stored with a mean of {stored:.4f} DN"
         out.append(Quantity("black level", "DN", name, level, black.note or level_note))
     if isinstance(line, NotMeasurable):
         out += [Quantity("system gain", "DN/e-", name, line), Quantity("inverse gain", "e-/DN", name, line)]
@@ -93,7 +96,8 @@ def noise_quantities(
             1 / line.slope.value, line.slope.stderr / line.slope.value**2,
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
-        odd = coarser_range(statistics, c) or bends(statistics, black.level, c) or uneven_gain(statistics, c)
+        bent = bends(statistics, black.level, c, black.error[c])
+        odd = coarser_range(statistics, c) or bent or uneven_gain(statistics, c)
         note = "; ".join(filter(None, (set_aside(line), odd)))
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
@@ -105,6 +109,9 @@ def noise_quantities(
         with_rows = _with_rows(sigma, dark, dark.total, step, c)
         out.append(Quantity("temporal dark noise, rows included", "DN", name, with_rows))
         out.append(Quantity("temporal dark noise, rows included", "e-", name, in_electrons(with_rows, line)))
+    as_recorded = _as_recorded(sigma, dark, step, c)
+    out.append(Quantity("temporal dark noise, as recorded", "DN", name, as_recorded, "quantisation included"))
+    out.append(Quantity("temporal dark noise, as recorded", "e-", name, in_electrons(as_recorded, line)))
     return out
 
 
@@ -132,6 +139,26 @@ def _with_rows(
     error = 0.5 * np.sqrt(2 / count) * total / max(value, 1e-9)
     error = np.hypot(error, rows_error * max(total - pixel, 0) / max(value, 1e-9) / 2)
     return normal_estimate(value, float(error))
+
+
+def _as_recorded(sigma: Outcome, dark: FrameStatistics | None, step: float, c: int) -> Outcome:
+    """The temporal noise of the codes of a dark, rows and quantisation included, DN: sigma_y.dark of EMVA
+    1288. sigma: of the pixels without either, which tells it where there is no dark."""
+    if dark is None or dark.total is None or (is_cut_off(dark, c) and not hidden_in_a_code(dark, step, c)):
+        if isinstance(sigma, NotMeasurable):
+            return sigma
+        low, value, high = (
+            float(np.hypot(v, step / np.sqrt(12))) for v in (sigma.ci90[0], sigma.value, sigma.ci90[1])
+        )
+        return Estimate(value, sigma.stderr, (low, high))
+    values, dof = site(dark.total, c), dark.recording.count - 1.0
+    if noise_below_a_code(dark, step, c) is not None:
+        return root(normal_estimate(*square_below_a_code(values, dof, step)))
+    total, keep = quiet_mean_square(replace(dark, variance=dark.total, dof=dof), c)
+    pixel, _ = quiet_mean_square(dark, c)
+    rows_error = np.sqrt(2 / dark.row_means[1:, :, 0].size) * max(total - pixel, 0.0)
+    error = float(np.hypot(np.sqrt(2 / (keep.sum() * dof)) * total, rows_error))
+    return root(normal_estimate(total, error))
 
 
 def _left_out(dark: FrameStatistics, c: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +15,18 @@ from cannoise_jax.physics.transfer.estimate import Estimate, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.rails import is_cut_off
-from cannoise_jax.physics.transfer.views import pixel_variance
+from cannoise_jax.physics.transfer.views import pixel_variance, with_all_sites
 from cannoise_jax.recordings.codes import code_histograms
 from cannoise_jax.recordings.packing import ALL, site
+from cannoise_jax.recordings.recording import DARK, per_channel
 
 BELOW_A_CODE = (
-    "the noise of the darks is so far below a code that most of their pixels never change: record darks and "
-    "flats at a higher gain, or flats of several levels"
+    "the noise of the darks is so far below a code that rounding hides it: record darks and flats at a "
+    "higher gain, or flats of several levels"
+)
+PATTERN_BELOW_A_CODE = (
+    "the noise of the darks is so far below a code that rounding hides their fixed pattern: record darks and "
+    "flats at a higher gain"
 )
 TOO_FEW_CODES = "the noise spans too few codes: record darks at a higher gain"
 _HALF = 0.5
@@ -45,10 +51,12 @@ _UNSEEN = 3.0
 
 
 class QuietNoise(NamedTuple):
-    """read: temporal noise before rounding, DN. square: the temporal variance of what is stored, DN^2."""
+    """read: temporal noise before rounding, DN. square: the temporal variance of what is stored, DN^2. level:
+    mean before rounding, DN."""
 
     read: Estimate
     square: float
+    level: Estimate
 
 
 def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise | None:
@@ -60,23 +68,44 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     square, stderr = square_below_a_code(pixel_variance(dark, c), dark.dof, step)
     if not hidden and not 0 < square < (COARSE**2 + 1 / 12) * step**2:
         return None
-    if (top := _most_at_two_codes(dark, step, c)) is not None:
-        return QuietNoise(Estimate(0.5 * top, top / np.sqrt(12), (0.0, top)), square)
-    level, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
-    read, low, high = (
-        before_rounding(level, max(v, 1e-6 * step**2), step, spread)[1]
+    if (at_two := _at_two_codes(dark, step, c)) is not None:
+        top, level = at_two
+        return QuietNoise(Estimate(0.5 * top, top / np.sqrt(12), (0.0, top)), square, level)
+    mean, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
+    found = [
+        before_rounding(mean, max(v, 1e-6 * step**2), step, spread)
         for v in (square, square - stderr, square + stderr)
+    ]
+    level, read = (
+        normal_estimate(value, 0.5 * abs(high - low)) for value, low, high in zip(*found, strict=True)
     )
-    return QuietNoise(normal_estimate(read, 0.5 * abs(high - low)), square)
+    return QuietNoise(read, square, level)
 
 
-def _most_at_two_codes(dark: FrameStatistics, step: float, c: int) -> float | None:
-    """The most that the noise of darks at one code or two neighbours can be, DN, None of others. They tell
-    the share of the upper code alone: of level l and noise s only (l - edge) / s, of any s up to where a
-    third code shows."""
+def with_rounding_told(s: FrameStatistics) -> FrameStatistics:
+    """A dark with what rounding adds to its means, where noise of less than half a code makes that matter:
+    light that lifts the values off that place between two codes does not add it."""
+    if s.recording.kind not in DARK or not coarse(s):
+        return s
+    means = s.frame_means.mean(0)
+    if s.recording.cfa == "MONO":  # of which one read noise is told, of all sites
+        own = noise_below_a_code(with_all_sites(s), step_of(s), ALL)
+        found, means = [own] * 4, np.full(4, means.mean())
+    else:
+        found = [noise_below_a_code(s, step_of(s), c) for c in range(4)]
+    added = [0.0 if q is None else float(m - q.level.value) for m, q in zip(means, found, strict=True)]
+    errors = [0.0 if q is None else q.level.stderr for q in found]
+    return replace(s, rounded=(per_channel(np.array(added)), per_channel(np.array(errors))))
+
+
+def _at_two_codes(dark: FrameStatistics, step: float, c: int) -> tuple[float, Estimate] | None:
+    """The most that the noise of darks at one code or two neighbours can be, DN, and their level before
+    rounding; None of others. They tell the share of the upper code alone: of level l and noise s only
+    (l - edge) / s, of any s up to where a third code shows."""
     counts = code_histograms(dark.recording.frames)
     counts = np.pad(counts.sum(0) if c == ALL else counts[c], 3 * int(step))
-    codes = counts[int(np.argmax(counts)) % int(step) :: int(step)]
+    first = int(np.argmax(counts)) % int(step)
+    codes = counts[first :: int(step)]
     at = int(np.argmax(codes[:-1] + codes[1:]))
     lower, upper = (int(v) for v in codes[at : at + 2])
     third, fourth = (int(codes[at - k] + codes[at + 1 + k]) for k in (1, 2))
@@ -85,11 +114,17 @@ def _most_at_two_codes(dark: FrameStatistics, step: float, c: int) -> float | No
     if others > _OTHERS * number or third > max(_TOLD, 3 * fourth):
         return None
     seen = -float(special.ndtri((third + _UNSEEN * (1 + np.sqrt(third))) / number))
+    low = float(first - 3 * int(step) + at * int(step))
     if not lower or not upper:  # the level lies half a code from either edge at best
-        return 0.5 * step / seen
+        level = low if lower else low + step
+        half = 0.5 * step
+        return half / seen, Estimate(level, step / np.sqrt(12), (level - half, level + half))
     # The edge between both lies `away` deviations from the level; the next, a code further, is not reached.
-    away = abs(float(special.ndtri(upper / (lower + upper))))
-    return step / (seen + away)
+    above = float(special.ndtri(upper / (lower + upper)))
+    top, edge = step / (seen + abs(above)), low + 0.5 * step
+    ends = sorted((edge, edge + above * top))
+    level = edge + 0.5 * above * top
+    return top, Estimate(level, abs(above) * top / np.sqrt(12), (ends[0], ends[1]))
 
 
 def square_below_a_code(variance: Float[np.ndarray, "h w"], dof: float, step: float) -> tuple[float, float]:
@@ -136,7 +171,7 @@ def pattern_below_a_code(dark: FrameStatistics) -> str:
     rounding makes another of it; empty where they are not."""
     if dark.variance is None or not coarse(dark):
         return ""
-    return "" if all(dither(dark, c) for c in range(4)) else BELOW_A_CODE
+    return "" if all(dither(dark, c) for c in range(4)) else PATTERN_BELOW_A_CODE
 
 
 def unseen_offsets(darks: Sequence[FrameStatistics]) -> float:

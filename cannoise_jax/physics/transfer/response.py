@@ -14,8 +14,13 @@ from cannoise_jax.physics.transfer.spatial import shading
 ODD = 6.0
 """Robust standard deviations from which a pixel answers light oddly: of a normal law one pixel in 5e8 lies as
 far out. Dead pixels, and those under dirt, are no spread of sensitivities."""
+DEAD = 0.2
+"""Of the light about it, up to which a pixel does not answer: dirt that covers one whole leaves more, for
+light comes past it at an angle."""
+CLEAR = 6.0
+"""Robust standard deviations over the pixels of an average of frames that they have to lie above that."""
 _ROUNDS = 3
-"""Of the surface that stands for the light, without the shadows that bent the one before."""
+"""Of the surface that stands for the light, without what bent the one before."""
 
 
 class Response(NamedTuple):
@@ -41,15 +46,27 @@ def response_of(gains: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]) 
     for _ in range(_ROUNDS if keep.any() else 0):
         apart = gains - light
         shadow = in_shadow(apart, light, keep)
+        # A whole line of dead pixels would pass for one that differs, and the lines across it for darker.
+        dead = keep & _dead(apart, light, keep)
+        live = keep & ~dead
         # Whole rows and columns that differ are a pattern of their own.
         for axis in (1, 0):
-            count = np.maximum(keep.sum(axis, keepdims=True), 1)
-            apart = apart - np.where(keep, apart, 0.0).sum(axis, keepdims=True) / count
-        used = keep & ~shadow & (np.abs(apart) < ODD * max(robust_std(apart[keep], 0.0), 1e-9))
+            count = np.maximum(live.sum(axis, keepdims=True), 1)
+            apart = apart - np.where(live, apart, 0.0).sum(axis, keepdims=True) / count
+        used = live & ~shadow & (np.abs(apart) < ODD * max(robust_std(apart[live], 0.0), 1e-9))
         if not used.any():
             break
         light, degree = shading(gains, used)
-        if not shadow.any():
+        if not (shadow.any() or dead.any()):
             break
     square = float(np.mean(light[used] ** 2)) if used.any() else 1.0
     return Response(gains - light, light, used, degree, square, shadow)
+
+
+def _dead(
+    apart: Float[np.ndarray, "h w"], light: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels that do not answer light; none where noise makes as dark ones."""
+    if CLEAR * robust_std(apart[keep], 0.0) > 1 - DEAD:
+        return np.zeros(keep.shape, bool)
+    return apart < (DEAD - 1) * light

@@ -126,14 +126,15 @@ def _dark_of(
 def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] = range(4)) -> _Gain | None:
     """Variance over signal, both less those of the dark, of the median pixel; None for flats without light,
     or of too few pixels."""
-    gains, signals, errors = [], [], []
+    gains, signals, errors, unknown = [], [], [], [0.0]
     straight = True
     for c in channels:
         usable = below_rail(flat, c)
         if usable.mean() < _ENOUGH:
             return None
         mean, variance = (float(np.median(v[usable])) for v in (site(flat.mean, c), pixel_variance(flat, c)))
-        signal = mean - float(np.median(site(dark.mean, c)))
+        added, doubt = (0.0, 0.0) if dark.rounded is None else (v[c] for v in dark.rounded)
+        signal = mean - float(np.median(site(dark.mean, c))) + added
         if signal <= 0:
             return None
         straight &= mean < LINEAR * flat.recording.white_level
@@ -145,6 +146,8 @@ def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] 
         gains.append(shot / signal / float(np.median(site(of_variance(flat), c))))
         # The median of a mean square is worth 0.6 of the mean.
         errors.append(np.sqrt(2 / (0.6 * usable.sum() * flat.dof)) * (1 + read / shot))
+        if dark.rounded is not None:  # what rounding makes of its variance is as large as that
+            unknown.append(float(np.hypot(read / shot, doubt / signal)))
         signals.append(signal)
-    error = float(np.hypot(np.mean(errors) / np.sqrt(len(errors)), _SYSTEMATIC))
+    error = float(np.linalg.norm((np.mean(errors) / np.sqrt(len(errors)), _SYSTEMATIC, max(unknown))))
     return _Gain(flat, float(np.mean(gains)), error, min(signals), straight)

@@ -10,13 +10,15 @@ from cannoise_jax.recordings.recording import PerChannel
 _BENDS = 0.03
 """Change of the signal per second from the shortest flat to the longest: lamps and shutters are good to a few
 per cent, and a gain by photon transfer is off by about as much."""
+_SIGMAS = 2.0
+"""Standard errors of the black level that the dimmest flat may be off by."""
 _FEWEST, _SPAN, _TOP = 3, 4.0, 0.9
 """Exposures, ratio of the longest to the shortest, and share of the white level up to which flats count."""
 
 
-def bends(flats: Sequence[FrameStatistics], black: PerChannel, c: int) -> str:
+def bends(flats: Sequence[FrameStatistics], black: PerChannel, c: int, error: float = 0.0) -> str:
     """How the signal per second of one channel changes as flats grow longer and brighter, where it does so
-    steadily; empty else, and where too few exposures are known."""
+    steadily; empty else, and where too few exposures are known. error: of the black level, DN."""
     seen: dict[float, list[float]] = {}
     for s in flats:
         seconds, signal = s.recording.exposure_s, float(s.frame_means[:, c].mean()) - black[c]
@@ -30,7 +32,8 @@ def bends(flats: Sequence[FrameStatistics], black: PerChannel, c: int) -> str:
     steps = [b - a for a, b in zip(rates, rates[1:], strict=False)]
     growing = all(a < b for a, b in zip(signals, signals[1:], strict=False))
     change = rates[-1] / rates[0] - 1
-    if not growing or abs(change) < _BENDS or not (max(steps) <= 0 or min(steps) >= 0):
+    least = _BENDS + _SIGMAS * error / signals[0]
+    if not growing or abs(change) < least or not (max(steps) <= 0 or min(steps) >= 0):
         return ""
     return (
         f"the signal per second changes by {100 * change:+.1f} % from {times[0]:g} to {times[-1]:g} s: the "

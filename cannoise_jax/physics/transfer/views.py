@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import ALL, site
-from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
+from cannoise_jax.recordings.recording import PerChannel, Recording
 
 
 def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
@@ -36,6 +36,7 @@ def with_all_sites(s: FrameStatistics) -> FrameStatistics:
         "low": (*s.low, _end(s.low, min)),
         "high": (*s.high, _end(s.high, max)),
         "lowest": (*s.lowest, float(np.mean(s.lowest))),
+        "rounded": None if s.rounded is None else tuple((*v, float(np.mean(v))) for v in s.rounded),
         "dark_shot": None if s.dark_shot is None else (*s.dark_shot, float(np.mean(s.dark_shot))),
     }
     return replace(s, **own)
@@ -52,12 +53,14 @@ def less(s: FrameStatistics, added: Float[np.ndarray, "H W"], **stated: Any) -> 
     rows = np.stack([added[:, p::2].mean(1) for p in (0, 1)], -1)
     columns = np.stack([added[p::2].mean(0) for p in (0, 1)])
     means = np.array([float(site(added, c).mean()) for c in range(4)])
+    if len(s.level) > 4:  # of all sites together, see `with_all_sites`
+        means = np.append(means, means.mean())
     own: dict[str, Any] = {
         "mean": s.mean - added,
         "frame_means": s.frame_means - means,
         "row_means": s.row_means - rows,
         "column_means": s.column_means - columns,
-        "level": per_channel(np.asarray(s.level) - means),
+        "level": tuple(float(v) for v in np.asarray(s.level) - means),
     }
     return replace(s, **own, **stated)
 

@@ -104,7 +104,7 @@ def black_level_errors(statistics: Sequence[FrameStatistics]) -> tuple[Estimate,
             "darks are cut off at their lower end: record with a black level above the noise"
         )
     stated = np.asarray(dark.recording.black_level)
-    if black.note:  # darks are longer than the flats
+    if black.note or dark.rounded is not None:  # darks are longer than the flats, or rounded to one code
         found = zip(np.subtract(black.level, stated), black.error, strict=True)
         return tuple(normal_estimate(value, error) for value, error in found)
     offsets = dark.frame_means - stated
@@ -120,7 +120,7 @@ def bookkeeping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
         return errors if isinstance(errors, NotMeasurable) else repeated_darks(statistics)
     stated = np.asarray(dark.recording.black_level)
     found = {"black_dn": scatter_estimate((dark.frame_means - stated).mean(1))}
-    if black.note:
+    if black.note or dark.rounded is not None:
         found["black_dn"] = normal_estimate(
             float(np.mean([e.value for e in errors])), float(np.mean(black.error))
         )

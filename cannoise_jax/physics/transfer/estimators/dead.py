@@ -12,16 +12,11 @@ from scipy import stats
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
-from cannoise_jax.physics.transfer.estimators.pick import REPEATED_FLATS, brightest_flat
+from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, no_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.response import response_of
+from cannoise_jax.physics.transfer.response import CLEAR, DEAD, response_of
 from cannoise_jax.recordings.packing import site
 
-_DEAD = 0.2
-"""Of the light about it, up to which a pixel does not answer: dirt that covers one whole leaves more, for
-light comes past it at an angle."""
-_CLEAR = 6.0
-"""Robust standard deviations over the pixels of an average of frames that they have to lie above that."""
 _DIM = NotMeasurable("record brighter flats: single pixels are not above their noise")
 _NONE = NotMeasurable("every pixel answers the light of the flats", answered=True)
 
@@ -32,7 +27,7 @@ def dead_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
     pixels that are full in every frame, do not count."""
     flat = brightest_flat(statistics)
     if flat is None:
-        return REPEATED_FLATS
+        return no_flat(statistics)
     dead = dead_of(statistics, flat)
     if dead is None:
         return _DIM
@@ -54,9 +49,9 @@ def dead_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Boo
             signal = signal - np.where(site(dark.keep, c), site(dark.offsets, c), 0.0)
         found = response_of(signal / flat.level[c], ~site(flat.clipped, c))
         healthy = found.pattern[found.keep]
-        if not healthy.size or _CLEAR * robust_std(healthy, 0.0) > 1 - _DEAD:
+        if not healthy.size or CLEAR * robust_std(healthy, 0.0) > 1 - DEAD:
             return None
-        site(out, c)[...] = found.pattern < (_DEAD - 1) * found.light
+        site(out, c)[...] = found.pattern < (DEAD - 1) * found.light
     # Masked pixels show nothing in the dark either.
     none = [m for m in (flat.unlit, *(s.stuck for s, _ in (dark.darks if dark else ()))) if m is not None]
     return out & ~np.any(none, axis=0) if none else out

@@ -18,8 +18,8 @@ from cannoise_jax.physics.transfer.estimate import (
     variance_difference,
 )
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_FLATS,
     brightest_flat,
+    no_flat,
 )
 from cannoise_jax.physics.transfer.estimators.waves import strongest_wave
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -43,7 +43,7 @@ def illumination_drift(statistics: Sequence[FrameStatistics], baseline=None) -> 
     """sigma: relative drift of the light, from the variance of frame means less what rows leave in them."""
     flat = brightest_flat(statistics)
     if flat is None:
-        return REPEATED_FLATS
+        return no_flat(statistics)
     rows = relative_rows(flat)
     frames = rows.mean(1)
     square, dof = temporal_mean_square(rows)
@@ -56,7 +56,7 @@ def flicker(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     the rows of a flat, its phase free in every frame: least squares on a constant, sine and cosine."""
     flat = brightest_flat(statistics)
     if flat is None:
-        return REPEATED_FLATS
+        return no_flat(statistics)
     found = strongest_wave(relative_rows(flat))
     return {"amplitude": found.amplitude, "frequency": found.frequency}
 

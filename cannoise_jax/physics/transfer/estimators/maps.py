@@ -19,11 +19,12 @@ from cannoise_jax.physics.transfer.estimate import (
     variance_difference,
 )
 from cannoise_jax.physics.transfer.estimators.charge import grown
-from cannoise_jax.physics.transfer.estimators.dark_map import HOT, DarkMap, dark_map
+from cannoise_jax.physics.transfer.estimators.dark_map import HOT, DarkMap
+from cannoise_jax.physics.transfer.estimators.light_alone import LightAlone, light_alone
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_FLATS,
     brightest_flat,
     darkest,
+    no_flat,
     odd_by_charge,
     pooled_variance,
     repeated_darks,
@@ -119,26 +120,31 @@ def prnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma of the pixels' relative sensitivity, from a flat less what the darks show at its exposure."""
     flat = brightest_flat(statistics)
     if flat is None:
-        return REPEATED_FLATS
-    dark = dark_map(statistics, flat)
-    pixels = pixel_part(response_pattern(flat, dark))
-    return {"sigma": root(pixels.of_which(_unseen(statistics, flat, dark)))}
+        return no_flat(statistics)
+    alone = light_alone(statistics, flat)
+    if isinstance(alone, NotMeasurable):
+        return alone
+    pixels = pixel_part(response_pattern(alone.flat, alone.dark))
+    return {"sigma": root(pixels.of_which(_unseen(statistics, alone)))}
 
 
 def column_gain(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """sigma of the columns' relative gain, from a flat: variance of column means less the pixels' share."""
     flat = brightest_flat(statistics)
     if flat is None:
-        return REPEATED_FLATS
+        return no_flat(statistics)
     if flat.recording.size[1] < _COLUMNS:
         return NotMeasurable(f"record frames of at least {_COLUMNS} columns")
-    dark = dark_map(statistics, flat)
-    columns = column_part(response_pattern(flat, dark))
-    return {"sigma": root(columns.of_which(_unseen(statistics, flat, dark)))}
+    alone = light_alone(statistics, flat)
+    if isinstance(alone, NotMeasurable):
+        return alone
+    columns = column_part(response_pattern(alone.flat, alone.dark))
+    return {"sigma": root(columns.of_which(_unseen(statistics, alone)))}
 
 
-def _unseen(statistics: Sequence[FrameStatistics], flat: FrameStatistics, dark: DarkMap | None) -> float:
+def _unseen(statistics: Sequence[FrameStatistics], alone: LightAlone) -> float:
     """Relative variance of offsets in a flat that no dark shows, or whose rounding is as large."""
+    flat, dark = alone.flat, alone.dark
     unseen = unseen_offsets([s for s in statistics if s.recording.kind in DARK])
     unseen = max(unseen, 0.0 if dark is None else max(map(dark.rounding, range(4))))
     return unseen * float(np.mean(1 / np.square(flat.level)))
@@ -226,7 +232,7 @@ def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Est
     """sigma: half of the relative difference of the two greens, that beside red less that beside blue."""
     flat = brightest_flat(statistics)
     if flat is None:
-        return REPEATED_FLATS
+        return no_flat(statistics)
     greens = green_sites(flat.recording.cfa)
     if not greens:
         return NotMeasurable("the sensor has no colours, so no two greens", answered=True)
@@ -274,11 +280,12 @@ def pixel_part(pattern: Pattern) -> Estimate:
 
 def column_part(pattern: Pattern) -> Estimate:
     """Variance of the fixed pattern of columns, both row parities of a column together."""
-    means = pattern.columns.mean(0)
+    told = pattern.keep.any(0)  # a column of dead pixels has no gain
+    means = pattern.columns.mean(0)[told]
     height, width = pattern.pixels.shape
     inside = pattern.pixels[pattern.keep]
     share = float(np.sum(inside**2)) / max(inside.size - 2 * (height + width) + 4, 1) / height
     # Channel means, and the smooth shading of a flat, have been taken out of both sets of columns.
-    count = width - 2 * (pattern.smooth + 1)
+    count = max(means.size - 2 * (pattern.smooth + 1), 1)
     dof = max(heavy_dof(means, count) / correlation_loss(means[None]), 2.0)
     return variance_difference(float(np.sum(means**2)) / count, dof, share, inside.size)

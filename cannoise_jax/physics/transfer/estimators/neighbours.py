@@ -10,9 +10,9 @@ from scipy import optimize
 
 from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.estimators.pick import (
-    REPEATED_FLATS,
     brightest_flat,
     darkest,
+    no_flat,
     repeated_darks,
 )
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
@@ -36,7 +36,7 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     """
     flat, dark = brightest_flat(statistics), darkest(statistics)
     if flat is None:
-        return REPEATED_FLATS
+        return no_flat(statistics)
     if min(flat.recording.size) < _LEAST_BESIDE:
         return _larger(_LEAST_BESIDE)
     shot = lag_covariances(flat)

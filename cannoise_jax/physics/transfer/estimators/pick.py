@@ -13,6 +13,7 @@ from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quiet import BELOW_A_CODE, unchanging
+from cannoise_jax.physics.transfer.unlit import UNLIT
 from cannoise_jax.physics.transfer.views import black_of, not_stuck, pixel_variance
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
@@ -22,7 +23,10 @@ _WARM = 6.0
 _COLDEST, _MIRRORED = 0.98, 1.25
 """Quantile of how far pixels lie below their median, and how often it those that are warm lie above."""
 
-REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady light, better 16")
+_REPEATED_FLATS = NotMeasurable("record at least 2 frames of an even, steady light, better 16")
+_ENDS = NotMeasurable(
+    "pixels of every repeated flat are full, or at an end of the codes: record dimmer flats, 2 frames or more"
+)
 
 
 def repeated_darks(statistics: Sequence[FrameStatistics], least: int = 2, better: int = 16) -> NotMeasurable:
@@ -65,6 +69,14 @@ def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | N
         and all(below_full(s, full[c], black_of(s.recording, c), c) for c in range(4))
     ]  # fmt: skip
     return max(flats, key=lambda s: float(np.mean(s.level)), default=None)
+
+
+def no_flat(statistics: Sequence[FrameStatistics]) -> NotMeasurable:
+    """Why there is no `brightest_flat`, and what to record."""
+    repeated = [s for s in statistics if s.recording.kind == "flat" and s.variance is not None]
+    if not repeated:
+        return _REPEATED_FLATS
+    return NotMeasurable(UNLIT) if any(s.unlit is not None for s in repeated) else _ENDS
 
 
 def steady_pixels(s: FrameStatistics, channel: int = ALL) -> Bool[np.ndarray, "h w"]:

@@ -26,6 +26,11 @@ from cannoise_jax.recordings.packing import site
 
 _LOUD = 2.0
 """Standard deviations of the quiet pixels' noise above which a pixel may jump."""
+_MAY_BE_LOUD = 1.3
+"""The same above which a pixel bears on the strength of jumps: of sixteen frames of Gaussian noise one in
+twenty has as much, of sixty hardly any."""
+_MOST_VALUES = 600_000
+"""Pixels times frames whose likelihood is maximized, in each of some hundred steps."""
 _NOISIER = np.geomspace(1.4, 20.0, 12)
 """Noise of pixels that are only noisier, in units of the quiet ones': any of these, with equal chances."""
 _LEAST_NATS = 12.0
@@ -49,14 +54,16 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     if loud.sum() < 10:
         return NotMeasurable("fewer than ten pixels jump visibly: record more darks, or a larger frame")
     jump, share = float(2 * np.median(spread[loud])), special.logit(min(2 * loud.mean(), 0.4))
+    count = series.shape[1]
+    series, times = told_by(series, spread)
     noisier = noisier_odds(series)
 
     def negative(p: np.ndarray) -> float:
         odds = telegraph_odds(series, float(np.exp(p[0])), float(special.expit(p[2])))
-        return -_mixed(odds, noisier, float(special.expit(p[1])), float(special.expit(p[3])))
+        return -_mixed(odds, noisier, float(special.expit(p[1])), float(special.expit(p[3])), times)
 
     without = optimize.minimize_scalar(
-        lambda p: -_mixed(noisier, noisier, 0.0, float(special.expit(p))), bounds=(-16.0, 2.0)
+        lambda p: -_mixed(noisier, noisier, 0.0, float(special.expit(p)), times), bounds=(-16.0, 2.0)
     )
     start = np.array([np.log(jump), share, special.logit(0.2), share - 3.0])
     fit = optimize.minimize(
@@ -67,7 +74,7 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
             "pixels that are noisier than others do not jump between two levels", answered=True
         )
     # As good as none are noisier where the fit takes all for jumps: then their share has no error.
-    few = special.expit(fit.x[3]) < 1 / series.shape[1]
+    few = special.expit(fit.x[3]) < 1 / count
     free = slice(3) if few else slice(4)
     curvature = hessian(
         lambda p: negative(np.concatenate([p, fit.x[len(p) :]])),
@@ -77,6 +84,7 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     errors = fit_errors(curvature)
     if errors is None:
         return NotMeasurable("jumps of so many pixels are not told from unlike noise: record more darks")
+    errors = np.asarray(errors) * np.sqrt(times[0])  # the loud pixels that were not taken tell nothing
     sides = np.array([-Z90, 0.0, Z90])
     jumps = np.exp(fit.x[0] + errors[0] * sides) * sigma
     shares = [special.expit(fit.x[k] + errors[k] * sides) for k in (1, 2)]
@@ -136,14 +144,32 @@ def pixels_in_order(values: Shaped[np.ndarray, "H W"]) -> Shaped[np.ndarray, "n"
 
 
 def _mixed(
-    odds: Float[np.ndarray, "n"], noisier: Float[np.ndarray, "n"], fraction: float, share: float
-) -> float:
+    odds: Float[np.ndarray, "n"], noisier: Float[np.ndarray, "n"], fraction: float, share: float,
+    times: Float[np.ndarray, "n"],
+) -> float:  # fmt: skip
     """Log-likelihood of pixels of which `fraction` jump and of the others `share` are noisier, up to a
-    constant (each frame's exp(-x^2/2)). odds, noisier: of each pixel against a quiet one, logarithms."""
+    constant (each frame's exp(-x^2/2)). odds, noisier: of each pixel against a quiet one, logarithms. times:
+    for how many pixels each stands."""
     ordinary = np.logaddexp(np.log1p(-share), np.log(share) + noisier)
     if not fraction:
-        return float(np.sum(ordinary))
-    return float(np.sum(np.logaddexp(np.log1p(-fraction) + ordinary, np.log(fraction) + odds)))
+        return float(times @ ordinary)
+    return float(times @ np.logaddexp(np.log1p(-fraction) + ordinary, np.log(fraction) + odds))
+
+
+def told_by(
+    series: Float[np.ndarray, "T n"], spread: Float[np.ndarray, "n"], seed: int = 0
+) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "m"]]:
+    """At most so many values of pixels that a fit of them takes seconds, and for how many pixels each stands.
+    Loud pixels, which tell of jumps, come first. spread: standard deviations over the
+    frames, in units of the noise."""
+    most = max(_MOST_VALUES // (2 * len(series)), 1)
+    rng, taken, times = np.random.default_rng(seed), [], []
+    for part in (spread > _MAY_BE_LOUD, spread <= _MAY_BE_LOUD):
+        inside = np.flatnonzero(part)
+        kept = inside if inside.size <= most else np.sort(rng.choice(inside, most, replace=False))
+        taken.append(kept)
+        times.append(np.full(kept.size, inside.size / max(kept.size, 1)))
+    return series[:, np.concatenate(taken)], np.concatenate(times)
 
 
 def noisier_odds(series: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "n"]:
