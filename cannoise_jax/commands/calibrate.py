@@ -84,7 +84,7 @@ def _run(arguments: argparse.Namespace) -> int:
     notes = as_recorded(model, transfers, findings)
     for note in notes:
         print(note, end="\n\n")
-    texts = _texts(beside, model.camera, shown, capture, notes)
+    texts = _texts(beside, model.camera, shown, capture, (*notes, *_unlike(transfers)))
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
@@ -128,6 +128,14 @@ def _texts(
         ),
         beside["darktable"]: _json(darktable_profiles(camera, rows)),
     }
+
+
+def _unlike(transfers: Sequence[PhotonTransfer]) -> list[str]:
+    """What was said on the way of flats that no dark is as warm as, which bears on all numbers of a sheet."""
+    from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm
+
+    lines = (no_dark_as_warm([s.recording for s in t.statistics]) for t in transfers)
+    return list(dict.fromkeys(filter(None, lines)))
 
 
 def _json(document: dict) -> str:

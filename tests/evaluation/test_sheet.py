@@ -211,6 +211,22 @@ def test_profiles_of_every_iso():
     )
 
 
+def test_a_camera_that_counts_in_decibels_is_named_by_them():
+    own = []
+    for decibels in (0.0, 10.0):
+        iso = 100 * 10 ** (decibels / 20)
+        for r in (made(2000.0, "flat", 0.01, iso, "MONO"), made(0.0, "dark", 0.01, iso, "MONO")):
+            own.append(replace(r, gain_db=decibels))
+    transfers = photon_transfer(CaptureSet("Acme X", tuple(own)))
+    said = "\n".join(map(format_transfer, transfers))
+    assert "gain 0 dB" in said and "gain 10 dB" in said and "ISO" not in said
+    rows = profile_rows(transfers)
+    assert [r["gain_db"] for r in rows] == [0.0, 10.0]
+    (camera,) = darktable_profiles("Acme X", rows)["noiseprofiles"]
+    named = [(p["name"], p["iso"]) for p in camera["models"][0]["profiles"]]
+    assert named == [("Acme X iso 100 (gain 0 dB)", 100), ("Acme X iso 316 (gain 10 dB)", 316)]
+
+
 def test_a_plot_leaves_out_what_its_axes_cannot_show():
     svg = plot([Series("a", [0.0, 1.0, 10.0], [1.0, 2.0, np.nan])], "x & y", "z", log_x=True)
     assert svg.count("<circle") == 1 and "x &amp; y" in svg

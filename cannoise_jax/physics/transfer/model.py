@@ -33,7 +33,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.one_sensor import of_one_sensor
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
-from cannoise_jax.physics.transfer.table import aligned, format_outcome
+from cannoise_jax.physics.transfer.table import aligned, format_outcome, setting_of
 from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
 
 Verdict = Literal[
@@ -198,8 +198,8 @@ def _no_baseline(transfers: Sequence[PhotonTransfer]) -> str:
 
     at = max(transfers, key=flats)
     missing = at.baseline.record if isinstance(at.baseline, NotMeasurable) else ""
-    others = [f"{t.iso:.4g}" for t in transfers if t is not at and t.iso is not None]
-    where = f" at ISO {at.iso:.4g} (others: {', '.join(others)})" if others and at.iso is not None else ""
+    others = [setting_of(t) for t in transfers if t is not at and t.iso is not None]
+    where = f" at {setting_of(at)} (others: {', '.join(others)})" if others and at.iso is not None else ""
     return f"{at.camera}: no baseline can be measured{where}: {missing}"
 
 

@@ -16,7 +16,7 @@ from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channe
 def profile_rows(transfers: Sequence[PhotonTransfer]) -> list[dict[str, Any]]:
     """One row for each ISO that has a baseline and each channel (one of a sensor without colours):
     shot and read of the variance shot * x + read, x = (DN - black) / (white - black), and the same in DN and
-    electrons."""
+    electrons. gain_db: what the ISO of a camera that counts in dB was made of, 100 x 10^(dB / 20)."""
     rows = []
     for transfer in map(of_all_pixels, transfers):
         base = transfer.baseline
@@ -35,6 +35,7 @@ def profile_rows(transfers: Sequence[PhotonTransfer]) -> list[dict[str, Any]]:
                     "read_noise_e": base.read_noise_e[c],
                     "black_level_dn": base.black_level[c],
                     "white_level_dn": base.white_level,
+                    "gain_db": transfer.statistics[0].recording.gain_db,
                 }
             )
     return rows
@@ -56,6 +57,8 @@ def darktable_profiles(camera: str, rows: Sequence[dict[str, Any]]) -> dict[str,
     profiles = []
     for iso in dict.fromkeys(row["iso"] for row in rows):
         own = [row for row in rows if row["iso"] == iso]
+        decibels = own[0]["gain_db"]
+        made_of = "" if decibels is None else f" (gain {decibels:g} dB)"
 
         def mean(name: str, colour: str, own: list[dict[str, Any]] = own) -> float:
             fits = [r[name] for r in own if str(r["channel"]).startswith(colour)]
@@ -64,7 +67,7 @@ def darktable_profiles(camera: str, rows: Sequence[dict[str, Any]]) -> dict[str,
         profiles.append(
             {
                 # Where no file states an ISO, none is made up: it is to be filled in.
-                "name": camera if iso is None else f"{camera} iso {round(iso)}",
+                "name": camera if iso is None else f"{camera} iso {round(iso)}{made_of}",
                 "iso": None if iso is None else round(iso),
                 "a": [mean("shot", colour) for colour in "RGB"],
                 "b": [mean("read", colour) for colour in "RGB"],

@@ -16,7 +16,7 @@ _LONG = 1e7
 
 def format_transfer(result: PhotonTransfer) -> str:
     """The table of one ISO setting. Intervals are 90 %."""
-    setting = "" if result.iso is None else f", ISO {result.iso:g}"
+    setting = f", {named}" if (named := setting_of(result)) else ""
     names = channels_of(result)
     lines = [["", "unit", *(names if len(names) > 1 else ["all pixels"])]]
     notes: list[str] = []
@@ -50,6 +50,15 @@ def format_transfer(result: PhotonTransfer) -> str:
         out += ["", "Not measured, for want of these recordings:"]
         out += [f"  {'; '.join(dict.fromkeys(names_))}: {reason}" for reason, names_ in missing.items()]
     return "\n".join(out)
+
+
+def setting_of(result: PhotonTransfer) -> str:
+    """The gain setting as the camera counts it, empty where none is stated: the ISO of one that counts in dB
+    is made up (100 at 0 dB)."""
+    decibels = result.statistics[0].recording.gain_db
+    if decibels is not None:
+        return f"gain {decibels:g} dB"
+    return "" if result.iso is None else f"ISO {result.iso:g}"
 
 
 def format_outcome(outcome: Outcome) -> str:
