@@ -147,8 +147,10 @@ def test_pixels_that_two_hits_met_by_chance_go_with_the_hits():
     )
     clocking = SIGNATURES["clocking"]
     (left,) = clocking.absorb((field,), clocking.score((field,)))
-    assert SIGNATURES["telegraph"].score((field,)).log_p < -100 < SIGNATURES["telegraph"].score((left,)).log_p
-    assert SIGNATURES["telegraph"].score((left,)).log_p > -7
+    before, after = (SIGNATURES["telegraph"].score((f,)) for f in (field, left))
+    # Noisy as telegraph pixels are, but not the same ones again; and without the hits not even noisy.
+    assert before.gain > 1000 and before.log_p > -7
+    assert after.gain < 10 and after.log_p > -7
 
 
 @pytest.mark.parametrize("growth, told", [(0.0, False), (0.5, True)])
