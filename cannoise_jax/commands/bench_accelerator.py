@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any
 
@@ -45,15 +46,12 @@ def run(arguments: argparse.Namespace) -> None:
     from cannoise_jax.bench.items import ITEMS
     from cannoise_jax.commands.bench_runs import check_table, write_table
 
-    wanted = arguments.only or list(WORK)
-    if unknown := sorted(set(wanted) - set(WORK)):
-        raise BadInput(f"accelerator: {', '.join(unknown)}: known are {', '.join(WORK)}")
+    wanted = asked("accelerator", arguments.only or WORK)
     if arguments.rounds < 1 or arguments.in_a_row < 1:
         raise BadInput("accelerator: --rounds and --in-a-row from 1")
     if arguments.against and find_spec("torch") is None:
         raise BadInput("accelerator: PyTorch is not installed: pip install 'cannoise-jax[torch]'")
-    if jax.default_backend() not in ("gpu", "cuda", "rocm"):
-        raise BadInput("accelerator: JAX finds no GPU: install it with one, or see bin/bench speed")
+    check_gpu("accelerator", ", or see bin/bench speed")
     check_table(arguments)
     engines = ("ours", *((arguments.against,) if arguments.against else ()))
     work = [(engine, name) for name in wanted for engine in engines if engine == "ours" or name in BESIDE]
@@ -84,5 +82,26 @@ def run(arguments: argparse.Namespace) -> None:
         print("  ".join(rows[-1]), flush=True)
     for dtype, rate in rates.items():
         print(f"matrix product, {dtype}: {rate / 1e12:.0f} TFLOP/s")
-    machine = f"{values['device']}, {os.cpu_count()} cores"
-    write_table(arguments, COLUMNS, rows, values, CODE, machine)
+    write_table(arguments, COLUMNS, rows, values, CODE, machine())
+
+
+def asked(verb: str, names: Sequence[str]) -> list[str]:
+    """The names of work. Raises BadInput for one that is none of `WORK`."""
+    if unknown := sorted(set(names) - set(WORK)):
+        raise BadInput(f"{verb}: {', '.join(unknown)}: known are {', '.join(WORK)}")
+    return list(names)
+
+
+def check_gpu(verb: str, instead: str = "") -> None:
+    """Raises BadInput where JAX finds no GPU. instead: what else there is to do."""
+    import jax
+
+    if jax.default_backend() not in ("gpu", "cuda", "rocm"):
+        raise BadInput(f"{verb}: JAX finds no GPU: install it with one{instead}")
+
+
+def machine() -> str:
+    """The accelerator, and the cores beside it."""
+    import jax
+
+    return f"{jax.devices()[0].device_kind}, {os.cpu_count()} cores"

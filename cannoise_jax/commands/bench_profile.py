@@ -7,7 +7,7 @@ import os
 import sys
 from typing import Any
 
-from cannoise_jax.commands.bench_accelerator import CODE, WORK
+from cannoise_jax.commands.bench_accelerator import CODE, WORK, asked, check_gpu, machine
 from cannoise_jax.commands.parser import add_table
 from cannoise_jax.recordings.recording import BadInput
 
@@ -28,19 +28,14 @@ def run(arguments: argparse.Namespace) -> None:
     """Traces, prints and writes the table. Raises BadInput without an accelerator."""
     # One graph of a whole step would hide the kernels in it.
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_gpu_enable_command_buffer=".strip()
-    import jax
-
     from cannoise_jax.bench.items import ITEMS
     from cannoise_jax.bench.profile import profile
     from cannoise_jax.commands.bench_runs import check_table, write_table
 
-    wanted = arguments.only or list(STEPS)
-    if unknown := sorted(set(wanted) - set(WORK)):
-        raise BadInput(f"profile: {', '.join(unknown)}: known are {', '.join(WORK)}")
+    wanted = asked("profile", arguments.only or STEPS)
     if arguments.calls < 1:
         raise BadInput("profile: --calls from 1")
-    if jax.default_backend() not in ("gpu", "cuda", "rocm"):
-        raise BadInput("profile: JAX finds no GPU: install it with one")
+    check_gpu("profile")
     check_table(arguments)
     rows: list[tuple[str, ...]] = []
     values: dict[str, str] = {}
@@ -54,6 +49,4 @@ def run(arguments: argparse.Namespace) -> None:
             print("  ".join(rows[-1]), flush=True)
         for kernel, seconds, times in found.longest:
             print(f"  {1e3 * seconds:8.3f} ms  {times:5d}  {kernel[:110]}", file=sys.stderr, flush=True)
-    write_table(
-        arguments, COLUMNS, rows, values, CODE, f"{jax.devices()[0].device_kind}, {os.cpu_count()} cores"
-    )
+    write_table(arguments, COLUMNS, rows, values, CODE, machine())

@@ -7,6 +7,7 @@ shows: up to some thousand electrons."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,7 @@ from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.memory import cleaned
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import Score, normal_log_p
 from cannoise_jax.signatures.signature import CONTRASTS, Axes, Signature, unchanged
 
@@ -44,10 +46,10 @@ def _third(field: Fields, contrasts: np.ndarray, far: float) -> Float[np.ndarray
     return total
 
 
-def _of_darks(darks: tuple[Fields, ...], lit: Fields, far: float) -> tuple[float, float]:
+def _of_darks(darks: tuple[Fields, ...], lit: Fields) -> tuple[float, float]:
     """Third cumulant of the noise of the darks of a lit recording's gain setting and pixels, DN^3, values
-    beyond `far` DN left out as they are there, and its standard error; 0 without darks."""
-    values, weights = [], []
+    left out as they are there, and its standard error; 0 without darks."""
+    values, weights, far = [], [], _FAR * float(np.median(lit.sigma))
     for f in darks:
         kept = f.usable & lit.usable
         if f.group != lit.group or _too_few(f) or not kept.any():
@@ -62,20 +64,21 @@ def _of_darks(darks: tuple[Fields, ...], lit: Fields, far: float) -> tuple[float
     return float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
 
 
-def excess_score(fields: tuple[Fields, ...], *, unlit: tuple[Fields, ...] = ()) -> Score | None:
+def excess_score(
+    fields: tuple[Fields, ...], *, of_darks: Callable[[Fields], tuple[float, float]]
+) -> Score | None:
     """Third moment of the temporal noise beyond that of Poisson noise of the fitted gain, at every signal,
     and beyond that of the darks, which no light made. Amplitude: F^2 - 1. Of 300 draws of a flat of 40
     electrons, six frames, without it p is below 0.1 in 4 %, 0.05 in 2 %, 0.01 in 0.3 %.
 
-    unlit: the darks with all that light hides in the lit recordings, where it was not taken out."""
+    of_darks: of a lit recording the third cumulant that its darks have, with all that light hides."""
     halves = np.zeros((2, 3))
     for f in fields:
         if not f.lit or _too_few(f):
             continue
         base = (float(np.mean(f.gain)) * f.shot / f.sigma).astype(np.float64) * _left(f)
         bright = base < 0.12
-        dark = _of_darks(unlit, f, _FAR * float(np.median(f.sigma)))
-        also, doubt = (k * _left(f) / f.sigma.astype(np.float64) ** 3 for k in dark)
+        also, doubt = (k * _left(f) / f.sigma.astype(np.float64) ** 3 for k in of_darks(f))
         off = _third(f, cleaned(f), _FAR) - f.frames * (base + also)
         kept = f.usable & (base > 0.004)
         for n, part in enumerate((kept & bright, kept & ~bright)):
@@ -113,11 +116,13 @@ def skewed(
     recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
 ) -> Signature:
     """Shot noise more skewed than its variance says: that of a random gain."""
+    # The darks stay as they were recorded: every pass of a search asks for the same.
+    of_darks = remembered("usable", "sigma")(partial(_of_darks, recorded.unlit))
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "signal", "skewed"),
         reads=CONTRASTS | {"shot", "signal"},
-        score=partial(excess_score, unlit=recorded.unlit),
+        score=partial(excess_score, of_darks=of_darks),
         absorb=unchanged,
         simulate=carried(lambda s: {"excess": s.amplitude}),
         covers=covers,

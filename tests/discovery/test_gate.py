@@ -83,15 +83,21 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
     assert areas[found.model] <= areas["given"]
 
 
-def test_findings_with_a_name_stay_where_one_without_keeps_the_remainder_from_helping():
-    """All are well described, b has no name."""
-    areas = {"given": 0.4, "ab": 0.2, "ab+": 0.3, "a+": 0.05, "given+": 0.03}
-    bench, proofs = Bench(areas), SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
+def gated(bench):
+    """What the gate lets in of two confirmed findings a and b, and the sides that it chose from."""
+    proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
     sides = SimpleNamespace(
         plain=gate_module.of_model("given"), model="given", bare="given",
         of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
     )  # fmt: skip
-    found = gate_module.gate(bench, sides, ("a", "b"), proofs)
+    return gate_module.gate(bench, sides, ("a", "b"), proofs), sides
+
+
+def test_findings_with_a_name_stay_where_one_without_keeps_the_remainder_from_helping():
+    """All are well described, b has no name."""
+    areas = {"given": 0.4, "ab": 0.2, "ab+": 0.3, "a+": 0.05, "given+": 0.03}
+    bench = Bench(areas)
+    found, sides = gated(bench)
     found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
     assert (found.model, found.steps, found.remainder) == ("a+", ("a",), True)
 
@@ -101,12 +107,7 @@ def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
     areas = {"given": 0.4, "ab": 0.14, "ab+": 0.0, "a+": 0.12, "given+": 0.05}
     for unsure, handed_back in ((("ab+",), "ab+"), ((), "ab+")):
         bench = Bench(areas, unsure=unsure)
-        proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
-        sides = SimpleNamespace(
-            plain=gate_module.of_model("given"), model="given", bare="given",
-            of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
-        )  # fmt: skip
-        found = gate_module.gate(bench, sides, ("a", "b"), proofs)
+        found, sides = gated(bench)
         found = gate_module.remaining(found, bench, sides, ("a",), ("a",), lambda model: model + "+")
         assert (found.model, found.steps, found.remainder) == (handed_back, ("a", "b"), True)
         entered = {t.what for t in found.tried if t.entered}
@@ -211,12 +212,8 @@ def test_what_differs_where_nothing_did_is_worse(before, after, worse):
 @pytest.mark.parametrize("alone, handed_back", [(0.1, ("a", ("a",))), (0.4, ("given", ()))])
 def test_findings_whose_names_hold_enter_where_all_together_are_worse(alone, handed_back):
     areas = {"given": 0.4, "ab": 0.6, "a": alone, "a+": 0.5, "given+": 0.5}
-    bench, proofs = Bench(areas), SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
-    sides = SimpleNamespace(
-        plain=gate_module.of_model("given"), model="given", bare="given",
-        of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
-    )  # fmt: skip
-    found = gate_module.gate(bench, sides, ("a", "b"), proofs)
+    bench = Bench(areas)
+    found, sides = gated(bench)
     assert found.model == "given"
     found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
     assert (found.model, found.steps) == handed_back

@@ -173,10 +173,10 @@ def doubts(
         theirs = {n: found[1] for n in unknown if (found := borne.get(n) or bears(n)) is not None}
         every_one = most_of(list(theirs.values()))
         for n in left:
-            larger = [k for k in unknown if outweighs(steps[k], steps[n])]
-            moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
             if confirmed[n] and outshines(steps[n], [steps[k] for k in unknown]):
                 continue
+            larger = [k for k in unknown if outweighs(steps[k], steps[n])]
+            moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
             of_its_own = confirmed[n] and not larger
             out[n] = shadowed(mine[n], every_one, of_its_own, TRACE * moved)
     return tuple(out)

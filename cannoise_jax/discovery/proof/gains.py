@@ -77,15 +77,17 @@ def at_most_twice(with_it: Scored, without: Scored) -> tuple[Scored, Scored]:
     """Both with no part of a recording's frames, or no frame where they were not cut, counting for more than
     twice the typical one of that recording: a few pixels or frames far out may gain more than all others, and
     their scatter then says nothing. What one loses has a bound, the price of its offset."""
-    values, cut = with_it.log_prob - without.log_prob, False
+    values = with_it.log_prob - without.log_prob
     if with_it.parts is not None and without.parts is not None:
-        values, cut = with_it.parts - without.parts, True
+        values = with_it.parts - without.parts
     for r in np.unique(with_it.recording):
         own = with_it.recording == r
         values[own] = np.minimum(values[own], 2 * max(float(np.median(values[own])), 0.0))
-    kept = without._replace(log_prob=np.zeros(len(values)), parts=np.zeros(values.shape) if cut else None)
-    gains = values.sum(1) if cut else values
-    return with_it._replace(log_prob=gains, parts=values if cut else None), kept
+    none = np.zeros_like(values)
+    if values.ndim == 1:
+        return with_it._replace(log_prob=values, parts=None), without._replace(log_prob=none, parts=None)
+    gained = with_it._replace(log_prob=values.sum(1), parts=values)
+    return gained, without._replace(log_prob=none.sum(1), parts=none)
 
 
 def held_out_gain(found: Score, again: Score) -> float:

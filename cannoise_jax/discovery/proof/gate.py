@@ -225,14 +225,9 @@ def _named_alone(gated: Gated, panel: Panel, sides: Sides, sure: tuple[Step, ...
     """With the findings whose names hold, where all findings together made the draws worse."""
     model = sides.level(sides.of(sure))
     looked = panel.look(of_model(model), NAMED_ALONE)
-    tried = _tried("findings with a name", sure, panel, gated.before, looked)
-    tried = tried._replace(entered=tried.better)
-    every = (*gated.tried, tried)
-    return (
-        Gated(model, gated.before, looked, sure, every, False)
-        if tried.better
-        else gated._replace(tried=every)
-    )
+    found = gated.with_only(sure, model, looked, panel)
+    last = found.tried[-1]
+    return found if last.better else gated._replace(tried=(*gated.tried, last._replace(entered=False)))
 
 
 def _those(steps: Sequence[Step], chosen: Sequence[Step]) -> tuple[Step, ...]:

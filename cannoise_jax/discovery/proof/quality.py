@@ -160,8 +160,8 @@ def open_panel(
     return dataclasses.replace(panel, patches=size, control=reached)
 
 
-PLAIN, _CONTROL, NAMED, _QUIET, SURE, WITH_REST, WELL_WITH_REST, REST_ALONE = range(8)
-NAMED_WITH_REST, NAMED_ALONE = 8, 9
+PLAIN, _CONTROL, NAMED, _QUIET, SURE = range(5)
+WITH_REST, WELL_WITH_REST, REST_ALONE, NAMED_WITH_REST, NAMED_ALONE = range(5, 10)
 """Numbers of the simulators that are drawn, for their random numbers."""
 
 

@@ -29,14 +29,8 @@ def in_parts(step: Step) -> Doubt | None:
     """What speaks against a step that names white noise of rows or columns, redrawn in every frame; None:
     nothing does, or it names none."""
     axes = step.named.signature.axes
-    named = step.named.mechanism != UNKNOWN
-    if (
-        not named
-        or axes.varies_over not in ("row", "column")
-        or (axes.time, axes.law) != ("redrawn", "white")
-    ):
-        return None
-    if axes.scales != "additive":
+    white = (axes.time, axes.law, axes.scales) == ("redrawn", "white", "additive")
+    if step.named.mechanism == UNKNOWN or not white or axes.varies_over not in ("row", "column"):
         return None
     axis = 0 if axes.varies_over == "row" else 1
     told = [f for f in step.before if not f.lit] or list(step.before)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.black import mean_error, mean_level
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, Outcome, normal_estimate
@@ -39,10 +40,7 @@ def kelvin_to_double(statistics: Sequence[FrameStatistics]) -> Outcome | None:
     if len(rates) < 2:
         return _RECORD if rates or _rate(darks) is not None else None
     celsius, rate, error = np.array(rates).T
-    logs, weight = np.log(rate), (error / rate) ** -2.0
-    away = celsius - np.average(celsius, weights=weight)
-    spread = float(np.sum(weight * away**2))
-    slope = float(np.sum(weight * away * logs)) / spread
+    slope, spread, _ = _line(celsius, np.log(rate), (error / rate) ** -2.0)
     if slope <= 0:
         return _RECORD
     value = float(np.log(2)) / slope
@@ -65,14 +63,21 @@ def _rate(darks: Sequence[FrameStatistics]) -> tuple[float, float] | None:
     levels = np.array([float(np.mean(mean_level(s))) for _, s in timed])
     errors = np.array([max(float(np.mean([mean_error(s, c) for c in range(4)])), 1e-3) for _, s in timed])
     weight = errors**-2.0
-    away = seconds - np.average(seconds, weights=weight)
-    spread = float(np.sum(weight * away**2))
-    rate = float(np.sum(weight * away * levels)) / spread
-    rest = levels - np.average(levels, weights=weight) - rate * away
+    rate, spread, rest = _line(seconds, levels, weight)
     # Charge that grows otherwise, or a level that wanders, shows about the line.
     larger = float(np.sum(weight * rest**2)) / max(len(timed) - 2, 1)
     error = float(np.sqrt(max(larger, 1.0) / spread))
     return (rate, error) if rate > _CLEAR * error else None
+
+
+def _line(
+    at: Float[np.ndarray, "n"], values: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"]
+) -> tuple[float, float, Float[np.ndarray, "n"]]:
+    """Slope of a line by weighted least squares, the information on it, and what it leaves."""
+    away = at - np.average(at, weights=weight)
+    spread = float(np.sum(weight * away**2))
+    slope = float(np.sum(weight * away * values)) / spread
+    return slope, spread, values - np.average(values, weights=weight) - slope * away
 
 
 def doubling_of(outcomes: Sequence[Outcome]) -> dict[str, float]:
