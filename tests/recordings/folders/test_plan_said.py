@@ -300,5 +300,5 @@ def test_swapped_kinds_and_darks_of_another_gain_are_said(tmp_path):
     plan = plan_folder(tmp_path / "b")
     assert "flat_1s_gain10dB: no dark or bias of that gain" in notes(plan) and not plan.problems
     capture, _ = capture_of(tmp_path / "b", Options({}), tmp_path / "cache")
-    with pytest.raises(BadInput, match=r"at ISO 316.2 \(others: 158.5\): record .* with the cap on"):
+    with pytest.raises(BadInput, match=r"at gain 10 dB \(others: gain 4 dB\): record .* with the cap on"):
         sensor_model(*calibrate(capture))
