@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import math
 import os
 import re
 import stat
@@ -152,6 +153,8 @@ def numbers(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
+    if not all(math.isfinite(value) for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}: give a value in DN")
     if any(0 < abs(value) < LEAST for value in values):
         raise argparse.ArgumentTypeError(f"{text!r}: too small to be meant: give 0")
     if len(values) not in (1, 4):

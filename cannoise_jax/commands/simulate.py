@@ -1,13 +1,15 @@
 """bin/simulate: raw recordings of a camera model, or the catalogue of mechanisms as one page.
 
-bin/simulate --sensor sensor.json --clean IMAGE|DIR|flat:0.2|dark --frames 8 --iso 800 --exposure 0.02
---out DIR bin/simulate --catalogue --out catalogue.html
+bin/simulate --sensor sensor.json --clean IMAGE|DIR|flat:0.2|dark --frames 8 --iso 800 --out DIR
+bin/simulate --catalogue --out catalogue.html
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import logging
+import math
 import sys
 import warnings
 import zlib
@@ -26,7 +28,7 @@ from cannoise_jax.commands.parser import (
     seconds,
     seed,
 )
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.recording import MOST_DB, BadInput, iso_of_gain
 
 if TYPE_CHECKING:
     import jax
@@ -74,7 +76,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--frames", type=int, default=1, help="frames per recording (default 1)")
     add("--force", action="store_true", help="replace recordings that exist")
-    add("--iso", type=above_zero, help="default: the first calibrated ISO")
+    gain = parser.add_mutually_exclusive_group()
+    gain.add_argument("--iso", type=above_zero, help="default: the first calibrated ISO")
+    gain.add_argument(
+        "--gain",
+        type=_decibels,
+        metavar="DB",
+        help="for --iso, of a camera that counts its gain in dB",
+    )
     add("--exposure", type=seconds, default=0.01, metavar="S", help="exposure time in seconds (default 0.01)")
     add("--temperature", type=celsius, metavar="C", help="degrees Celsius (default: that of the calibration)")
     add(
@@ -104,6 +113,16 @@ def _size(text: str) -> tuple[int, int]:
     return height, width
 
 
+def _decibels(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MOST_DB:
+        raise argparse.ArgumentTypeError(f"{text!r}: give a gain in dB, at most {MOST_DB:g}")
+    return value
+
+
 def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording]]:
     """Draws and writes one recording per clean mosaic."""
     if not arguments.sensor or not arguments.clean:
@@ -123,9 +142,11 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
+    if arguments.gain is not None:
+        iso = iso_of_gain(arguments.gain)
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
-    paths = [arguments.out / _name(clean, settings, arguments.unit) for clean in clean_scenes]
+    paths = [arguments.out / _name(clean, settings, arguments.gain, arguments.unit) for clean in clean_scenes]
     for clean, path in zip(clean_scenes, paths, strict=True):
         height, width = clean.values.shape
         if model.cfa != "MONO" and (height % 2 or width % 2):
@@ -142,15 +163,16 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         for number, (clean, path) in enumerate(zip(clean_scenes, paths, strict=True)):
             # By name, so that a dark and a flat of two calls have no noise in common.
             own = jax.random.fold_in(key, zlib.crc32(path.name.encode()))
-            recording = record(model, own, clean, settings)
+            recording = dataclasses.replace(record(model, own, clean, settings), gain_db=arguments.gain)
             write_recording(path, recording)
             yield path, recording
             tell(number + 1, len(clean_scenes))
 
 
-def _name(clean: Clean, settings: Settings, unit: int | None) -> str:
+def _name(clean: Clean, settings: Settings, decibels: float | None, unit: int | None) -> str:
     """The file of a recording: scene and setting, so that those of several settings lie side by side."""
-    parts = [clean.name, f"iso{settings.iso:g}", f"{settings.exposure_s:g}s"]
+    gain = f"iso{settings.iso:g}" if decibels is None else f"gain{decibels:g}dB"
+    parts = [clean.name, gain, f"{settings.exposure_s:g}s"]
     parts += [] if settings.temperature_c is None else [f"{settings.temperature_c:g}C"]
     parts += [] if unit is None else [f"unit{unit}"]
     return "_".join(parts) + ".h5"

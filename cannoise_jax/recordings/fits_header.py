@@ -17,7 +17,7 @@ from typing import Any
 from cannoise_jax.recordings.fits_cards import EXPOSURES, exposures_in, number_in, text_in
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 from cannoise_jax.recordings.packing import to_shifted_cfa
-from cannoise_jax.recordings.recording import COLDEST_C
+from cannoise_jax.recordings.recording import COLDEST_C, iso_of_gain
 
 _TENTH_DB = re.compile(r"\b(zwo|asi\d|player ?one)", re.IGNORECASE)
 _MONO = re.compile(r"\b(ASI\d+MM|QHY\d+M\b|\w+M-PRO MONO)|\bmono(chrome)?\b", re.IGNORECASE)
@@ -63,7 +63,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "white_level": number_in(header, ("SATURATE", "SATLEVEL"), 1),
         "camera": camera,
         "kind": kind_of(image_type) if image_type else None,
-        "iso": 100 * 10 ** (decibels / 20) if iso is None and decibels is not None else iso,
+        "iso": iso_of_gain(decibels) if iso is None and decibels is not None else iso,
         "gain_db": decibels if iso is None else None,
         "egain": _egain(header, decibels is not None or iso is not None),
         "exposure_s": next(iter(exposures_in(header).values()), None),

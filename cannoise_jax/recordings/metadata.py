@@ -21,6 +21,7 @@ from cannoise_jax.recordings.recording import (
     COLDEST_C,
     HOTTEST_C,
     KINDS,
+    MOST_DB,
     REFERENCES,
     BadInput,
     Frames,
@@ -70,8 +71,6 @@ _HIGHEST = 2.0**20
 refuse the frames; beyond that it is damage."""
 _BRIGHTEST = 2.0**20
 """Of a noise-free image, in white levels: what lies beyond is damage."""
-_MOST_DB = 200.0
-"""A factor of ten thousand million; cameras have some fifty decibels."""
 _log = logging.getLogger(__name__)
 
 
@@ -130,7 +129,7 @@ def make_recording(
         kind=one_of(path, stated, "kind", KINDS) or "scene",
         clean=_checked_clean(path, frames, stated.get("clean"), scan),
         iso=optional_number(path, stated, "iso", least=0),
-        gain_db=optional_number(path, stated, "gain_db", least=-_MOST_DB, most=_MOST_DB),
+        gain_db=optional_number(path, stated, "gain_db", least=-MOST_DB, most=MOST_DB),
         egain=optional_number(path, stated, "egain", least=1e-6),
         full_code=optional_number(path, stated, "full_code", least=0),
         exposure_s=exposure_of(path, stated),

@@ -31,6 +31,8 @@ LEAST = 2.0**-126
 """Magnitude of a number that is not 0: float32 has no less in full precision."""
 MOST = 1e9
 """An ISO, or another setting without a limit of its own."""
+MOST_DB = 200.0
+"""A factor of ten thousand million; cameras have some fifty decibels."""
 
 Kind = Literal["scene", "flat", "dark", "bias"]
 PerChannel = tuple[float, float, float, float]
@@ -39,6 +41,11 @@ PerChannel = tuple[float, float, float, float]
 
 _LONGEST_LINE = 880
 """Characters of a message: some name every mechanism that there is."""
+
+
+def iso_of_gain(decibels: float) -> float:
+    """The ISO that stands for the gain of a camera that counts in dB: 100 at 0 dB."""
+    return 100 * 10 ** (decibels / 20)
 
 
 def in_one_line(value: object) -> str:

@@ -104,9 +104,13 @@ def test_several_settings_lie_side_by_side(sensor, tmp_path):
     dark = ["--sensor", sensor, "--clean", "dark", "--size", "32x32", "--out", str(out)]
     for more in (["--exposure", "10"], ["--exposure", "0.5"], ["--iso", "400"], ["--temperature", "-5"]):
         assert main([*dark, *more]) == 0
+    assert main([*dark, "--gain", "6"]) == 0
     assert sorted(p.name for p in out.iterdir()) == [
+        "dark_gain6dB_0.01s.h5",
         "dark_iso100_0.01s_-5C.h5", "dark_iso100_0.5s.h5", "dark_iso100_10s.h5", "dark_iso400_0.01s.h5",
     ]  # fmt: skip
+    of_gain = read_recording(out / "dark_gain6dB_0.01s.h5")
+    assert (of_gain.gain_db, of_gain.iso) == (6.0, pytest.approx(199.526, abs=1e-3))
     assert read_recording(out / "dark_iso100_10s.h5").exposure_s == 10.0
 
 
@@ -140,6 +144,7 @@ def test_bad_input_is_one_line_and_status_2(arguments, message, sensor, tmp_path
             for v in ("inf", "-1", "1e9", "1e-320", "soon")
         ),
         *(("--iso", v, "a number above 0, at most 1e+09") for v in ("0", "inf", "nan", "2e9", "1e-320")),
+        *(("--gain", v, "a gain in dB, at most 200") for v in ("inf", "nan", "-201", "loud")),
         *(("--temperature", v, "degrees Celsius, -273.15 or more") for v in ("nan", "inf", "-300", "1e-320")),
         *(
             (flag, v, "a whole number from 0 to 4294967295")
