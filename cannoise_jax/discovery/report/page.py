@@ -246,6 +246,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         percent=percent,
         sites=sites,
         size=size,
+        amount=amount,
         nats=nats,
         certain=CERTAIN,
         pictures=pictures,
