@@ -56,11 +56,6 @@ def precise(value: Any) -> str:
     return f"{value:.6f}" if isinstance(value, float) else number(value)
 
 
-def unit(text: str | None) -> str:
-    """A unit as it follows a number: nothing for a dimensionless one."""
-    return "" if text in (None, "1") else f" {text}"
-
-
 def place(where: dict[str, Any]) -> str:
     """`where` in words."""
     more = []
@@ -256,7 +251,6 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         shadows_of=sentence_of,
         sizes=sizes,
         precise=precise,
-        unit=unit,
         place=place,
         name=_name,
         advice=advice(report),
