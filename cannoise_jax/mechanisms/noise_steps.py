@@ -220,7 +220,7 @@ ENTRIES: tuple[Entry, ...] = (
         needs="three dark frames or more; eight are better",
         signatures=looks.always(
             looks.pixels.own_noise(name="pixel_spread", parameter="spread", covers=looks.NOISY,
-                                   smooth=("comb",)),
+                                   smooth=("comb",), before=("telegraph",)),
         ),
         estimator=Estimator(maps.pixel_read_noise_map, least=0.03, law="spread",
                             maps=measured.read_noise, spares=maps.pixel_read_noise_map),

@@ -9,6 +9,7 @@ from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
+from cannoise_jax.signatures.jumps import merely_noisy
 from cannoise_jax.signatures.known_shape import darks, known_kurtosis, kurtosis_doubt
 from cannoise_jax.signatures.least import (
     Law,
@@ -32,6 +33,8 @@ _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 
 """Relative spreads of the pixels' noise that are tried; a parabola goes between."""
 
 
+_LOOKED_AT = np.log(0.05)
+"""Log p from which on it is not asked how the noisy pixels are noisy."""
 _OF_NO_LAW = 1e-3
 """Share of the pixels whose noise may be any of these."""
 _LOUDEST = 12.0
@@ -57,12 +60,6 @@ def _sum_of_squares(chosen: Many, charge: np.ndarray | None) -> np.ndarray:
     for f in chosen:
         total += np.einsum("nij,nij->ij", f.contrasts, f.contrasts) / by_charge(f, charge)
     return total
-
-
-def sums_of_squares(fields: tuple[Fields, ...]) -> tuple[np.ndarray, int] | None:
-    """The sums of squares of the usable pixels and their degrees of freedom."""
-    found = square_map(fields)
-    return None if found is None else (found[0][found[1]], found[2])
 
 
 def _known_dispersion(fields: tuple[Fields, ...]) -> tuple[float, float]:
@@ -98,12 +95,14 @@ def _dispersion_log_p(squares: np.ndarray, n: int, known: float, doubt: float) -
     return skewed_log_p(z, skewness, 1), z
 
 
-def spread_score(fields: tuple[Fields, ...]) -> Score | None:
-    """A read noise of its own for every pixel (log-normal): marginal likelihood of the sums of squares."""
-    found = sums_of_squares(fields)
+def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
+    """A read noise of its own for every pixel (log-normal): marginal likelihood of the sums of squares.
+    Payload: whether the noisy pixels are of that kind, and do not jump."""
+    found = square_map(fields)
     if found is None:
         return None
-    squares, n = found
+    whole, usable, n = found
+    squares = whole[usable]
     log_p, z = _dispersion_log_p(squares, n, *_known_dispersion(fields))
     nodes, weights = np.polynomial.hermite_e.hermegauss(15)
     counts, centre = histogram(squares)
@@ -127,6 +126,7 @@ def spread_score(fields: tuple[Fields, ...]) -> Score | None:
     error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
     return Score(
         log_p=log_p,
+        payload=log_p < _LOOKED_AT and merely_noisy(fields, whole, usable),
         gain=best,
         penalty=0.5 * float(np.log(squares.size)),
         amplitude=at,
@@ -246,10 +246,16 @@ kurtosis is then 3 (exp(4 w^2) - 1), 0.8, as `shape` has it for tails."""
 
 
 def own_noise(
-    *, name: str, parameter: str, covers: tuple[str, ...], smooth: tuple[str, ...] = ()
+    *,
+    name: str,
+    parameter: str,
+    covers: tuple[str, ...],
+    smooth: tuple[str, ...] = (),
+    before: tuple[str, ...] = (),
 ) -> Signature:
     """A read noise of its own for every pixel. smooth: signatures that take the counts of codes to be as
-    smooth as those of normal noise."""
+    smooth as those of normal noise. before: those of pixels that jump, which are judged later where most of
+    the noisy ones do not."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
         return noise_factors(fields, score.amplitude, rng)
@@ -271,6 +277,7 @@ def own_noise(
         score=spread_score,
         absorb=unchanged,
         covers=covers,
+        before=lambda score: before if score.payload else (),
         hides=lambda score: smooth if score.amplitude > _PEAKED else (),
         predict=NO_LAW,
         pattern=pattern,
