@@ -71,9 +71,26 @@ def name(
 ) -> Named | None:
     """Ranks what the battery rejects by penalised log-likelihood gain; None when it rejects nothing."""
     by_name = {p.name: p for p in signatures}
-    significant = _first_judged(located.significant(log_alpha), by_name)
+    significant = located.significant(log_alpha)
     if not significant:
         return None
+    significant = _judged_before(next(iter(significant)), significant, by_name) or significant
+    found = _ranked(significant, by_name, located, allowed)
+    first = _judged_before(found.signature.name, significant, by_name)
+    return _ranked(first, by_name, located, allowed) if first else found
+
+
+def _judged_before(
+    one: str, significant: dict[str, Score], by_name: dict[str, Signature]
+) -> dict[str, Score]:
+    """The rejected scores that must be judged before one of them."""
+    return {n: s for n, s in significant.items() if one in by_name[n].before(s)}
+
+
+def _ranked(
+    significant: dict[str, Score], by_name: dict[str, Signature], located: Located, allowed: frozenset[str]
+) -> Named:
+    """The name of the most evidence, that of what it is lifted by and of each of its readings with it."""
     evidence: dict[str, float] = {UNKNOWN: 0.0}
     best: dict[str, str] = {}
     for which, score in significant.items():
@@ -92,9 +109,3 @@ def name(
     ties = [m for m in ranked if evidence[chosen] - evidence[m] < TIE_NATS]
     which = best[chosen]
     return Named(significant[which], by_name[which], chosen, tuple(candidates), len(ties) > 1)
-
-
-def _first_judged(significant: dict[str, Score], by_name: dict[str, Signature]) -> dict[str, Score]:
-    """The rejected scores; those alone that must be judged before the strongest, where there are any."""
-    first = {n: s for n, s in significant.items() if next(iter(significant)) in by_name[n].before(s)}
-    return first or significant
