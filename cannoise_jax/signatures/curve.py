@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from cannoise_jax.signatures.handed import Addition
-from cannoise_jax.signatures.recorded import GroupBaseline, Recorded
+from cannoise_jax.signatures.recorded import GroupBaseline, Recorded, Stated
 from cannoise_jax.signatures.score import (
     OF_A_CURVE,
     ONE_PARAMETER,
@@ -36,28 +36,27 @@ def stated_score(
     *,
     kind: str,
     baselines: tuple[GroupBaseline, ...],
-    stated: tuple,
-    doubt: float,
+    stated: tuple[Stated | None, ...],
     charge: tuple[float, ...],
 ) -> Score | None:
-    """Fitted gain or read noise per channel against the stated one, log ratio; doubt: variance of the
-    difference over that of the fit, above 1 where the stated value is itself a fit. charge: variance of dark
+    """Fitted gain or read noise per channel against the stated one, log ratio. charge: variance of dark
     charge in the fitted read noise that is not in the stated one, DN^2."""
     u = i = 0.0
     dof = 0
-    for baseline, (gain, read), more in zip(baselines, stated, charge, strict=True):
-        if gain is None:
+    for baseline, said, more in zip(baselines, stated, charge, strict=True):
+        if said is None:
             continue
-        value, error, other = baseline.gain, baseline.gain_stderr, gain
+        value, error, other, doubt = baseline.gain, baseline.gain_stderr, said.gain, said.gain_stderr
         if kind == "read":
             # Never less than a tenth of it: the charge is a fit as well.
             least = (0.1 * baseline.read_noise) ** 2
             value = np.sqrt(np.maximum(baseline.read_noise**2 - more, least))
-            error, other = baseline.read_stderr * baseline.read_noise / value, read
+            error = baseline.read_stderr * baseline.read_noise / value
+            other, doubt = said.read_noise, said.read_stderr
         for c in range(4):
             if error[c] <= 0 or other[c] <= 0:
                 continue
-            relative = np.sqrt(doubt) * error[c] / value[c]
+            relative = float(np.hypot(error[c] / value[c], doubt[c] / other[c]))
             difference = float(np.log(value[c] / other[c]))
             dof += 1
             u += difference / relative**2
@@ -217,7 +216,6 @@ def restated(
                 kind=kind,
                 baselines=recorded.baselines,
                 stated=recorded.stated,
-                doubt=1.5 if recorded.fitted_too else 1.0,
                 charge=recorded.charge,
             ),
             covers=covers,

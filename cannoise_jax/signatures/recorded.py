@@ -65,14 +65,24 @@ class Occurred(NamedTuple):
     step: float
 
 
+class Stated(NamedTuple):
+    """Gain (DN/e-) and read noise (DN) of every mosaic site that are judged, and their standard errors: 0 of
+    what files state."""
+
+    gain: Float[np.ndarray, "4"]
+    read_noise: Float[np.ndarray, "4"]
+    gain_stderr: Float[np.ndarray, "4"]
+    read_stderr: Float[np.ndarray, "4"]
+
+
 class Recorded(NamedTuple):
     """What the files say, and what was calibrated.
 
     black: stated black level of every gain setting, or that of the judged simulator, per mosaic site, DN;
     tolerance: how far it may be
     rounded; greens: sites of the two greens, None: there are none. jitter: variance of the frame offsets of
-    the darks, DN^2. stated: gain (DN/e-) and read noise (DN) per gain setting that are judged, None: none
-    are; fitted_too: whether they are themselves fits. step: of the codes, span: white minus black, DN. mono:
+    the darks, DN^2. stated: what is judged per gain setting, None: nothing is; fitted_too: whether it
+    is itself a fit. step: of the codes, span: white minus black, DN. mono:
     whether neighbours see the same colour. times: numbers of the frames of every recording, in the order they
     were taken. occurred: see `Occurred`. units: DN of each gain setting in one of the lowest, where they are
     known. seconds: exposures that recordings state. rise: how the level of the judged simulator's darks rises
@@ -87,7 +97,7 @@ class Recorded(NamedTuple):
     jitter: float
     codes: Codes
     baselines: tuple[GroupBaseline, ...]
-    stated: tuple | None
+    stated: tuple[Stated | None, ...] | None
     fitted_too: bool
     step: float
     span: float

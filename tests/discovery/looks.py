@@ -6,7 +6,7 @@ import numpy as np
 
 from cannoise_jax.mechanisms import signatures
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Occurred, Recorded
+from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Occurred, Recorded, Stated
 from cannoise_jax.signatures.signature import Signature
 
 _GAIN, _READ = np.full(4, 1.5), np.full(4, 2.0)
@@ -30,7 +30,7 @@ RECORDED = Recorded(
             pedestal=np.full(4, 100.0),
         ),
     ),
-    stated=((_GAIN, _READ),),
+    stated=(Stated(_GAIN, _READ, np.zeros(4), np.zeros(4)),),
     fitted_too=False,
     step=1.0,
     span=1000.0,

@@ -24,7 +24,7 @@ from cannoise_jax.signatures.behind_gain import BEHIND
 from cannoise_jax.signatures.code_spacing import occurrences
 from cannoise_jax.signatures.fields import Fields, referred, refit
 from cannoise_jax.signatures.levels import charge_beyond, frame_jitter
-from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Recorded
+from cannoise_jax.signatures.recorded import Codes, GroupBaseline, Recorded, Stated
 from cannoise_jax.signatures.signature import Signature
 
 _PILE = 1e-3
@@ -205,19 +205,20 @@ def _darks(recordings: list[Recording]) -> list[Recording]:
     return [r for r in recordings if r.kind in DARK] or recordings
 
 
-def stated_parameters(capture: CaptureSet, baselines: tuple[GroupBaseline, ...]) -> tuple:
-    """Gain (DN/e-) and read noise (DN) of the files per gain setting; None where not stated. None at all, or
-    less, is taken as next to none, so that it is judged, too."""
-    out: list[tuple] = []
+def stated_parameters(capture: CaptureSet, baselines: tuple[GroupBaseline, ...]) -> tuple[Stated | None, ...]:
+    """Gain and read noise of the files per gain setting; None where not stated. None, or less, is taken as
+    next to none, so that it is judged, too."""
+    out: list[Stated | None] = []
     for baseline in baselines:
         chosen = [r for r in capture.recordings if r.iso == baseline.iso and r.shot and r.read]
         if not chosen:
-            out.append((None, None))
+            out.append(None)
             continue
         r = chosen[0]
         span = r.white_level - np.asarray(r.black_level)
         read = np.sqrt(np.maximum(np.asarray(r.read), 0.0)) * span
-        out.append((np.maximum(np.asarray(r.shot) * span, 1e-6), np.maximum(read, 1e-3)))
+        gain, read = np.maximum(np.asarray(r.shot) * span, 1e-6), np.maximum(read, 1e-3)
+        out.append(Stated(gain, read, np.zeros(4), np.zeros(4)))
     return tuple(out)
 
 

@@ -62,6 +62,9 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
         _line(curves, [p for p in levels if p.channel == c and not p.full], c, chosen[0]) for c in range(4)
     ]
     gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
+    # The four channels have it in common: the variance of each is twice as unsure as that of all.
+    common = _between_frames(dark, float(np.linalg.norm(read_error * read)) / 2)
+    read_error = np.maximum(read_error, 2 * common / (2 * read))
     pedestal = black.copy()
     for s in (s for s in chosen if s.recording.kind in DARK and len(s.contrasts)):
         if (s.recording.exposure_s or 0.0) == _shortest(chosen):
@@ -79,6 +82,26 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
         levels=tuple(levels),
         pedestal=pedestal,
     )
+
+
+_FEWEST_CONTRASTS = 3
+"""Of a dark from which on they show how its noise differs from frame to frame."""
+_MORE = 2.0
+"""Standard errors of pixels that are independent, from which on what frames differ by is no chance: of three
+contrasts it is 1.7 of those in one of twenty."""
+
+
+def _between_frames(dark: list[Stack], known: float) -> float:
+    """Standard error of the mean variance of the quietest dark by what its contrasts differ in, DN^2: what
+    whole frames have, as a wave, averages over frames and not over pixels. known: that of pixels that are
+    independent; 0: it is no more than that."""
+    told = [s for s in dark if len(s.contrasts) >= _FEWEST_CONTRASTS]
+    if not told:
+        return 0.0
+    quietest = min(told, key=lambda s: float(np.mean(s.variance)))
+    each = np.array([np.mean((c - c.mean()) ** 2) for c in quietest.contrasts])
+    error = float(each.std(ddof=1) / np.sqrt(each.size))
+    return error if error > _MORE * known else 0.0
 
 
 def _line(

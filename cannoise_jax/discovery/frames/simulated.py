@@ -13,22 +13,24 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet
 from cannoise_jax.signatures.levels import STANDS_OUT, slope_of
-from cannoise_jax.signatures.recorded import GroupBaseline
+from cannoise_jax.signatures.recorded import GroupBaseline, Stated
 
 _SURE = 3.0
 """Standard errors of the mean of all sites, of which that of one is twice as large."""
 
 
-def drawn_parameters(drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float) -> tuple:
-    """Gain (DN/e-) and read noise (DN) of a simulator per gain setting, fitted on its own draws."""
-    out: list[tuple] = []
+def drawn_parameters(
+    drawn: CaptureSet, baselines: tuple[GroupBaseline, ...], step: float
+) -> tuple[Stated | None, ...]:
+    """Gain and read noise of a simulator per gain setting, fitted on its own draws."""
+    out: list[Stated | None] = []
     for baseline in baselines:
         chosen = [(n, r) for n, r in enumerate(drawn.recordings) if r.iso == baseline.iso and r.count > 1]
         if not chosen:
-            out.append((None, None))
+            out.append(None)
             continue
         fitted = fit_baseline([stack(r, n, list(range(r.count)), step) for n, r in chosen], baseline.iso)
-        out.append((fitted.gain, fitted.read_noise))
+        out.append(Stated(fitted.gain, fitted.read_noise, fitted.gain_stderr, fitted.read_stderr))
     return tuple(out)
 
 

@@ -29,22 +29,25 @@ from cannoise_jax.physics.transfer.model import measured_at
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, per_channel
 from cannoise_jax.signatures.handed import Addition, Found
+from cannoise_jax.signatures.recorded import Stated
 
 _SAME_LEVEL = 1e-3
 """DN that a level may differ by through rounding of single precision."""
 
 
-def baseline_model(capture: CaptureSet, prepared: Prepared, stated: tuple | None = None) -> SensorModel:
-    """The fitted Poisson-Gaussian baseline of the recordings; with gain and read noise (DN) as `stated` per
-    gain setting where given."""
+def baseline_model(
+    capture: CaptureSet, prepared: Prepared, stated: tuple[Stated | None, ...] | None = None
+) -> SensorModel:
+    """The fitted Poisson-Gaussian baseline of the recordings; with gain and read noise as `stated` per gain
+    setting where given."""
     first = capture.recordings[0]
     order = np.argsort([prepared.isos[b.iso] for b in prepared.baselines])
     gains, reads = [], []
     for n in order:
         baseline = prepared.baselines[n]
-        gain, read = stated[n] if stated is not None and stated[n][0] is not None else (None, None)
-        gains.append(np.maximum(baseline.gain if gain is None else gain, 1e-6))
-        reads.append((baseline.read_noise if read is None else read) / gains[-1])
+        said = None if stated is None else stated[n]
+        gains.append(np.maximum((said or baseline).gain, 1e-6))
+        reads.append((said or baseline).read_noise / gains[-1])
     baselines = [prepared.baselines[n] for n in order]
     return SensorModel.poisson_gaussian(
         np.stack(gains),
