@@ -205,8 +205,8 @@ def empty(whole: Compared, each: list[Borne], step: Step) -> Doubt | None:
 
 
 def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
-    """What speaks against a name for lines that are redrawn: that they have much of the frame before. each:
-    what the mechanism bears on."""
+    """What speaks against a name for lines that are redrawn: that they have much of the frame before, or of
+    its reverse. each: what the mechanism bears on."""
     lines = [np.zeros(2, bool)]
     where = []
     for b, cells in drawn_structures(each):
@@ -219,11 +219,12 @@ def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
         return None
     z = np.sum([j.z for j in found], 0) / np.sqrt(len(found))
     more = np.mean([j.recorded - j.simulated for j in found], 0)
-    told = mine & (z > max(j.passing for j in found)) & (more > _REMEMBERED)
+    told = mine & (np.abs(z) > max(j.passing for j in found)) & (np.abs(more) > _REMEMBERED)
     if not told.any():
         return None
-    k = int(np.argmax(np.where(told, more, 0)))
+    k = int(np.argmax(np.where(told, np.abs(more), 0)))
     part = own_part(each)
     side = "rows" if k < len(LINE_LAGS) else "columns"
-    said = f"{side} remember the frame before: a correlation of {more[k]:.2f} beyond the simulator's"
+    does = "remember" if more[k] > 0 else "turn over what they were in"
+    said = f"{side} {does} the frame before: a correlation of {more[k]:.2f} beyond the simulator's"
     return Doubt(part.after / max(part.before, 1e-9), (said,), instead=True)
