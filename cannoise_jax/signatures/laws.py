@@ -133,16 +133,17 @@ def compare_counts(
     recorded: Float[np.ndarray, "u k"],
     simulated: Float[np.ndarray, "m v k"],
     share: float,
+    least: Float[np.ndarray, "k"] | float = 1.0,
 ) -> Judged:
     """Counts: given their sum, binomial with `share` = recorded trials over all trials; where the simulator's
-    units scatter more than Poisson counts, both are divided by the excess."""
+    units scatter more than Poisson counts, both are divided by the excess, by `least` at least."""
     a, b = recorded.sum(0), simulated.sum((0, 1))
     mean = np.maximum(simulated.mean((0, 1)), 0.5)
     each, between, dof = _spread(simulated, mean)
     excess = np.ones_like(b)
     if dof:
         excess = np.maximum((_PRIOR + dof * each / mean) / (_PRIOR + dof), 1.0)
-    excess = excess * between
+    excess = np.maximum(excess * between, least)
     x, n = np.floor(a / excess), np.floor(a / excess) + np.ceil(b / excess)
     upper, lower = stats.binom.sf(x - 1, n, share), stats.binom.cdf(x, n, share)
     wide = np.sqrt(np.maximum(n * share * (1 - share), 0.25))

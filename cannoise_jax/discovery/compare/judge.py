@@ -13,12 +13,32 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TEMPORAL, Family, of
+from cannoise_jax.discovery.compare.correlated import Correlated, correlated, of_counts, of_moments, unskewed
+from cannoise_jax.discovery.compare.families import (
+    FAMILIES,
+    MOMENTS,
+    QUIET_CHANCES,
+    SMOOTH_MAPS,
+    STATIC,
+    TAIL_SIGMAS,
+    TAILS,
+    TEMPORAL,
+    UNSTEADY,
+    UNSTEADY_CHANCES,
+    Family,
+    of,
+)
 from cannoise_jax.discovery.compare.measure import Measured, Statistics, of_sets
 from cannoise_jax.signatures import laws
 
 FLOOR = 4.0
 """No statistic is reported below as many standard deviations, however few were looked at."""
+
+_COUNTED = {
+    TAILS: (tuple(float(stats.norm.sf(abs(t))) for t in TAIL_SIGMAS), False),
+    UNSTEADY: ((*UNSTEADY_CHANCES, *QUIET_CHANCES), True),
+}
+"""Chances of the limits beyond which a family counts pixels, and whether it counts them by their squares."""
 
 
 class Judgement(NamedTuple):
@@ -48,10 +68,14 @@ class Peak(NamedTuple):
 
 
 def judged(
-    recorded: Statistics, simulated: list[Statistics], moving: list[Statistics] | None = None
+    recorded: Statistics,
+    simulated: list[Statistics],
+    moving: list[Statistics] | None = None,
+    counts: Float[np.ndarray, "k"] | float = 1.0,
 ) -> laws.Judged:
     """One family by its law. moving: that of what is redrawn, whose mean is in a static map and scatters as
-    it does, which is seen in many contrasts but in one map a set."""
+    it does, which is seen in many contrasts but in one map a set. counts: how much more than independent ones
+    counts scatter at least."""
     real, drawn = recorded.values, np.stack([s.values for s in simulated])
     if recorded.law == "energy":
         free = recorded.size > 0
@@ -63,7 +87,7 @@ def judged(
         return laws.Judged(*(_spread_over(v, free) for v in out))
     if recorded.law == "count":
         share = len(real) / (len(real) + drawn.shape[0] * drawn.shape[1])
-        return laws.compare_counts(real, drawn, share)
+        return laws.compare_counts(real, drawn, share, counts)
     return laws.compare_means(real, drawn, recorded.size)
 
 
@@ -96,6 +120,32 @@ def _spread_over(values: np.ndarray, free: np.ndarray) -> np.ndarray:
     return out
 
 
+def _noise(sets: list[Measured]) -> Correlated | None:
+    """How a simulator's noise is alike from pixel to pixel: rows that it redraws are in the mean of its
+    frames too. None: it draws single frames."""
+    powers = [(s.power, s.contrasts, s.width) for s in sets if s.power is not None and s.contrasts]
+    if not powers:
+        return None
+    fields = sum(n for _, n, _ in powers)
+    return correlated(np.sum([p for p, _, _ in powers], 0) / fields, powers[0][2], fields)
+
+
+def _in_noise(
+    family: Family, recorded: Statistics, drawn: list[Statistics], moving, noise: Correlated | None
+) -> laws.Judged:
+    """One family where pixels are alike as `noise` has it. moving: see `judged`."""
+    if family.name == SMOOTH_MAPS:  # by the scatter that all of them show
+        recorded = recorded._replace(size=np.mean([recorded.size, *(s.size for s in drawn)], 0))
+    if noise is None or family.name not in (MOMENTS, *_COUNTED):
+        return judged(recorded, drawn, moving)
+    if family.name == MOMENTS:
+        wider, pixels = of_moments(noise), 2.0 / float(recorded.size[0])
+        out = judged(recorded._replace(size=recorded.size * wider), drawn, moving)
+        return out._replace(z=unskewed(out.z, wider, pixels))
+    chances, squares = _COUNTED[family.name]
+    return judged(recorded, drawn, moving, of_counts(noise, chances, squares))
+
+
 def judge(
     recorded: dict[str, Measured], simulated: dict[str, list[Measured]], kinds: dict[str, str], alpha: float
 ) -> tuple[list[Judgement], list[Peak]]:
@@ -106,6 +156,7 @@ def judge(
     every: dict[str, list[tuple[str, laws.Judged]]] = defaultdict(list)
     for name, real in recorded.items():
         own: dict[str, laws.Judged] = {}
+        noise = _noise(simulated[name])
         for family, values in real.families.items():
             drawn = of_sets(simulated[name], family)
             if drawn:
@@ -115,7 +166,7 @@ def judge(
                 if moving is not None:
                     values = without_noise(known, values, moving, drawn)
                 units = None if moving is None else of_sets(simulated[name], redrawn)
-                own[family] = judged(values, drawn, units)
+                own[family] = _in_noise(known, values, drawn, units, noise)
                 every[family].append((name, own[family]))
     for results in every.values():
         pooled = []

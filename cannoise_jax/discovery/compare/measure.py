@@ -57,14 +57,15 @@ class Statistics(NamedTuple):
 
 class Measured(NamedTuple):
     """The families of one recording by name, the summed periodogram of its contrasts and how many they are,
-    its static map for the comparison between recordings (None: not known), and whether its noise is less than
-    a code."""
+    its static map for the comparison between recordings (None: not known), whether its noise is less than a
+    code, and the number of its columns."""
 
     families: dict[str, Statistics]
     power: Float[np.ndarray, "h v"] | None
     contrasts: int
     static: Float[np.ndarray, "h w"] | None
     coarse: bool = False
+    width: int = 0
 
 
 def of_sets(sets: list[Measured], family: str) -> list[Statistics]:
@@ -132,7 +133,7 @@ def measure(
         values = seen.outlying[seen.usable]  # type: ignore[index]
         counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING_SIGMAS]
         families[STANDING_OUT] = _count(np.array([counts]))
-    return Measured(families, power, n, seen.static, coarse)
+    return Measured(families, power, n, seen.static, coarse, seen.kept.shape[1])
 
 
 _STILL = 3.0
