@@ -20,8 +20,8 @@ from cannoise_jax.signatures.fields import each_frame
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.known_shape import darks
 
-_CHANCE = 1e-4
-"""Share of the pixels alike that would be as noisy."""
+CHANCE = 1e-4
+"""Share of the pixels alike that are as noisy as those that count as noisy."""
 _FEWEST, _FRAMES = 10, 4
 """Noisy pixels, and frames of a dark, from which on they are looked at."""
 _MOST = 1_000_000
@@ -48,7 +48,7 @@ def merely_noisy(fields: Many, squares: Float[np.ndarray, "h w"], usable: Bool[n
     freedom = sum(len(f.contrasts) for f in darks(tuple(fields)))
     if not seen:
         return False
-    noisy = np.flatnonzero(usable & (squares > stats.chi2.isf(_CHANCE, freedom)))
+    noisy = np.flatnonzero(usable & (squares > stats.chi2.isf(CHANCE, freedom)))
     if noisy.size < _FEWEST:
         return False
     most = max(_MOST // sum(f.frames for f in seen), _FEWEST)

@@ -9,7 +9,7 @@ from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
-from cannoise_jax.signatures.jumps import merely_noisy
+from cannoise_jax.signatures.jumps import CHANCE, merely_noisy
 from cannoise_jax.signatures.known_shape import darks, known_kurtosis, kurtosis_doubt
 from cannoise_jax.signatures.least import (
     Law,
@@ -35,6 +35,12 @@ _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 
 
 _LOOKED_AT = np.log(0.05)
 """Log p from which on it is not asked how the noisy pixels are noisy."""
+_MOSTLY = 0.5
+"""Of the noisy pixels that the law of all has, from which on they are no kind of their own: of read noise of
+another strength in each it has 0.7 to 0.9, of a few that jump beside others that hardly differ 0.1."""
+_TRIED = np.arange(-5, 12.01, 0.25)
+"""Logarithms of a pixel's read noise that are tried, in widths of the law of all of them: the quietest are of
+that law, the noisiest need not be."""
 _OF_NO_LAW = 1e-3
 """Share of the pixels whose noise may be any of these."""
 _LOUDEST = 12.0
@@ -126,7 +132,7 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
     return Score(
         log_p=log_p,
-        payload=log_p < _LOOKED_AT and merely_noisy(fields, whole, usable),
+        payload=log_p < _LOOKED_AT and _explains(at, squares, n) and merely_noisy(fields, whole, usable),
         gain=best,
         penalty=0.5 * float(np.log(squares.size)),
         amplitude=at,
@@ -136,6 +142,14 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
         parameters={"spread": (at, "1", float(error))},
         where={"axis": "pixel", "z": z},
     )
+
+
+def _explains(spread: float, squares: np.ndarray, n: int) -> bool:
+    """Whether a log-normal law of this spread has at least `_MOSTLY` of the noisy pixels."""
+    limit, width = stats.chi2.isf(CHANCE, n), np.sqrt(np.log1p(spread**2))
+    chance = stats.norm.pdf(_TRIED) / np.sum(stats.norm.pdf(_TRIED))
+    expected = float(chance @ stats.chi2.sf(limit / np.exp(2 * (width * _TRIED - width**2)), n))
+    return bool(expected > _MOSTLY * np.mean(squares > limit))
 
 
 def _any_noise(squares: np.ndarray, n: int) -> np.ndarray:
@@ -188,11 +202,6 @@ def noisy_map(fields: Many, share: float) -> np.ndarray:
 
 def _dark_sigma(fields: Many) -> float:
     return float(np.mean([np.median(f.sigma) for f in fields if not f.lit]))
-
-
-_TRIED = np.arange(-5, 12.01, 0.25)
-"""Logarithms of a pixel's read noise that are tried, in widths of the law of all of them: the quietest are of
-that law, the noisiest need not be."""
 
 
 def noise_factors(fields: Many, spread: float, rng: np.random.Generator) -> np.ndarray:
