@@ -21,10 +21,12 @@ from cannoise_jax.discovery.proof.verdict import MATCH, NO_CAUSE, PARTLY
 from cannoise_jax.discovery.report.light import shadowed
 from cannoise_jax.discovery.search.fit import part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.trials.analysis import fingerprint
 from cannoise_jax.trials.lines import adding, read
 
 _OTHER = "of another analysis or other cameras: choose a new file"
+_REFUSED = "refused"
 KINDS = ("unlisted", "listed", "null")
 _GENERATOR = ("blind/plain_camera.py", "blind/plain_listed.py", "blind/plain_unlisted.py")
 _CODE = (
@@ -50,10 +52,14 @@ def said(
 ) -> dict[str, Any]:
     """What a diagnosis says of one set: its verdict, every finding with whether it is confirmed, and whether
     it takes spots in the flats for light. compare: also what draws of the simulator say, without which no
-    name is withdrawn."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = diagnose(plain_set(kind, name, seed, size), key=jax.random.key(seed), compare=compare)
+    name is withdrawn. One that is refused has the reason, and no finding."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = diagnose(plain_set(kind, name, seed, size), key=jax.random.key(seed), compare=compare)
+    except BadInput as error:
+        one = {"kind": kind, "family": name, "seed": seed, "verdict": _REFUSED, "shadows": False}
+        return {**one, "findings": [], "why": str(error)}
     aside = part_of(found.fitted.steps)
     return {
         "kind": kind,
@@ -100,6 +106,11 @@ def wrong(one: dict[str, Any], confirmed: bool) -> list[str]:
 def flagged(one: dict[str, Any]) -> bool:
     """Whether a set is told from the simulator at all, or spots in its flats are told of."""
     return one["verdict"] != MATCH or one["shadows"]
+
+
+def refused(one: dict[str, Any]) -> bool:
+    """Whether a set was not diagnosed at all."""
+    return one["verdict"] == _REFUSED
 
 
 def unknown(one: dict[str, Any]) -> bool:
@@ -167,6 +178,7 @@ def scored(sets: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "not_named": those("listed", lambda s: not named(s)),
             "not_told": those("unlisted", lambda s: not flagged(s)),
             "false_alarms": those("null", flagged),
+            "refused": ", ".join(f"{s['family']} {s['seed']}" for s in sets if refused(s)) or "none",
         },
         "code": [f"cannoise_jax/{part}" for part in _CODE],
     }

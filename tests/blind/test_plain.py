@@ -69,7 +69,7 @@ def test_the_score_counts_wrong_names_and_not_true_ones():
     found = scored([tear, echo, rows, missed, line("null", "nothing", verdict="match")])
     assert found["values"] == {
         "wrong_names": "tear 1: row_pink_noise", "wrong_not_confirmed": "echo 1: banding; rows 1: dsnu",
-        "not_named": "hot 1", "not_told": "none", "false_alarms": "none",
+        "not_named": "hot 1", "not_told": "none", "false_alarms": "none", "refused": "none",
     }  # fmt: skip
     assert [r[1] for r in found["rows"]] == [
         "2 of 2", "2 of 2", "1 of 2", "1 of 2",  # unlisted
@@ -102,6 +102,16 @@ def test_seeds_stand_beside_each_other_and_a_wrong_name_is_arguable_only_where_i
     assert found["columns"] == ["sets", "seed 1", "seed 2", "all (95 %)"]
     assert found["rows"][2][1:3] == ["0 of 1", "2 of 2"]
     assert found["values"]["wrong_names"] == "echo 2: offset_drift; three_levels 2: rts"
+
+
+def test_a_set_that_is_refused_is_a_line_of_its_own(monkeypatch):
+    def refuse(*args, **kwargs):
+        raise BadInput("4_flat.h5: a gain of 1.6 DN/e-; 5_flat.h5: 2.8")
+
+    monkeypatch.setattr(plain, "diagnose", refuse)
+    one = plain.said("null", "nothing", 1, (32, 32))
+    assert one["findings"] == [] and one["why"].startswith("4_flat.h5")
+    assert scored([one])["values"]["refused"] == "nothing 1"
 
 
 def test_a_trial_goes_on_where_it_was_cut_off(tmp_path, monkeypatch):
