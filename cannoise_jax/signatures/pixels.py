@@ -114,11 +114,12 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     counts, centre = histogram(squares)
     best, at = 0.0, 0.0
     gains = []
+    share = _read_share(fields)
     odd = np.log(_OF_NO_LAW) + _any_noise(centre, n)
     alike = np.logaddexp(np.log1p(-_OF_NO_LAW), odd)
     for spread in _SPREADS:
         width = np.sqrt(np.log1p(spread**2))
-        variance = np.exp(2 * (width * nodes - width**2))
+        variance = 1 + share * np.expm1(2 * (width * nodes - width**2))
         log_terms = -n / 2 * np.log(variance) + 0.5 * centre[:, None] * (1 - 1 / variance)
         top = log_terms.max(1, keepdims=True)
         spreads = top[:, 0] + np.log(np.exp(log_terms - top) @ (weights / weights.sum()))
@@ -127,12 +128,14 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     k = int(np.argmax(gains))
     if gains[k] > 0:
         best, at = gains[k], parabola_peak(np.array(_SPREADS), np.array(gains), k)
-    # chi-square dispersion grows by 4 spread^2 n^2.
-    unit = 4 * n**2 / np.sqrt(_dispersion_variance(n) * squares.size) * squares.size
+    # chi-square dispersion grows by 4 spread^2 n^2, of the part of the noise that has the spread.
+    unit = 4 * share**2 * n**2 / np.sqrt(_dispersion_variance(n) * squares.size) * squares.size
     error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
     return Score(
         log_p=log_p,
-        payload=log_p < _LOOKED_AT and _explains(at, squares, n) and merely_noisy(fields, whole, usable),
+        payload=log_p < _LOOKED_AT
+        and _explains(at, share, squares, n)
+        and merely_noisy(fields, whole, usable),
         gain=best,
         penalty=0.5 * float(np.log(squares.size)),
         amplitude=at,
@@ -144,11 +147,25 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     )
 
 
-def _explains(spread: float, squares: np.ndarray, n: int) -> bool:
-    """Whether a log-normal law of this spread has at least `_MOSTLY` of the noisy pixels."""
+_LEAST_SHARE = 0.1
+"""Of the variance that is taken to be read noise at least: rounding and dark charge are known but roughly."""
+
+
+def _read_share(fields: tuple[Fields, ...]) -> float:
+    """Share of the variance of the darks that is read noise: neither rounding nor the shot noise of dark
+    charge differs from pixel to pixel with it."""
+    chosen = darks(fields)
+    shares = [float(np.median(1 - f.shot - f.step**2 / 12 / f.sigma**2)) for f in chosen]
+    return max(float(np.average(shares, weights=[len(f.contrasts) for f in chosen])), _LEAST_SHARE)
+
+
+def _explains(spread: float, share: float, squares: np.ndarray, n: int) -> bool:
+    """Whether a log-normal law of this spread, of this share of the variance, has at least `_MOSTLY` of the
+    noisy pixels."""
     limit, width = stats.chi2.isf(CHANCE, n), np.sqrt(np.log1p(spread**2))
     chance = stats.norm.pdf(_TRIED) / np.sum(stats.norm.pdf(_TRIED))
-    expected = float(chance @ stats.chi2.sf(limit / np.exp(2 * (width * _TRIED - width**2)), n))
+    variance = 1 + share * np.expm1(2 * (width * _TRIED - width**2))
+    expected = float(chance @ stats.chi2.sf(limit / variance, n))
     return bool(expected > _MOSTLY * np.mean(squares > limit))
 
 
@@ -232,7 +249,10 @@ def _by_read_share(fields: Many) -> list[tuple[float, np.ndarray, int]]:
     least: dict[int, float] = {}
     for f, v in zip(chosen, level, strict=True):
         least[f.group] = min(v, least.get(f.group, v))
-    shares = [round(least[f.group] / v, 2) for f, v in zip(chosen, level, strict=True)]
+    shares = [
+        round(max(least[f.group] - (f.step / f.unit) ** 2 / 12, _LEAST_SHARE * v) / v, 2)
+        for f, v in zip(chosen, level, strict=True)
+    ]
     charge = own_charge(fields)
     out = []
     for share in sorted(set(shares)):
