@@ -8,36 +8,48 @@ bin/denoise apply --denoiser FILE --recording FILE --out FILE
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
-import json
-import shlex
 import sys
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cannoise_jax.commands.denoise_judge import judge
+from cannoise_jax.commands.denoise_kept import (
+    FULL_SCALE,
+    GENERATOR_STEPS,
+    STAMP,
+    capture_of,
+    check_recordings,
+    check_wanted,
+    check_workdir,
+    folder_of,
+    record_recordings,
+    settings_of,
+    sound_denoisers,
+)
 from cannoise_jax.commands.denoise_sources import (
     check_sources,
     generators_of,
+    is_refined,
     labels_of,
-    said_of,
     sensors_of,
-    slug,
-    verdicts_of,
 )
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.freed_memory import give_back_large
 from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
-from cannoise_jax.commands.parser import OneLineParser, count, folder, place, seconds
-from cannoise_jax.recordings.atomic import file_in_place, texts_in_place
+from cannoise_jax.commands.parser import (
+    OneLineParser,
+    add_level_flags,
+    count,
+    folder,
+    overrides,
+    place,
+    seconds,
+)
+from cannoise_jax.recordings.atomic import file_in_place
 from cannoise_jax.recordings.recording import BadInput
 
-if TYPE_CHECKING:
-    from cannoise_jax.recordings.recording import CaptureSet
-
-ORDER = ("gaussian", "pg", "calibrated", "discovered", "ours_on_discovered", "real_darks")
-"""As the noise models are expected: each no worse than the one before."""
 _DEFAULT = "gaussian,gaussian_pooled,pg,pg_at_exposure,pg_estimated,random_phase,calibrated,real_darks"
 _TEST_SCENES = 16
 
@@ -48,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     parsed = _parser().parse_args(arguments)
     try:
-        {"train": _train, "test": _test, "apply": _apply}[parsed.verb](parsed, arguments)
+        {"train": _train, "test": judge, "apply": _apply}[parsed.verb](parsed, arguments)
     except BadInput as error:
         print(f"bin/denoise: {error}", file=sys.stderr)
         return 2
@@ -64,7 +76,7 @@ def _train(arguments, argv) -> None:
     from tqdm import tqdm
 
     from cannoise_jax.training.denoise import Recipe, check_size, save_denoiser, train_denoiser
-    from cannoise_jax.training.denoise_data import dim_scenes, half_real
+    from cannoise_jax.training.denoise_data import dim_scenes, half_real, stamp
     from cannoise_jax.training.noise_sources import open_source
 
     recipe = Recipe(
@@ -74,21 +86,32 @@ def _train(arguments, argv) -> None:
         scenes=arguments.scenes,
     )
     check_folder(arguments.workdir, (), force=True)
-    capture = _capture(arguments.recordings)
     labels = labels_of(arguments.noise)
     check_sources(labels)
+    capture = capture_of(arguments.recordings, overrides(arguments))
     every = {exposure: half_real(capture, exposure, arguments.full_scale) for exposure in arguments.exposure}
     for data in every.values():
         check_size(data.train.shape[1:], recipe)
+    own, of = stamp(capture), {FULL_SCALE: arguments.full_scale, GENERATOR_STEPS: arguments.generator_steps}
+    check_workdir(arguments.workdir, capture.camera, own)
+    made: set[Path] = set()
+    for exposure in every:
+        folder = folder_of(arguments.workdir, capture.camera, exposure)
+        names = [folder / f"{label}_{seed}.npz" for label in labels for seed in range(arguments.seeds)]
+        found = sound_denoisers(folder, names)
+        check_recordings(found, own)
+        check_wanted(found, settings_of(recipe, of))
+        made |= found.keys()
+    record_recordings(arguments.workdir, capture.camera, own)
     sensors = sensors_of(labels, capture, arguments.workdir)
     for exposure, data in every.items():
-        folder = arguments.workdir / "denoisers" / f"{slug(data.camera)}_{exposure:g}s"
+        folder = folder_of(arguments.workdir, data.camera, exposure)
         clean = None
         for label, name in labels.items():
             source = None
             for seed in range(arguments.seeds):
                 path = folder / f"{label}_{seed}.npz"
-                if path.exists():
+                if path in made:
                     continue
                 if clean is None:
                     clean = dim_scenes(
@@ -99,8 +122,11 @@ def _train(arguments, argv) -> None:
                 started = time.monotonic()
                 about: dict[str, Any] = {
                     "noise": label, "seed": seed, "camera": data.camera, "exposure_s": exposure,
-                    "full_scale_e": data.full_scale_e, "gain_dn_per_e": data.gain_dn_per_e, "cfa": data.cfa,
+                    FULL_SCALE: data.full_scale_e, "gain_dn_per_e": data.gain_dn_per_e, "cfa": data.cfa,
+                    STAMP: own,
                 }  # fmt: skip
+                if is_refined(name):
+                    about[GENERATOR_STEPS] = arguments.generator_steps
                 bar = tqdm(total=recipe.steps, desc=f"{folder.name} {label} {seed}", mininterval=1)
                 with bar:
 
@@ -108,113 +134,11 @@ def _train(arguments, argv) -> None:
                         bar.update(step - bar.n)
                         bar.set_postfix(loss=f"{loss:.5f}", refresh=False)
 
-                    made = train_denoiser(recipe, source, clean, data.cfa, seed, about, tell)
-                made.about["seconds"] = round(time.monotonic() - started, 1)
+                    trained = train_denoiser(recipe, source, clean, data.cfa, seed, about, tell)
+                trained.about["seconds"] = round(time.monotonic() - started, 1)
                 make_folder(folder)
-                save_denoiser(path, made)
+                save_denoiser(path, trained)
                 print(path, flush=True)
-
-
-def _capture(place: Path) -> CaptureSet:
-    """The recordings of a folder without the frames that show no noise, which are said."""
-    from cannoise_jax.recordings.load import load_capture_set
-    from cannoise_jax.recordings.usable import usable
-
-    capture, left_out = usable(load_capture_set(place))
-    for line in left_out:
-        print(f"bin/denoise: {line}", file=sys.stderr, flush=True)
-    return capture
-
-
-def _test(arguments, argv) -> None:
-    """Every denoiser of the workdir on the held-out darks; writes denoising.json and prints a table."""
-    import jax
-    import numpy as np
-
-    from cannoise_jax.evaluation.denoising import in_order, psnr, ssim, summary
-    from cannoise_jax.recordings.packing import pack
-    from cannoise_jax.training.denoise import denoised, load_denoiser
-    from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images
-
-    started = time.monotonic()
-    found = [(p, load_denoiser(p)) for p in sorted((arguments.workdir / "denoisers").glob("*/*.npz"))]
-    capture = _capture(arguments.recordings)
-    path = arguments.workdir / f"denoising_{slug(capture.camera)}.json"
-    found = [(p, d) for p, d in found if d.about["camera"] == capture.camera]
-    if not found:
-        raise BadInput(f"{arguments.workdir}: no denoiser for {capture.camera}: bin/denoise train makes them")
-    check_file(path, ".json", arguments.force)
-    out: dict[str, Any] = {}
-    for exposure in sorted({d.about["exposure_s"] for _, d in found}):
-        own = [d for _, d in found if d.about["exposure_s"] == exposure]
-        data = half_real(capture, exposure, own[0].about["full_scale_e"])
-        clean = dim_scenes(jax.random.key(2), "test", arguments.scenes, data.test.shape[1:], data.cfa)
-        noisy = held_out_images(data, clean, jax.random.key(3))
-        truth, shown = (pack(np.asarray(x, np.float32), data.cfa) for x in (clean, noisy))
-        made: dict[str, dict[str, dict[int, list[float]]]] = {"psnr_db": {}, "ssim": {}}
-        for d in own:
-            images = denoised(d, shown)
-            for metric, function in (("psnr_db", psnr), ("ssim", ssim)):
-                rows = made[metric].setdefault(d.about["noise"], {})
-                rows[d.about["seed"]] = [function(t, i) for t, i in zip(truth, images, strict=True)]
-        seeds = sorted(set.intersection(*(set(rows) for rows in made["psnr_db"].values())))
-        if not seeds:
-            raise BadInput(f"{arguments.workdir}: no seed is there for all noise models: train the rest")
-        result: dict[str, Any] = {
-            "seeds": len(seeds),
-            "scenes": arguments.scenes,
-            "steps": own[0].recipe.steps,
-        }
-        result["test_frames"] = len(data.test)
-        result["noisy"] = {
-            "psnr_db": float(np.mean([psnr(t, i) for t, i in zip(truth, shown, strict=True)])),
-            "ssim": float(np.mean([ssim(t, i) for t, i in zip(truth, shown, strict=True)])),
-        }
-        for metric, by_noise in made.items():
-            numbers = {name: np.array([rows[s] for s in seeds]) for name, rows in by_noise.items()}
-            result[metric] = summary(numbers, "pg", "real_darks")
-            result[f"{metric}_order"] = in_order(numbers, ORDER)
-        result["seconds_of_training"] = {
-            name: round(float(np.mean([d.about["seconds"] for d in own if d.about["noise"] == name])), 1)
-            for name in made["psnr_db"]
-        }
-        result["learned_part"] = verdicts_of(arguments.workdir, capture.camera, exposure, made["psnr_db"])
-        out[f"{exposure:g}"] = result
-        print(_table(f"{capture.camera}, {exposure:g} s", result), flush=True)
-    record = {
-        "schema": "cannoise/denoising/1", "camera": capture.camera, "exposures_s": out,
-        "command": f"bin/denoise {shlex.join(argv)}", "version": importlib.metadata.version("cannoise-jax"),
-        "interval": "90 %, seeds and scenes drawn again", "seconds": round(time.monotonic() - started, 1),
-    }  # fmt: skip
-    with texts_in_place({path: json.dumps(record, indent=1, allow_nan=False) + "\n"}):
-        print(path)
-
-
-def _table(title: str, result: dict[str, Any]) -> str:
-    """PSNR and SSIM by noise model, with what each gains over PG."""
-    lines = [
-        f"{title}: {result['seeds']} seeds, {result['scenes']} test scenes, {result['steps']} steps; noisy "
-        f"{result['noisy']['psnr_db']:.2f} dB",
-        f"{'trained on':<26}{'PSNR dB':>9}{'over pg [90 %]':>26}{'gap':>7}{'SSIM':>8}{'over pg [90 %]':>28}",
-    ]
-    for name, row in sorted(result["psnr_db"].items(), key=lambda item: item[1]["mean"]["value"]):
-        other = result["ssim"][name]
-        gap = f"{row['gap_closed']:.0%}" if "gap_closed" in row else "-"
-        lines.append(
-            f"{name:<26}{row['mean']['value']:>9.2f}{_gain(row, 2):>26}{gap:>7}"
-            f"{other['mean']['value']:>8.4f}{_gain(other, 4):>28}"
-        )
-    for step in result["psnr_db_order"]:
-        lines.append(f"  {step['upper']} against {step['lower']}: {step['outcome']}")
-    lines += [f"  {name}: {said_of(verdict)}" for name, verdict in result["learned_part"].items()]
-    return "\n".join(lines) + "\n"
-
-
-def _gain(row: dict[str, Any], digits: int) -> str:
-    if "over_pg" not in row:
-        return "-"
-    value, low, high = (row["over_pg"][k] for k in ("value", "low", "high"))
-    return f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
 
 
 def _apply(arguments, argv) -> None:
@@ -230,7 +154,7 @@ def _apply(arguments, argv) -> None:
     give_back_large()
     check_file(arguments.out, ".npy", arguments.force)
     denoiser = load_denoiser(arguments.denoiser)
-    recording = load_recording(arguments.recording)
+    recording = load_recording(arguments.recording, **overrides(arguments))
     about: list[Any] = [denoiser.about.get(name) for name in ("gain_dn_per_e", "full_scale_e")]
     if not all(isinstance(v, (int, float)) and np.isfinite(v) and v > 0 for v in about):
         raise BadInput(f"{arguments.denoiser}: states no gain and full scale: train it again")
@@ -278,6 +202,7 @@ def _parser() -> argparse.ArgumentParser:
     for verb in (train, test):
         verb.add_argument("--recordings", required=True, type=folder, metavar="DIR", help="flats and darks")
         verb.add_argument("--workdir", required=True, type=folder, metavar="RUN", help="made or gone on with")
+        add_level_flags(verb)
     add = train.add_argument
     add(
         "--noise", default=_DEFAULT, metavar="NAME,...",
@@ -303,6 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     apply.add_argument(
         "--out", required=True, type=place, metavar="FILE.npy", help="DN above black / full scale"
     )
+    add_level_flags(apply)
     apply.add_argument("--force", action="store_true", help="replace a file that exists")
     return parser
 

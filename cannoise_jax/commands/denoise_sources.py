@@ -40,6 +40,13 @@ def check_sources(labels: dict[str, str]) -> None:
             )
 
 
+def is_refined(name: str) -> bool:
+    """Whether a noise model is a generator that starts from a camera model, or has one among it."""
+    from cannoise_jax.training.noise_sources import REFINED
+
+    return name.partition("+")[0] in REFINED
+
+
 def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]:
     """Camera models of the training part that are asked for, kept in the workdir once fitted."""
     import jax
@@ -93,6 +100,12 @@ def generators_of(name: str, data, sensors: dict[str, Any], arguments) -> dict[s
     recipe = replace(JUDGE, steps=steps, features=arguments.features, batch_size=arguments.batch)
     by = {"denoiser": asdict(recipe), "seeds": SEEDS, "generator_steps": arguments.generator_steps}
     found = verdict_of(verdict) if verdict.exists() else {}
+    before = found.get("judged_by", {}).get("generator_steps", arguments.generator_steps)
+    if before != arguments.generator_steps:
+        raise BadInput(
+            f"{folder}: its generator was trained with --generator-steps {before}, not "
+            f"{arguments.generator_steps}: give --generator-steps {before}, or another --workdir"
+        )
     if found.get("judged_by") != by:
         found = _judged(inner, folder, plain, recipe, arguments) | {"judged_by": by}
         make_folder(folder)

@@ -26,6 +26,7 @@ from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import Diagnosis
+    from cannoise_jax.mechanisms.entry import Entry
 
 _MOST_PIXELS = 160_000
 """Of a frame that are used unless told otherwise, of recordings as of a folder of single files."""
@@ -97,7 +98,12 @@ def check_flags(argv: list[str], asked: str) -> None:
     asked: the command that hands them on."""
     parser = _parser()
     parser.prog = asked
-    _check(parser.parse_args(argv))
+    arguments = parser.parse_args(argv)
+    _check(arguments)
+    try:
+        _named(arguments)
+    except ValueError as error:
+        raise BadInput(str(error)) from error
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -112,15 +118,26 @@ def _check(arguments: argparse.Namespace) -> None:
         )
 
 
+def _named(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[Entry, ...]]:
+    """The mechanisms that count as not known, by name, and all that a run may look for. Raises ValueError,
+    BadInput among it, for a name that is none of them."""
+    from cannoise_jax.discovery.search.declare import registered
+    from cannoise_jax.mechanisms import ENTRIES
+    from cannoise_jax.mechanisms.outside import entries_of
+
+    without = tuple(id.strip() for id in arguments.without.split(",") if id.strip())
+    mechanisms = (*ENTRIES, *entries_of(arguments.mechanisms))
+    registered(without, mechanisms)
+    return without, mechanisms
+
+
 def _is_function(simulator: str) -> bool:
     return ":" in simulator and not Path(simulator).exists()
 
 
 def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
     from cannoise_jax.discovery.frames.simulate import check_file
-    from cannoise_jax.discovery.search.declare import registered
-    from cannoise_jax.mechanisms import ENTRIES
-    from cannoise_jax.mechanisms.outside import entries_of, function_at
+    from cannoise_jax.mechanisms.outside import function_at
     from cannoise_jax.physics.core.sensor_json import check_place
     from cannoise_jax.recordings.crop import central
     from cannoise_jax.recordings.folders.store import capture_of
@@ -134,9 +151,7 @@ def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dic
         simulator = function_at(simulator)
     elif simulator not in _BUILT_IN:
         check_file(simulator)
-    without = tuple(id.strip() for id in arguments.without.split(",") if id.strip())
-    mechanisms = (*ENTRIES, *entries_of(arguments.mechanisms))
-    registered(without, mechanisms)
+    without, mechanisms = _named(arguments)
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import subprocess
+import signal
 import sys
+import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,15 +17,20 @@ from typing import Any
 
 from cannoise_jax.commands import diagnose
 from cannoise_jax.commands.entry import command, duration
+from cannoise_jax.commands.fleet_process import diagnose_set, end_running
+from cannoise_jax.commands.fleet_sets import check_out, recorded, sets_of
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
-from cannoise_jax.recordings.opened import json_of
+from cannoise_jax.recordings.atomic import REPORT_FILES
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.unfinished import is_finished
 
 _SHOWN = 20
 """Rows of the table on the screen."""
 _PATIENCE_S = 30
 """How long a scheduler has to answer."""
+_STOPPED = 128 + signal.SIGTERM
+"""The status of what SIGTERM ended, as shells have it."""
 
 
 @command("fleet")
@@ -33,27 +39,54 @@ def main(argv: list[str] | None = None) -> int:
     1 when some could not be, 2 for bad input."""
     arguments, flags = _parser().parse_known_args(argv)
     try:
-        return _run(arguments, flags)
+        with _stoppable():
+            return _run(arguments, flags)
     except BadInput as error:
         print(f"bin/fleet: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("bin/fleet: interrupted: the same command goes on with the sets that are left", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as error:
+        stopped = isinstance(error, _Stopped)
+        said = "stopped" if stopped else "interrupted"
+        print(f"bin/fleet: {said}: the same command goes on with the sets that are left", file=sys.stderr)
+        return _STOPPED if stopped else 130
+
+
+class _Stopped(KeyboardInterrupt):
+    """SIGTERM, as the queue of a cluster sends it."""
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Within it SIGTERM ends what is done here as Ctrl-C does: with the processes that were begun."""
+    if threading.current_thread() is not threading.main_thread():  # only that one may be told of signals
+        yield
+        return
+
+    def stop(*_: Any) -> None:
+        raise _Stopped
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _run(arguments: Any, flags: list[str]) -> int:
     diagnose.check_flags(["--recordings", "each", "--out", "own", *flags], "bin/fleet")
-    sets, out = _sets(arguments.recordings), arguments.out
+    sets, out = sets_of(arguments.recordings), arguments.out
+    check_out(arguments.recordings, sets, out)
     check_folder(out, (), arguments.force, "the reports")
-    _check_table(out / "fleet.json", flags, arguments.force)
-    found = {} if arguments.force else {name: row for name in sets if (row := _finished(name, out))}
+    known = recorded(sets, out, flags, arguments.force)
+    found = {name: row for name in sets if name in known and (row := _finished(name, out))}
     if found:
         print(f"{len(found)} of {len(sets)} have their report already")
-    own = [*flags, "--force"] if arguments.force else flags
+    # The record says of what the reports are; what it does not name a killed run or a damaged file has left.
+    record = {name: place for name, place in known.items() if name in found or name not in sets}
+    own = [*flags, "--force"]
     with _executor(arguments.scheduler, arguments.processes) as executor:
         make_folder(out)
-        table = _write(out, found, flags)
+        table = _write(out, found, record, flags)
         jobs = {
             executor.submit(diagnose_set, str(place), os.path.abspath(out / name), own, os.getcwd()): name
             for name, place in sets.items()
@@ -66,7 +99,9 @@ def _run(arguments: Any, flags: list[str]) -> int:
             still = (time.monotonic() - begun) / number * (len(jobs) - number)
             left = f" ({duration(still)} left)" if number < len(jobs) else ""
             print(f"{len(found)} of {len(sets)}: {name}: {row['verdict'] or row['error']}{left}", flush=True)
-            table = _write(out, found, flags)
+            if row["error"] is None:
+                record[name] = os.path.realpath(sets[name])
+            table = _write(out, found, record, flags)
 
     from cannoise_jax.discovery.report.fleet import lines
 
@@ -76,13 +111,15 @@ def _run(arguments: Any, flags: list[str]) -> int:
     return int(any(row["error"] for row in table))
 
 
-def _write(out: Path, found: dict[str, dict[str, Any]], flags: list[str]) -> list[dict[str, Any]]:
+def _write(
+    out: Path, found: dict[str, dict[str, Any]], record: dict[str, str], flags: list[str]
+) -> list[dict[str, Any]]:
     """The table as it is now, written and returned."""
     from cannoise_jax.discovery.report import fleet
     from cannoise_jax.recordings.atomic import texts_in_place
 
     table = fleet.ranked(found.values())
-    texts = fleet.texts(table, importlib.metadata.version("cannoise-jax"), flags)
+    texts = fleet.texts(table, importlib.metadata.version("cannoise-jax"), flags, record)
     with texts_in_place({out / name: text for name, text in texts.items()}):
         return table
 
@@ -100,24 +137,6 @@ def _outcome(job: Future[str | None], name: str, out: Path) -> dict[str, Any]:
     return _finished(name, out) or failed(name, "its report is not in --out: machines must share that folder")
 
 
-def diagnose_set(recordings: str, out: str, flags: Sequence[str], here: str) -> str | None:
-    """Diagnoses one set in a process of its own, whose end, whatever it is, ends nothing else.
-
-    Returns its error in one line, None where there is none.
-    """
-    make_folder(Path(out).parent)
-    words = [sys.executable, "-m", "cannoise_jax.commands.start", "diagnose"]
-    ended = subprocess.run(
-        [*words, "--recordings", recordings, "--out", out, *flags],
-        cwd=here, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
-    )  # fmt: skip
-    if ended.returncode == 0:
-        return None
-    said = ended.stderr.strip().splitlines() or ["nothing said"]
-    own = [line.removeprefix("bin/diagnose: ") for line in said if line.startswith("bin/diagnose: ")]
-    return own[-1] if own and ended.returncode > 0 else f"ended with status {ended.returncode}: {said[-1]}"
-
-
 @contextmanager
 def _executor(scheduler: str | None, processes: int) -> Iterator[Executor]:
     """Where sets are diagnosed: threads here that wait for one process each, or workers of dask."""
@@ -127,6 +146,7 @@ def _executor(scheduler: str | None, processes: int) -> Iterator[Executor]:
             yield threads
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
+            end_running()
         return
     try:
         from distributed import Client
@@ -140,51 +160,16 @@ def _executor(scheduler: str | None, processes: int) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _sets(source: Path) -> dict[str, Path]:
-    """The capture sets by name: the folders in a folder, or those that a text file lists, a line each.
-
-    The name is the place below the folder that holds all of them.
-    """
-    if source.is_dir():
-        folders = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith("."))
-    elif source.is_file():
-        try:
-            listed = source.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadInput(f"{source}: is no list of folders: a text file has one a line") from error
-        folders = [Path(line.strip()) for line in listed if line.strip() and not line.startswith("#")]
-    else:
-        raise BadInput(f"{source}: no such folder or list")
-    if not folders:
-        raise BadInput(f"{source}: holds no folders: put each capture set into one, or list them in a file")
-    places = list(dict.fromkeys(Path(os.path.abspath(f)) for f in folders))
-    above = os.path.commonpath([p.parent for p in places])
-    return {p.relative_to(above).as_posix(): p for p in places}
-
-
-def _check_table(path: Path, flags: list[str], force: bool) -> None:
-    """Raises BadInput where a folder holds the reports of other flags, which do not belong in one table."""
-    if force or not path.exists():
-        return
-    try:
-        before = json_of(path.read_text(encoding="utf-8"))["flags"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(
-            f"{path}: is no table of a fleet: name another folder, or replace it with --force"
-        ) from error
-    if before != flags:
-        words = " ".join(before) or "none"
-        raise BadInput(f"{path}: was made with other flags ({words}): name another folder, or use --force")
-
-
 def _finished(name: str, out: Path) -> dict[str, Any] | None:
-    """The row of a set that has its report; None where it has none, or a damaged one."""
+    """The row of a set that has its whole report; None where it has none, or that of another version."""
     from cannoise_jax.discovery.compare.reports import read_report
     from cannoise_jax.discovery.report import fleet
 
+    if not all(is_finished(out / name / own) for own in REPORT_FILES):
+        return None
     try:
         return fleet.row(name, read_report(out / name / "report.json"))
-    except (BadInput, KeyError):
+    except (BadInput, KeyError, TypeError):
         return None
 
 

@@ -106,9 +106,7 @@ def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False
     single: also those that only make sense for files of one setting.
     """
     add = parser.add_argument
-    add("--cfa", choices=CFA_PATTERNS, help="colour order of the 2x2 cell, where files are wrong or silent")
-    add("--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d in mosaic order")
-    add("--white-level", type=level, metavar="DN", help="highest code")
+    add_level_flags(parser)
     add("--camera", metavar="NAME", help="name of the camera, for all files")
     if single:
         add("--kind", choices=KINDS, help="what the frames show")
@@ -131,6 +129,14 @@ def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False
         metavar="NAME*",
         help="in a folder, pass over the files or folders of such names; may be given several times",
     )
+
+
+def add_level_flags(parser: argparse.ArgumentParser) -> None:
+    """The flags that state how the codes of a recording are meant."""
+    add = parser.add_argument
+    add("--cfa", choices=CFA_PATTERNS, help="colour order of the 2x2 cell, where files are wrong or silent")
+    add("--black-level", type=numbers, metavar="DN", help="one value, or a,b,c,d in mosaic order")
+    add("--white-level", type=level, metavar="DN", help="highest code")
 
 
 def overrides(arguments: argparse.Namespace) -> dict[str, Any]:

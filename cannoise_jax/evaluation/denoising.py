@@ -77,10 +77,10 @@ def summary(
         row["by_seed"] = [round(float(v), 4) for v in values.mean(axis=1)]
         if base in numbers and name != base:
             row[f"over_{base}"] = paired_interval(values, numbers[base])._asdict()
-            if best is not None and best in numbers:
-                share = gap_closed(values, numbers[base], numbers[best])
-                # Where there is no way to go no share of it can be told.
-                row |= {} if np.isnan(share) else {"gap_closed": share}
+            # Where the way is not told from none, a share of it is a number without a meaning.
+            way = numbers.get(best) if best is not None else None
+            if way is not None and paired_interval(way, numbers[base]).low > 0:
+                row["gap_closed"] = gap_closed(values, numbers[base], way)
         out[name] = row
     return out
 

@@ -51,6 +51,8 @@ def load_recording(path: str | Path, **overrides: Any) -> Recording:
     path = Path(path)
     _check_file(path)
     if path.is_dir():
+        if not sidd.is_instance(path):
+            raise BadInput(f"{path}: is a folder, and not a SIDD folder of one scene: name one file in it")
         return sidd.read_sidd(path, **overrides)
     return _READERS[_known_suffix(path)](path, **overrides)
 

@@ -8,6 +8,7 @@ pixel, no frame and no scene, and whatever is fitted to the camera is fitted to 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from dataclasses import dataclass
 
@@ -85,6 +86,21 @@ def half_real(capture: CaptureSet, exposure_s: float, full_scale_e: float = FULL
     )  # fmt: skip
 
 
+def stamp(capture: CaptureSet) -> str:
+    """A hash of what a camera's recordings show and state, wherever they lie and whatever their files are
+    called: other frames would be parted otherwise, and a test would hold pixels of the training."""
+    digests = []
+    for r in capture.recordings:
+        values = (*r.black_level, r.white_level, r.iso, r.exposure_s)
+        numbers = [None if v is None else float(v) for v in values]
+        own = hashlib.sha256(repr((r.kind, r.cfa, numbers, r.count, *r.size)).encode())
+        for t in range(r.count):
+            frame = np.ascontiguousarray(r.frames[t : t + 1])
+            own.update(frame.astype(frame.dtype.newbyteorder("<"), copy=False).tobytes())
+        digests.append(own.hexdigest())
+    return hashlib.sha256("".join(sorted(digests)).encode()).hexdigest()
+
+
 def _is(recording: Recording, exposure_s: float) -> bool:
     return recording.exposure_s is not None and math.isclose(recording.exposure_s, exposure_s, rel_tol=1e-3)
 
@@ -111,6 +127,16 @@ def _transfer(training: CaptureSet, place: str) -> tuple[float, float]:
     for transfer in photon_transfer(training):
         if isinstance(transfer.baseline, Baseline):
             return float(np.mean(transfer.baseline.gain)), float(np.mean(transfer.baseline.read_noise_e))
+    few = [
+        name
+        for name, kinds in (("flats", ("flat",)), ("darks", DARK))
+        if (own := training.of_kind(*kinds)) and all(r.count < 2 for r in own)
+    ]
+    if few:
+        raise BadInput(
+            f"{place}: no system gain: of its {' and '.join(few)} one frame is for training, and noise shows "
+            "in two: record three frames or more of each"
+        )
     raise BadInput(f"{place}: no system gain: add flats and darks, so that photon transfer can measure it")
 
 

@@ -119,4 +119,11 @@ def test_two_reports_say_which_simulator_is_nearer_and_what_changed(tmp_path, ca
     assert "not measured recorded, 0.3 simulated" in capsys.readouterr().out
     (tmp_path / "b" / "report.json").write_text("{}")
     assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 2
-    assert "is no report of bin/diagnose" in capsys.readouterr().err
+    assert "is no report of bin/diagnose: name a report.json" in capsys.readouterr().err
+    for version in (1, 3):
+        other = {**report(0.6, [tails]), "schema": f"cannoise/diagnosis/{version}"}
+        (tmp_path / "b" / "report.json").write_text(json.dumps(other))
+        for names in ("ab", "ba"):
+            assert main([str(tmp_path / n) for n in names]) == 2
+            error = capsys.readouterr().err
+            assert "is a report of another version" in error and error.count("\n") == 1

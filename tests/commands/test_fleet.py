@@ -6,10 +6,17 @@ import contextlib
 import csv
 import io
 import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
 from cannoise_jax.commands import fleet
+from cannoise_jax.commands.fleet_sets import sets_of
 from cannoise_jax.discovery.report.fleet import failed, lines, ranked
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
@@ -107,6 +114,8 @@ def test_what_was_not_measured_ranks_below_what_was_and_failures_last():
         (["--alpha", "2"], "bin/fleet: --alpha: must lie between 0 and 1"),
         (["--scheduler", "tcp://localhost:1"], "bin/fleet: --scheduler: "),
         (["--recordings", "nowhere"], "bin/fleet: nowhere: no such folder or list"),
+        (["--without", "nonsense"], "bin/fleet: nonsense: no such mechanism"),
+        (["--mechanisms", "no_module:NAME"], "bin/fleet: no_module:NAME: cannot be imported"),
     ],
 )
 def test_refusals_are_one_line(sets, tmp_path, monkeypatch, capsys, more, said):
@@ -114,6 +123,7 @@ def test_refusals_are_one_line(sets, tmp_path, monkeypatch, capsys, more, said):
     assert call(sets, tmp_path / "out", *more) == 2
     error = capsys.readouterr().err
     assert error.startswith(said) and error.count("\n") == 1, error
+    assert not (tmp_path / "out").exists()
 
 
 def test_names_are_the_places_below_what_holds_all(tmp_path):
@@ -121,5 +131,106 @@ def test_names_are_the_places_below_what_holds_all(tmp_path):
         (tmp_path / place).mkdir(parents=True)
     listed = tmp_path / "list"
     listed.write_text("\n".join(str(tmp_path / p) for p in ("one/night", "two/night", "one/night")))
-    assert list(fleet._sets(listed)) == ["one/night", "two/night"]
-    assert list(fleet._sets(tmp_path)) == ["one", "two"]
+    assert list(sets_of(listed)) == ["one/night", "two/night"]
+    assert list(sets_of(tmp_path)) == ["one", "two"]
+    listed.write_text(f"{tmp_path / 'one/night'}\n{tmp_path / 'two/night'}\n", encoding="utf-8-sig")
+    assert list(sets_of(listed)) == ["one/night", "two/night"]  # as some editors begin a file
+
+
+def listing(tmp_path, *places):
+    path = tmp_path / "list"
+    path.write_text("\n".join(map(str, places)))
+    return path
+
+
+@pytest.fixture
+def own(here, tmp_path):
+    """A copy of the fleet that a test may change."""
+    shutil.copytree(here, tmp_path / "own")
+    return tmp_path / "own"
+
+
+def test_a_report_is_of_the_recordings_that_it_was_made_from(sets, own, tmp_path, monkeypatch, capsys):
+    """Another folder of the same name gets no report of the first one."""
+    other = tmp_path / "others" / "rows"
+    shutil.copytree(sets / "fine", other)
+    before = {p: p.read_bytes() for p in own.rglob("*") if p.is_file()}
+    assert call(listing(tmp_path, other), own, "--key", "5") == 2
+    error = capsys.readouterr().err
+    assert f"holds the report of {sets / 'rows'}, not of {other}" in error and error.count("\n") == 1
+    assert before == {p: p.read_bytes() for p in own.rglob("*") if p.is_file()}
+    tried = []
+    monkeypatch.setattr(fleet, "diagnose_set", lambda *job: tried.append(job))
+    assert call(listing(tmp_path, other), own, "--key", "5", "--force") == 0
+    assert [job[0] for job in tried] == [str(other)]
+    assert call(listing(tmp_path, sets / "rows"), own, "--key", "5") == 2
+    assert call(listing(tmp_path, sets / "fine"), own, "--key", "5") == 0 and len(tried) == 1  # still known
+
+
+@pytest.mark.parametrize("name", ["report.json", "report.html", "sensor.json"])
+def test_damaged_and_missing_files_of_a_report_are_made_again(sets, own, tmp_path, monkeypatch, name):
+    made, tried = (own / "rows" / name).read_bytes(), []
+    if name == "report.json":
+        old = made.decode().replace("cannoise/diagnosis/2", "cannoise/diagnosis/1")
+        (own / "rows" / name).write_text(old)
+    else:
+        (own / "rows" / name).unlink()
+
+    def again(recordings, out, flags, here):
+        tried.append((recordings, "--force" in flags))
+        (own / "rows" / name).write_bytes(made)
+
+    monkeypatch.setattr(fleet, "diagnose_set", again)
+    assert call(listing(tmp_path, sets / "rows", sets / "fine"), own, "--key", "5") == 0
+    assert tried == [(str(sets / "rows"), True)]
+
+
+def test_reports_of_no_fleet_are_kept(sets, own, capsys):
+    (own / "fleet.json").unlink()
+    assert call(sets, own, "--key", "5") == 2
+    assert "is of no fleet" in capsys.readouterr().err
+
+
+def test_flags_may_change_while_no_set_has_its_report(sets, tmp_path, monkeypatch):
+    monkeypatch.setattr(fleet, "diagnose_set", lambda *job: "a slip in a flag")
+    assert call(sets, tmp_path / "out", "--key", "4") == 1
+    assert call(sets, tmp_path / "out", "--key", "5") == 1
+
+
+@pytest.mark.parametrize("place", ["", "out", "fine", "fine/out"])
+def test_reports_do_not_lie_among_the_recordings(sets, tmp_path, capsys, place):
+    shutil.copytree(sets, tmp_path / "sets")
+    before = sorted((tmp_path / "sets").rglob("*"))
+    assert call(tmp_path / "sets", tmp_path / "sets" / place) == 2
+    if place != "out":  # beside the folders of a list is room for others
+        listed = listing(tmp_path, tmp_path / "sets" / "fine", tmp_path / "sets" / "rows")
+        assert call(listed, tmp_path / "sets" / place) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert all(" among the recordings of " in e or " in the folder of the recordings" in e for e in errors)
+    assert sorted((tmp_path / "sets").rglob("*")) == before
+
+
+def test_sigterm_ends_the_processes_too(sets, tmp_path):
+    """A program that waits stands for the diagnosis."""
+    number, script = tmp_path / "number", tmp_path / "waits"
+    script.write_text(f"#!/bin/sh\necho $$ > {number}.new\nmv {number}.new {number}\nexec sleep 60\n")
+    script.chmod(0o755)
+    code = (
+        f"import sys; from cannoise_jax.commands import fleet; sys.executable = {str(script)!r}; "
+        f"sys.exit(fleet.main(['--recordings', {str(sets)!r}, '--out', {str(tmp_path / 'out')!r}, "
+        "'--processes', '1']))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    until(number.exists)
+    process.terminate()
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert error == "bin/fleet: stopped: the same command goes on with the sets that are left\n"
+    assert not Path(f"/proc/{number.read_text().strip()}").exists()
+
+
+def until(true, patience_s=30.0):
+    end = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)

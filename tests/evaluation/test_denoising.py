@@ -56,3 +56,7 @@ def test_summary_and_order_say_what_is_told_apart():
     ]
     assert outcomes == ["above", "not told apart", "above"]
     assert np.isnan(gap_closed(base, best, base))
+    none = best - best.mean() + base.mean() + 1e-3  # above by a hair, and by far more from scene to scene
+    rows = summary({**numbers, "real_darks": none}, "pg", "real_darks")
+    assert rows["real_darks"]["over_pg"]["low"] < 0 < rows["real_darks"]["over_pg"]["value"]
+    assert all("gap_closed" not in row for row in rows.values())

@@ -13,6 +13,9 @@ from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
 
 SCHEMA = "cannoise/comparison-of-reports/1"
+DIAGNOSIS = "cannoise/diagnosis/2"
+"""The schema of report.json. Its number rises where a reader of the one before would misread it."""
+_ANY_VERSION = "cannoise/diagnosis/"
 _NAME = "report.json"
 
 
@@ -27,8 +30,17 @@ def read_report(path: str | Path) -> dict[str, Any]:
         ) from error
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is no JSON file: name a report.json or its folder") from error
-    if not isinstance(report, dict) or not str(report.get("schema", "")).startswith("cannoise/diagnosis/"):
-        raise BadInput(f"{path}: is no report of bin/diagnose")
+    schema = report.get("schema") if isinstance(report, dict) else None
+    if not str(schema).startswith(_ANY_VERSION):
+        raise BadInput(
+            f"{path}: is no report of bin/diagnose: name a report.json, or the folder of a diagnosis"
+        )
+    if schema != DIAGNOSIS:
+        other = " ".join(str(schema).split())[:40]
+        raise BadInput(
+            f"{path}: is a report of another version ({other}, not {DIAGNOSIS}): diagnose the recordings "
+            "again"
+        )
     return report
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery.compare.reports import DIAGNOSIS
 from cannoise_jax.discovery.frames.faults import fault_lines
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import light, outcome
@@ -24,8 +25,6 @@ from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.score import Score, p_of
-
-SCHEMA = "cannoise/diagnosis/2"
 
 
 def plain(value: Any) -> Any:
@@ -110,7 +109,7 @@ def document(
     also = [id for id in diagnosis.ids if id in named and id not in diagnosis.testable]
     return plain(
         {
-            "schema": SCHEMA,
+            "schema": DIAGNOSIS,
             "version": version,
             "key": key,
             "alpha": diagnosis.alpha,

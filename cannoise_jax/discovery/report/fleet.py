@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 from urllib.parse import quote
 
 from cannoise_jax.discovery.compare.report import percent, value
 
-SCHEMA = "cannoise/fleet/1"
+SCHEMA = "cannoise/fleet/2"
 _COLUMNS = {
     "set": "capture set",
     "camera": "camera",
@@ -83,9 +83,14 @@ def lines(rows: Sequence[dict[str, Any]]) -> list[str]:
     return ["  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in (heads, *shown)]
 
 
-def texts(rows: Sequence[dict[str, Any]], version: str, flags: Sequence[str]) -> dict[str, str]:
-    """The table as files: JSON, CSV, and a page with links to the reports."""
-    document = {"schema": SCHEMA, "version": version, "flags": list(flags), "rows": list(rows)}
+def texts(
+    rows: Sequence[dict[str, Any]], version: str, flags: Sequence[str], sets: Mapping[str, str]
+) -> dict[str, str]:
+    """The table as files: JSON, CSV, and a page with links to the reports. sets: by name the folder of the
+    recordings of every report that is there, also of sets that have no row."""
+    document = {
+        "schema": SCHEMA, "version": version, "flags": list(flags), "sets": dict(sets), "rows": list(rows),
+    }  # fmt: skip
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(_COLUMNS)
