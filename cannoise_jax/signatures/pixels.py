@@ -114,7 +114,7 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     counts, centre = histogram(squares)
     best, at = 0.0, 0.0
     gains = []
-    share = _read_share(fields)
+    share = read_share(fields)
     odd = np.log(_OF_NO_LAW) + _any_noise(centre, n)
     alike = np.logaddexp(np.log1p(-_OF_NO_LAW), odd)
     for spread in _SPREADS:
@@ -151,7 +151,7 @@ _LEAST_SHARE = 0.1
 """Of the variance that is taken to be read noise at least: rounding and dark charge are known but roughly."""
 
 
-def _read_share(fields: tuple[Fields, ...]) -> float:
+def read_share(fields: tuple[Fields, ...]) -> float:
     """Share of the variance of the darks that is read noise: neither rounding nor the shot noise of dark
     charge differs from pixel to pixel with it."""
     chosen = darks(fields)

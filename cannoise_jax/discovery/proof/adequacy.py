@@ -44,7 +44,7 @@ from cannoise_jax.discovery.proof.shadow import (
     undrawn,
 )
 from cannoise_jax.discovery.proof.shared_noise import shared
-from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
+from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
 from cannoise_jax.discovery.proof.whole_lines import in_parts
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -157,6 +157,7 @@ def doubts(
             or ranged(steps[n])
             or lasting(steps[n])
             or by_level(steps[n])
+            or noisy_again(steps[n])
             or in_parts(steps[n])
             or not_gaussian(steps, n)
             or shared(steps[n])

@@ -17,6 +17,8 @@ from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.handed import Many
+from cannoise_jax.signatures.pixels import read_share, square_map
+from cannoise_jax.signatures.returning import halves
 from cannoise_jax.signatures.signature import BLINKING
 
 _STRUCTURED = 0.5
@@ -40,6 +42,32 @@ _PLACES = 8
 """Places of lines that lie side by side."""
 _SMOOTH = 8
 """Parts of the frame that are as smooth as light along a side."""
+
+
+_FARTHEST = 1e-3
+"""Share of the pixels, the noisiest, that count as the next one does."""
+_AGAIN = 0.5
+"""Of the correlation between frames that a noise of each pixel's own makes, that it must have at least: maps
+of a spread of 0.25 to 0.36 have all of it and more."""
+
+
+def noisy_again(step: Step) -> Doubt | None:
+    """What speaks against a step that gives every pixel a noise of its own: that pixels noisy in some frames
+    are hardly so in the others, as where hits make them."""
+    if step.named.mechanism == UNKNOWN or step.named.signature.axes.law != NOISE:
+        return None
+    found, seen = halves(step.before), square_map(step.before)
+    if found is None or seen is None:
+        return None
+    usable = seen[1]
+    one, other = (np.minimum(h[usable], np.quantile(h[usable], 1 - _FARTHEST)) for h in found)
+    shared = float(np.corrcoef(one, other)[0, 1])
+    own = read_share(step.before) ** 2 * ((1 + step.named.score.amplitude**2) ** 4 - 1)
+    expected = own / (own + (1 + own) * 2 / max(seen[2] / 2, 1))
+    if shared > _AGAIN * expected or (expected - shared) * np.sqrt(one.size) < _SURE:
+        return None
+    what = f"the noise of pixels in some frames and in others correlates by {shared:.2f}, not {expected:.2f}"
+    return Doubt(1 - max(shared, 0.0) / expected, (what,), instead=True)
 
 
 def patterned(step: Step) -> Doubt | None:
