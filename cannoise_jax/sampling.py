@@ -23,6 +23,7 @@ from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.networks.branches import NoiseLevel
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.networks.layers import fold_spectral_norm
+from cannoise_jax.physics.core.ranges import check_key
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_entries import model_of
 from cannoise_jax.physics.core.sensor_json import sensor_document
@@ -137,10 +138,12 @@ def sample_noise(
 
     Raises ValueError for images of other shapes, for images in DN, for an nlf that is negative or infinite
     (of what is traced under jit only shapes are known), and for a level of another source than the model was
-    trained with (`Model.level`), which would be corrected twice or not at all.
+    trained with (`Model.level`), which would be corrected twice or not at all; TypeError for what is no
+    model or no key.
     """
     if not isinstance(params, Model):
         raise TypeError(f"params is a {type(params).__name__}: expected a Model, of load_model(workdir)")
+    check_key(key)
     check_level(params.level, nlf is not None)
     draw = initial_noise_of(params)
     if any(jnp.iscomplexobj(image) for image in (clean, noisy_ref)):
@@ -308,6 +311,8 @@ def load_model(workdir: str | Path) -> Model:
 
     Raises BadInput when there is none or it cannot be read; nothing is unpickled.
     """
+    if not isinstance(workdir, str | Path):
+        raise BadInput(f"workdir is {workdir!r}: name the folder of a trained model, or its file")
     path = Path(workdir)
     if path.is_dir():
         path = path / MODEL_FILE

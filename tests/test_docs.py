@@ -204,6 +204,32 @@ def test_what_cannot_be_taken_is_refused(tmp_path, capsys):
     assert bench(["docs", "--take", at, "--name", "../x", "--command", "c"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3 and all(line.startswith("bin/bench: ") for line in lines)
+    for content, said in (
+        ("[]", "its values are of other kinds"),
+        ('{"rows": [["a"]]}', "'code' is missing"),
+    ):
+        (tmp_path / "x.json").write_text(content)
+        assert bench(["docs", "--take", at, "--name", "x", "--command", "c"]) == 2
+        assert f"({said})" in capsys.readouterr().err
+    assert bench(["docs", "--take", str(tmp_path / "none"), "--name", "x", "--command", "c"]) == 2
+    assert "(no such file or directory)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--name", "x"], "--name is of a result that --take makes"),
+        (["--title", "x"], "--title is of a result that --take makes"),
+        (["--figure", "x.png"], "--figure is of a result that --take makes"),
+        (["--check", "--take", "x", "--name", "x", "--command", "c"], "--check writes nothing"),
+        (["--take", "x", "--name", "x", "--command", "c", "--caption", "c"], "--caption is that of --figure"),
+    ],
+)
+def test_flags_that_would_be_passed_over_are_refused(flags, said, monkeypatch, capsys):
+    monkeypatch.setattr(bench_docs, "run", lambda *_: pytest.fail("pages were written"))
+    assert bench(["docs", *flags]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
 
 
 def test_relative_links_lead_somewhere():

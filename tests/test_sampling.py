@@ -345,6 +345,12 @@ def test_a_noise_level_that_no_camera_has_is_refused(model, shot, read):
         sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (shot, read))
 
 
+@pytest.mark.parametrize("key", [0, None, jnp.zeros(3)])
+def test_what_is_no_key_is_refused(model, key):
+    with pytest.raises(TypeError, match=r"key is .*: expected (a|one) key"):
+        sample_noise(model, key, scene(32, 32), noisy(jax.random.key(1)), (1e-3, 1e-5))
+
+
 def test_one_number_is_no_noise_level(model):
     with pytest.raises(ValueError, match="give two numbers"):
         sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (0.01,))
@@ -377,3 +383,5 @@ def test_what_is_no_model_is_refused():
     clean = jnp.zeros((16, 16, 4))
     with pytest.raises(TypeError, match=r"params is a NoneType: expected a Model, of load_model"):
         sample_noise(None, jax.random.key(0), clean, clean)
+    with pytest.raises(BadInput, match=r"workdir is 3: name the folder of a trained model"):
+        load_model(3)

@@ -14,7 +14,7 @@ from typing import Any
 
 from cannoise_jax.blind.seal import SCHEMA, set_hash, write_atomically
 from cannoise_jax.recordings.load import load_capture_set
-from cannoise_jax.recordings.opened import json_of
+from cannoise_jax.recordings.opened import json_of, plainly
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 
 Analyse = Callable[[CaptureSet, tuple[str, ...], bool], dict[str, Any]]
@@ -33,7 +33,7 @@ def read_manifest(sets: Path) -> dict[str, Any]:
         raise
     except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise BadInput(
-            f"{path}: no manifest of sealed sets ({error}): make them with bin/blind seal"
+            f"{path}: no manifest of sealed sets ({plainly(error)}): make them with bin/blind seal"
         ) from error
 
 
@@ -86,7 +86,9 @@ def _read_claim(path: Path, sealed: dict[str, Any]) -> dict[str, Any]:
         report = json_of(path.read_text())
         about = report.get("set_sha256")
     except (ValueError, AttributeError, RecursionError) as error:
-        raise BadInput(f"{path}: not a report ({error}): remove it, and run bin/blind run again") from error
+        raise BadInput(
+            f"{path}: not a report ({plainly(error)}): remove it, and run bin/blind run again"
+        ) from error
     if about != sealed.get("sha256"):
         raise BadInput(f"{path}: a claim about another set of this name: run bin/blind run into a new folder")
     return report

@@ -54,6 +54,8 @@ def seal(
         raise BadInput(f"{truth}: lies inside the sets: keep the truth where the analysis does not look")
     rng = np.random.default_rng(seed)
     specs = compose(rng, sets, nulls, kinds)
+    if not specs:
+        raise BadInput(f"{out}: no set to seal: give --sets or --nulls above 0")
     entries, manifest = [], {}
     out.mkdir(parents=True, exist_ok=True)
     write_atomically(truth, "")  # found out now, not after all sets, where it cannot be written

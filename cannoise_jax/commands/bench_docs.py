@@ -127,8 +127,20 @@ def add_docs(commands: Any) -> None:
     docs.set_defaults(run=_run)
 
 
+def _check_flags(arguments: argparse.Namespace) -> None:
+    """Raises BadInput for flags that would be passed over."""
+    about = [n for n in ("name", "title", "figure", "caption", "command") if getattr(arguments, n)]
+    if arguments.take is None and about:
+        raise BadInput(f"docs: --{about[0]} is of a result that --take makes: give --take, or leave it out")
+    if arguments.take is not None and arguments.check:
+        raise BadInput("docs: --check writes nothing and --take does: give one of them")
+    if arguments.caption and arguments.figure is None:
+        raise BadInput("docs: --caption is that of --figure: give both, or leave it out")
+
+
 def _run(arguments: argparse.Namespace) -> None:
     root = Path(__file__).resolve().parents[2]
+    _check_flags(arguments)
     if arguments.take is not None:
         from cannoise_jax.commands.bench_take import figure, take
 

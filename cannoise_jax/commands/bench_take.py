@@ -11,7 +11,7 @@ from typing import Any
 
 from cannoise_jax.commands.denoise_sources import said_of
 from cannoise_jax.commands.published import Result, here, source_sha256
-from cannoise_jax.recordings.opened import json_of
+from cannoise_jax.recordings.opened import json_of, plainly
 from cannoise_jax.recordings.recording import BadInput
 
 _PACKAGE = "cannoise_jax/"
@@ -37,16 +37,17 @@ def take(root: Path, file: Path, name: str, title: str | None, command: list[str
     try:
         content = json_of(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise BadInput(f"{file}: not readable as JSON ({error}): name what a command wrote") from error
+        raise BadInput(
+            f"{file}: not readable as JSON ({plainly(error)}): name what a command wrote"
+        ) from error
     if not name.isidentifier() or name != name.lower():
         raise BadInput(f"--name {name}: small letters, digits and underscores")
     try:
         paths, parts = _parts(root, name, content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = f"{type(error).__name__}: {error}"
         raise BadInput(
             f"{file}: neither results.json, a suite, denoisers tested, blind.json, report.json nor a table "
-            f"({reason})"
+            f"({plainly(error)})"
         ) from error
     code = {"commits": _commit(root, paths), "paths": paths, "sha256": source_sha256(root, paths)}
     machine, date = here()

@@ -213,7 +213,7 @@ def _parser() -> argparse.ArgumentParser:
     step = steps.add_parser("run", prog="bin/blind run", help="diagnose every set, commit to the claims")
     step.add_argument("--sets", type=place, required=True, help="folder that bin/blind seal wrote")
     step.add_argument("--out", type=place, required=True, help="folder for the claims")
-    step.add_argument("--shard", type=shard_of, default=(1, 1), metavar="I/N", help="part I of N of the sets")
+    step.add_argument("--shard", type=shard_of, default="1/1", metavar="I/N", help="part I of N of the sets")
     step.set_defaults(step=_run)
     step = steps.add_parser("score", prog="bin/blind score", help="open the truth, score the claims")
     step.add_argument("--sets", type=place, required=True, help="folder that bin/blind seal wrote")
@@ -238,15 +238,15 @@ def _parser() -> argparse.ArgumentParser:
     step.add_argument(
         "--parts", type=parts_of, default=PARTS, metavar="PART,...", help=f"some of {', '.join(PARTS)}"
     )
-    step.add_argument("--size", type=size_of, default=(192, 256), metavar="HxW", help="crop used")
+    step.add_argument("--size", type=size_of, default="192x256", metavar="HxW", help="crop used")
     step.add_argument("--permutations", type=count, default=100, help="how often frames are permuted")
     step.set_defaults(step=_real)
     step = steps.add_parser("size", prog="bin/blind size", help="false alarms of the search, by simulation")
     step.add_argument("--out", type=place, required=True, help="folder for the lines of all replicates")
     step.add_argument("--seed", type=seed, required=True, help="of everything that is drawn")
     step.add_argument("--replicates", type=count, default=2000, help="capture sets")
-    step.add_argument("--size", type=size_of, default=(192, 256), metavar="HxW", help="pixels")
-    step.add_argument("--shard", type=shard_of, default=(1, 1), metavar="I/N", help="part I of N of them")
+    step.add_argument("--size", type=size_of, default="192x256", metavar="HxW", help="pixels")
+    step.add_argument("--shard", type=shard_of, default="1/1", metavar="I/N", help="part I of N of them")
     step.set_defaults(step=_true_size)
     step = steps.add_parser(
         "plain", prog="bin/blind plain", help="effects of another generator, unlisted ones too"

@@ -48,6 +48,11 @@ def _run(arguments, argv: list[str]) -> None:
     chosen = SUITES if arguments.suite == "all" else (arguments.suite,)
     if math.isqrt(arguments.per_scene) ** 2 != arguments.per_scene:
         raise BadInput(f"--per-scene {arguments.per_scene}: give a square number, as 4 or 9")
+    if not (arguments.workdir.exists() or arguments.model or arguments.also or arguments.sensors):
+        # Rather a slip in the name of a trained model than a wish for baselines alone.
+        raise BadInput(
+            f"{arguments.workdir}: no such folder: name that of a trained model, or make one for baselines"
+        )
     from cannoise_jax.discovery.proof.patch_area import two_sample_area
     from cannoise_jax.evaluation.beyond import beyond_bench
     from cannoise_jax.evaluation.noise_models import BASELINES, baselines, make_bench, sensors

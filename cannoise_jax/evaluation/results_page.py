@@ -25,7 +25,7 @@ h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; } h3 { fon
 .wide { overflow-x: auto; } .note, .cost { color: var(--dim); max-width: 48rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }
 th, td { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #8884; vertical-align: top; }
-th:first-child, td.text { text-align: left; } td.text { min-width: 9rem; max-width: 16rem; }
+th:first-child, th.text, td.text { text-align: left; } td.text { min-width: 9rem; max-width: 16rem; }
 small { color: var(--dim); display: block; white-space: nowrap; }
 .many th, .many td { padding: .25rem .3rem; font-size: 12px; } .many small { white-space: normal; }
 img { max-width: 100%; }
@@ -68,7 +68,9 @@ def _suite(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _table(table: Mapping[str, Any]) -> str:
-    head = "".join(f"<th>{escape(c)}</th>" for c in ("", *table["columns"]))
+    head = "<th></th>" + "".join(
+        f"<th{' class=text' if _is_text(table, c) else ''}>{escape(c)}</th>" for c in table["columns"]
+    )
     body = "".join(
         f"<tr><th>{escape(name)}</th>" + "".join(_cell(row.get(c), c) for c in table["columns"]) + "</tr>"
         for name, row in table["rows"].items()
@@ -79,6 +81,12 @@ def _table(table: Mapping[str, Any]) -> str:
         f"<h3>{escape(table['title'])}</h3>{note}<div class=wide><table{kind}><thead><tr>{head}</tr></thead>"
         f"<tbody>{body}</tbody></table></div>"
     )
+
+
+def _is_text(table: Mapping[str, Any], column: str) -> bool:
+    """Whether a column holds words, which stand at its left."""
+    found = [row.get(column) for row in table["rows"].values() if row.get(column) is not None]
+    return bool(found) and all(isinstance(value, str) for value in found)
 
 
 def _cell(value: Any, column: str) -> str:

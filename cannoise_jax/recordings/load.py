@@ -48,7 +48,7 @@ def load_recording(path: str | Path, **overrides: Any) -> Recording:
     overrides: see `metadata.OVERRIDES`. Raises BadInput for a file that cannot be used.
     """
     check_overrides(overrides)
-    path = Path(path)
+    path = _named(path, "a file")
     _check_file(path)
     if path.is_dir():
         if not sidd.is_instance(path):
@@ -91,6 +91,12 @@ def instead_of(suffix: str) -> str | None:
     return next((why for suffixes, why in UNREAD if suffix in suffixes), None)
 
 
+def _named(path: Any, what: str) -> Path:
+    if not isinstance(path, str | Path):
+        raise BadInput(f"path is of type {type(path).__name__}: give the name of {what}")
+    return Path(path)
+
+
 def _check_file(path: Path) -> None:
     if not path.exists():
         broken = path.is_symlink()
@@ -109,7 +115,7 @@ def _known_suffix(path: Path) -> str:
 
 def recording_paths(folder: str | Path) -> list[Path]:
     """The recordings of a folder, by suffix, sorted by name. Raises BadInput when there is none."""
-    folder = Path(folder)
+    folder = _named(folder, "a folder")
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
     broken = sorted(p for p in folder.iterdir() if is_supported(p) and not p.exists())

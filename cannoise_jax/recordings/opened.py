@@ -63,6 +63,21 @@ def check_plain(path: str | Path, instead: str) -> None:
         raise BadInput(f"{path}: {what}: {instead}")
 
 
+def plainly(error: BaseException) -> str:
+    """What is wrong with a file of JSON that could not be read or lacks something, in plain words."""
+    if isinstance(error, OSError):
+        return (error.strerror or type(error).__name__).lower()
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    if isinstance(error, UnicodeDecodeError):
+        return "it is no text"
+    if isinstance(error, RecursionError):
+        return "it is nested too deep"
+    if isinstance(error, TypeError | AttributeError):
+        return "its values are of other kinds"
+    return " ".join(str(error).split())
+
+
 def json_of(text: str) -> Any:
     """What a text in JSON holds. Raises ValueError, also for a name that is stated twice in one object, for
     which of both is meant nobody can tell, and for whole numbers beyond any float. Raises RecursionError for

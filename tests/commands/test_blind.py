@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from cannoise_jax.commands.blind import main
+from cannoise_jax.commands.blind_flags import shard_of, size_of
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.recording import Recording
 
@@ -60,7 +62,8 @@ def test_permuting_real_frames_takes_the_rows_away(tmp_path, capsys):
     ("arguments", "said"),
     [
         (["seal", "--out", "o", "--truth", "t", "--seed", "1", "--kinds", "odd"], "'odd'"),
-        (["run", "--sets", "nowhere", "--out", "o"], "no manifest"),
+        (["run", "--sets", "nowhere", "--out", "o"], "no manifest of sealed sets (no such file or "),
+        (["seal", "--out", "o", "--truth", "t", "--seed", "1", "--sets", "0"], "no set to seal"),
         (["run", "--sets", "s", "--out", "o", "--shard", "3/2"], "give i/n"),
         (["develop"], "--figures"),
         (["real", "--recordings", "nowhere", "--out", "o", "--size", "63x64"], "give HxW"),
@@ -76,3 +79,16 @@ def test_what_cannot_be_used_is_refused_in_one_line(arguments, said, capsys, tmp
         status = left.code
     error = capsys.readouterr().err.strip().splitlines()
     assert status == 2 and len(error) == 1 and said in error[0] and error[0].startswith("bin/blind")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("step", "flag"), [("run", "--shard"), ("size", "--shard"), ("real", "--size")])
+def test_the_default_that_help_prints_is_one_that_is_taken(step, flag, capsys):
+    with pytest.raises(SystemExit):
+        main([step, "--help"])
+    shown = re.search(
+        rf"{flag} .*?\(default (\S+)\)", " ".join(capsys.readouterr().out.split()).split("options:")[1]
+    )
+    assert shown
+    read = {"--shard": shard_of, "--size": size_of}[flag]
+    assert read(shown[1]) == {"--shard": (1, 1), "--size": (192, 256)}[flag]

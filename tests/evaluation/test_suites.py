@@ -185,6 +185,25 @@ def test_suites_that_need_a_model_say_so(tmp_path, capsys):
     assert "needs a trained model" in capsys.readouterr().out
 
 
+def test_a_slip_in_the_name_of_the_run_is_refused_and_makes_no_folder(tmp_path, capsys):
+    assert main(["--suite", "cameras", "--workdir", str(tmp_path / "slip")]) == 2
+    error = capsys.readouterr().err
+    assert "slip: no such folder" in error and error.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_the_head_of_a_column_of_text_stands_above_it():
+    found = {"value": 1.0, "low": None, "high": None, "seeds": 1, "patches": 1}
+    rows = {"r": {"x": found, "said": "3", "rarely": None}, "s": {"x": found, "said": "1", "rarely": "a"}}
+    table = {"title": "t", "note": "", "columns": ["x", "said", "rarely"], "rows": rows}
+    record = {
+        "tables": [table], "figures": [], "notes": [], "command": "c", "version": "1", "seeds": 1,
+        "patches": 1, "seconds": 1.0,
+    }  # fmt: skip
+    page = results_page({"noise": record})
+    assert "<th>x</th><th class=text>said</th><th class=text>rarely</th>" in page
+    assert "th.text" in page.partition("</style>")[0]
+
+
 def test_numbers_and_what_json_cannot_hold():
     assert [number(v) for v in (0.012345, 12.3, 1234.0, 0, float("nan"))] == [
         "0.0123",

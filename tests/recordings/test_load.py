@@ -74,3 +74,9 @@ def test_films_are_told_from_folders_that_hold_nothing(tmp_path):
     (tmp_path / "clip.MOV").write_bytes(b"\0\0\0\x14ftypqt  ")
     with pytest.raises(BadInput, match="only 1 .mov: developed pictures and films hold no raw values"):
         scan(tmp_path)
+
+
+@pytest.mark.parametrize("load", [load_recording, load_capture_set])
+def test_what_is_no_name_is_refused(load):
+    with pytest.raises(BadInput, match="path is of type int: give the name of a f"):
+        load(3)
