@@ -17,7 +17,7 @@ from typing import Any
 
 from cannoise_jax.commands import diagnose
 from cannoise_jax.commands.entry import command, duration
-from cannoise_jax.commands.fleet_process import diagnose_set, end_running
+from cannoise_jax.commands.fleet_process import diagnose_set, end_all
 from cannoise_jax.commands.fleet_sets import check_out, recorded, sets_of
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
@@ -145,8 +145,7 @@ def _executor(scheduler: str | None, processes: int) -> Iterator[Executor]:
         try:
             yield threads
         finally:
-            threads.shutdown(wait=False, cancel_futures=True)
-            end_running()
+            end_all(threads)
         return
     try:
         from distributed import Client
