@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from cannoise_jax.commands import fleet, fleet_process
-from cannoise_jax.commands.fleet_sets import sets_of
+from cannoise_jax.commands.fleet_sets import sets_of, source_of
 from cannoise_jax.discovery.report.fleet import failed, lines, ranked
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
@@ -167,6 +168,40 @@ def test_a_report_is_of_the_recordings_that_it_was_made_from(sets, own, tmp_path
     assert [job[0] for job in tried] == [str(other)]
     assert call(listing(tmp_path, sets / "rows"), own, "--key", "5") == 2
     assert call(listing(tmp_path, sets / "fine"), own, "--key", "5") == 0 and len(tried) == 1  # still known
+
+
+def changed_size(folder):
+    (folder / "more.h5").write_bytes(b"")
+
+
+def changed_time(folder):
+    os.utime(min(folder.glob("*.h5")), ns=(1, 1))
+
+
+def changed_name(folder):
+    path = min(folder.glob("*.h5"))
+    path.rename(path.with_name("other.h5"))
+
+
+@pytest.mark.parametrize("change", [changed_size, changed_time, changed_name])
+def test_recordings_that_changed_are_diagnosed_again(sets, own, tmp_path, monkeypatch, capsys, change):
+    """In the same folder; what is hidden there is no recording."""
+    moved, tried = tmp_path / "sets", []
+    shutil.copytree(sets, moved)
+    table = json.loads((own / "fleet.json").read_text())
+    table["sets"] = {name: source_of(moved / name)._asdict() for name in table["sets"]}
+    (own / "fleet.json").write_text(json.dumps(table))
+    monkeypatch.setattr(fleet, "diagnose_set", lambda *job: tried.append(job[0]))
+    listed = listing(tmp_path, moved / "rows", moved / "fine")
+    (moved / "rows" / ".DS_Store").write_text("")
+    assert call(listed, own, "--key", "5") == 0 and tried == []
+    change(moved / "rows")
+    capsys.readouterr()
+    assert call(listed, own, "--key", "5") == 0 and tried == [str(moved / "rows")]
+    said = capsys.readouterr().out.splitlines()
+    assert "1 of 2 have their report already" in said
+    assert "rows: its recordings have changed since its report: diagnosed again" in said
+    assert call(listed, own, "--key", "5") == 0 and len(tried) == 1
 
 
 @pytest.mark.parametrize("name", ["report.json", "report.html", "sensor.json"])
