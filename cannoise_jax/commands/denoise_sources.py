@@ -138,7 +138,8 @@ def verdict_of(path: Path) -> dict[str, Any]:
     """What `gain.json` says. Raises BadInput for a file that cannot be read."""
     try:
         found = json_of(path.read_text())
-        if isinstance(found, dict) and isinstance(found.get("adopted"), bool):
+        whole = isinstance(found, dict) and isinstance(found.get("judged_by", {}), dict)
+        if whole and isinstance(found.get("adopted"), bool):
             return found
     except (OSError, ValueError, RecursionError):
         pass

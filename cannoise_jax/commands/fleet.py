@@ -17,8 +17,8 @@ from typing import Any
 
 from cannoise_jax.commands import diagnose
 from cannoise_jax.commands.entry import command, duration
-from cannoise_jax.commands.fleet_process import diagnose_set, end_running
-from cannoise_jax.commands.fleet_sets import check_out, recorded, sets_of
+from cannoise_jax.commands.fleet_process import diagnose_set, end_all
+from cannoise_jax.commands.fleet_sets import Source, check_out, recorded, sets_of, source_of
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import REPORT_FILES
@@ -78,11 +78,16 @@ def _run(arguments: Any, flags: list[str]) -> int:
     check_out(arguments.recordings, sets, out)
     check_folder(out, (), arguments.force, "the reports")
     known = recorded(sets, out, flags, arguments.force)
-    found = {name: row for name in sets if name in known and (row := _finished(name, out))}
+    now = {name: source_of(place) for name, place in sets.items()}
+    changed = [name for name in sets if name in known and known[name].stamp != now[name].stamp]
+    kept = [name for name in sets if name in known and name not in changed]
+    found = {name: row for name in kept if (row := _finished(name, out))}
     if found:
         print(f"{len(found)} of {len(sets)} have their report already")
+    for name in changed:
+        print(f"{name}: its recordings have changed since its report: diagnosed again")
     # The record says of what the reports are; what it does not name a killed run or a damaged file has left.
-    record = {name: place for name, place in known.items() if name in found or name not in sets}
+    record = {name: source for name, source in known.items() if name in found or name not in sets}
     own = [*flags, "--force"]
     with _executor(arguments.scheduler, arguments.processes) as executor:
         make_folder(out)
@@ -100,7 +105,7 @@ def _run(arguments: Any, flags: list[str]) -> int:
             left = f" ({duration(still)} left)" if number < len(jobs) else ""
             print(f"{len(found)} of {len(sets)}: {name}: {row['verdict'] or row['error']}{left}", flush=True)
             if row["error"] is None:
-                record[name] = os.path.realpath(sets[name])
+                record[name] = now[name]
             table = _write(out, found, record, flags)
 
     from cannoise_jax.discovery.report.fleet import lines
@@ -112,14 +117,15 @@ def _run(arguments: Any, flags: list[str]) -> int:
 
 
 def _write(
-    out: Path, found: dict[str, dict[str, Any]], record: dict[str, str], flags: list[str]
+    out: Path, found: dict[str, dict[str, Any]], record: dict[str, Source], flags: list[str]
 ) -> list[dict[str, Any]]:
     """The table as it is now, written and returned."""
     from cannoise_jax.discovery.report import fleet
     from cannoise_jax.recordings.atomic import texts_in_place
 
     table = fleet.ranked(found.values())
-    texts = fleet.texts(table, importlib.metadata.version("cannoise-jax"), flags, record)
+    sources = {name: source._asdict() for name, source in record.items()}
+    texts = fleet.texts(table, importlib.metadata.version("cannoise-jax"), flags, sources)
     with texts_in_place({out / name: text for name, text in texts.items()}):
         return table
 
@@ -145,8 +151,7 @@ def _executor(scheduler: str | None, processes: int) -> Iterator[Executor]:
         try:
             yield threads
         finally:
-            threads.shutdown(wait=False, cancel_futures=True)
-            end_running()
+            end_all(threads)
         return
     try:
         from distributed import Client

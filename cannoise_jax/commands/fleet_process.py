@@ -1,16 +1,24 @@
-"""The process in which bin/fleet diagnoses a set, and the end of those that run."""
+"""The process in which bin/fleet diagnoses a set: it ends with the one that began it, however that ends.
+
+python -m cannoise_jax.commands.fleet_process PIPE diagnose ...
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cannoise_jax.commands.outputs import make_folder
+from cannoise_jax.commands.start import run
 
+_POLL_S = 0.05
 _GUARD = threading.Lock()
 _RUNNING: set[subprocess.Popen] = set()
 """Processes of this one, whichever thread waits for them."""
@@ -22,8 +30,7 @@ def diagnose_set(recordings: str, out: str, flags: Sequence[str], here: str) -> 
     Returns its error in one line, None where there is none.
     """
     make_folder(Path(out).parent)
-    words = [sys.executable, "-m", "cannoise_jax.commands.start", "diagnose"]
-    with _running([*words, "--recordings", recordings, "--out", out, *flags], here) as process:
+    with _running(["diagnose", "--recordings", recordings, "--out", out, *flags], here) as process:
         _, said_all = process.communicate()
     if process.returncode == 0:
         return None
@@ -34,24 +41,50 @@ def diagnose_set(recordings: str, out: str, flags: Sequence[str], here: str) -> 
     )
 
 
-def end_running() -> None:
-    """Ends the processes of all threads: nobody would read what they find. Called when none is begun any
-    more but by a thread that has just taken its set up, which waits here for its process to be known."""
-    with _GUARD:
-        for process in _RUNNING:
-            process.terminate()
+def end_all(threads: ThreadPoolExecutor) -> None:
+    """Ends threads that diagnose, with their processes, of which nobody would read what they find."""
+    threads.shutdown(wait=False, cancel_futures=True)
+    ended = threading.Thread(target=threads.shutdown, daemon=True)
+    ended.start()
+    while ended.is_alive():  # a thread may have taken a set and not yet begun its process
+        with _GUARD:
+            for process in _RUNNING:
+                process.terminate()
+        ended.join(_POLL_S)
 
 
 @contextlib.contextmanager
 def _running(words: list[str], here: str) -> Iterator[subprocess.Popen]:
-    with _GUARD:
-        process = subprocess.Popen(
-            words, cwd=here, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, errors="replace",
-        )  # fmt: skip
-        _RUNNING.add(process)
+    """A process that knows by a pipe that this one is there: what is killed tells nobody."""
+    theirs, ours = os.pipe()
     try:
-        yield process
-    finally:
+        start = [sys.executable, "-m", "cannoise_jax.commands.fleet_process", str(theirs)]
         with _GUARD:
-            _RUNNING.discard(process)
+            process = subprocess.Popen(
+                [*start, *words], cwd=here, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE, text=True, errors="replace", pass_fds=(theirs,),
+            )  # fmt: skip
+            _RUNNING.add(process)
+        try:
+            yield process
+        finally:
+            with _GUARD:
+                _RUNNING.discard(process)
+    finally:
+        os.close(theirs)
+        os.close(ours)
+
+
+def _end_with(pipe: int) -> None:
+    """Ends this process once nobody holds the other end of the pipe, into which nothing is written."""
+
+    def wait() -> None:
+        os.read(pipe, 1)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+if __name__ == "__main__":
+    _end_with(int(sys.argv.pop(1)))
+    sys.exit(run(sys.argv.pop(1)))

@@ -3,10 +3,11 @@ report is there."""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cannoise_jax.recordings.atomic import REPORT_FILES
 from cannoise_jax.recordings.opened import json_of
@@ -14,6 +15,37 @@ from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.unfinished import is_finished
 
 TABLE = "fleet.json"
+
+
+class Source(NamedTuple):
+    """What a report was made of: the folder of its recordings, links followed, and a stamp of its files."""
+
+    recordings: str
+    stamp: str
+
+
+def source_of(place: Path) -> Source:
+    """The recordings in a folder as they are now.
+
+    The stamp is of names, sizes and times of all files below it. To read them would cost as much as a part of
+    the diagnosis, of every set at every call; a file that is touched costs one diagnosis.
+    """
+    whole = hashlib.sha256()
+    for path in sorted(_files(place)):
+        try:
+            found = path.stat()
+        except OSError:  # a link to nothing, or just removed
+            continue
+        name = os.fsencode(path.relative_to(place))
+        whole.update(name + b"\0%d %d\0" % (found.st_size, found.st_mtime_ns))
+    return Source(os.path.realpath(place), whole.hexdigest())
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """All files below a folder but hidden ones, which hold no recordings."""
+    for above, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(above, name) for name in names if not name.startswith("."))
 
 
 def sets_of(source: Path) -> dict[str, Path]:
@@ -49,8 +81,8 @@ def check_out(source: Path, sets: Mapping[str, Path], out: Path) -> None:
             raise BadInput(f"{out}: the reports would lie among the recordings of {place}: name another one")
 
 
-def recorded(sets: Mapping[str, Path], out: Path, flags: list[str], force: bool) -> dict[str, str]:
-    """Where the recordings lie of which a folder has reports, by the name of the set, as its table says.
+def recorded(sets: Mapping[str, Path], out: Path, flags: list[str], force: bool) -> dict[str, Source]:
+    """The recordings of which a folder has reports, by the name of the set, as its table says.
 
     force: those of `sets` are not among them, nor any of other flags. Raises BadInput for reports of other
     flags, which do not belong in one table, of other recordings, or of no fleet at all.
@@ -75,15 +107,16 @@ def recorded(sets: Mapping[str, Path], out: Path, flags: list[str], force: bool)
         words = " ".join(before) or "none"
         raise BadInput(f"{path}: was made with other flags ({words}): name another folder, or use --force")
     for name in sets.keys() & known.keys():
-        if known[name] != os.path.realpath(sets[name]):
+        own = known[name].recordings
+        if own != os.path.realpath(sets[name]):
             raise BadInput(
-                f"{out / name}: holds the report of {known[name]}, not of {sets[name]}: name another folder, "
-                "or use --force"
+                f"{out / name}: holds the report of {own}, not of {sets[name]}: name another folder, or use "
+                "--force"
             )
     return known
 
 
-def _table(path: Path) -> tuple[list[str], dict[str, str]]:
+def _table(path: Path) -> tuple[list[str], dict[str, Source]]:
     """The flags of a table, and the recordings of its reports. Raises BadInput for what is none."""
     from cannoise_jax.discovery.report.fleet import SCHEMA
 
@@ -95,8 +128,11 @@ def _table(path: Path) -> tuple[list[str], dict[str, str]]:
         raise BadInput(f"{path}: is no table of a fleet: {remedy}") from error
     if schema != SCHEMA:
         raise BadInput(f"{path}: is of another version of bin/fleet ({str(schema)[:40]!r}): {remedy}")
-    sets = found.get("sets")
-    texts = [*flags, *sets.values()] if isinstance(flags, list) and isinstance(sets, dict) else [None]
-    if not all(isinstance(text, str) for text in texts):
+    try:
+        sets = {name: Source(**own) for name, own in found["sets"].items()}
+    except (KeyError, TypeError, AttributeError):
+        sets, flags = {}, None
+    texts = [text for own in sets.values() for text in own]
+    if not isinstance(flags, list) or not all(isinstance(text, str) for text in (*flags, *texts)):
         raise BadInput(f"{path}: is no table of a fleet: {remedy}")
     return flags, sets

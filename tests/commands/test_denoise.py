@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.denoise import main
+from cannoise_jax.commands.denoise_sources import verdict_of
 from cannoise_jax.evaluation.denoising import Interval
 from cannoise_jax.recordings.native import read_recording, write_recording
-from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.sampling import load_model
 from cannoise_jax.training.denoise import load_denoiser, save_denoiser
 
@@ -248,3 +249,13 @@ def test_small_frames_and_copies_are_refused_before_anything_is_made(
     run = ["--recordings", str(tmp_path / "in"), "--workdir", str(tmp_path / "out"), "--noise", noise]
     assert main(["train", *run, "--exposure", "10"]) == 2
     assert words in capsys.readouterr().err.splitlines()[-1] and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", '{"adopted": 1}', '{"adopted": true, "judged_by": null}'])
+def test_a_damaged_verdict_on_a_generator_is_refused(tmp_path, content):
+    path = tmp_path / "gain.json"
+    path.write_text(content)
+    with pytest.raises(BadInput, match="remove it and run again"):
+        verdict_of(path)
+    path.write_text('{"adopted": true, "judged_by": {"generator_steps": 2}}')
+    assert verdict_of(path)["adopted"]

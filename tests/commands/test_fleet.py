@@ -6,17 +6,20 @@ import contextlib
 import csv
 import io
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from cannoise_jax.commands import fleet
-from cannoise_jax.commands.fleet_sets import sets_of
+from cannoise_jax.commands import fleet, fleet_process
+from cannoise_jax.commands.fleet_sets import sets_of, source_of
 from cannoise_jax.discovery.report.fleet import failed, lines, ranked
 from cannoise_jax.recordings.native import write_recording
 from tests.discovery.capture import capture_set, row_offsets
@@ -167,6 +170,40 @@ def test_a_report_is_of_the_recordings_that_it_was_made_from(sets, own, tmp_path
     assert call(listing(tmp_path, sets / "fine"), own, "--key", "5") == 0 and len(tried) == 1  # still known
 
 
+def changed_size(folder):
+    (folder / "more.h5").write_bytes(b"")
+
+
+def changed_time(folder):
+    os.utime(min(folder.glob("*.h5")), ns=(1, 1))
+
+
+def changed_name(folder):
+    path = min(folder.glob("*.h5"))
+    path.rename(path.with_name("other.h5"))
+
+
+@pytest.mark.parametrize("change", [changed_size, changed_time, changed_name])
+def test_recordings_that_changed_are_diagnosed_again(sets, own, tmp_path, monkeypatch, capsys, change):
+    """In the same folder; what is hidden there is no recording."""
+    moved, tried = tmp_path / "sets", []
+    shutil.copytree(sets, moved)
+    table = json.loads((own / "fleet.json").read_text())
+    table["sets"] = {name: source_of(moved / name)._asdict() for name in table["sets"]}
+    (own / "fleet.json").write_text(json.dumps(table))
+    monkeypatch.setattr(fleet, "diagnose_set", lambda *job: tried.append(job[0]))
+    listed = listing(tmp_path, moved / "rows", moved / "fine")
+    (moved / "rows" / ".DS_Store").write_text("")
+    assert call(listed, own, "--key", "5") == 0 and tried == []
+    change(moved / "rows")
+    capsys.readouterr()
+    assert call(listed, own, "--key", "5") == 0 and tried == [str(moved / "rows")]
+    said = capsys.readouterr().out.splitlines()
+    assert "1 of 2 have their report already" in said
+    assert "rows: its recordings have changed since its report: diagnosed again" in said
+    assert call(listed, own, "--key", "5") == 0 and len(tried) == 1
+
+
 @pytest.mark.parametrize("name", ["report.json", "report.html", "sensor.json"])
 def test_damaged_and_missing_files_of_a_report_are_made_again(sets, own, tmp_path, monkeypatch, name):
     made, tried = (own / "rows" / name).read_bytes(), []
@@ -210,23 +247,70 @@ def test_reports_do_not_lie_among_the_recordings(sets, tmp_path, capsys, place):
     assert sorted((tmp_path / "sets").rglob("*")) == before
 
 
-def test_sigterm_ends_the_processes_too(sets, tmp_path):
-    """A program that waits stands for the diagnosis."""
-    number, script = tmp_path / "number", tmp_path / "waits"
-    script.write_text(f"#!/bin/sh\necho $$ > {number}.new\nmv {number}.new {number}\nexec sleep 60\n")
+@pytest.fixture
+def waits(sets, tmp_path):
+    """A fleet, and the process that it has begun, in which a program that waits stands for the diagnosis."""
+    number, script = tmp_path / "number", tmp_path / "python"
+    script.write_text(
+        f"#!{sys.executable}\n"
+        "import os, pathlib, runpy, sys, time\n"
+        "from cannoise_jax.commands import start\n"
+        "def wait(name):\n"
+        f"    new = pathlib.Path({str(number)!r} + '.new')\n"
+        "    new.write_text(str(os.getpid()))\n"
+        f"    new.rename({str(number)!r})\n"
+        "    time.sleep(60)\n"
+        "start.run, sys.argv = wait, sys.argv[2:]\n"
+        "runpy.run_module(sys.argv[0], run_name='__main__')\n"
+    )
     script.chmod(0o755)
     code = (
         f"import sys; from cannoise_jax.commands import fleet; sys.executable = {str(script)!r}; "
         f"sys.exit(fleet.main(['--recordings', {str(sets)!r}, '--out', {str(tmp_path / 'out')!r}, "
         "'--processes', '1']))"
     )
-    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
-    until(number.exists)
+    with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True) as process:
+        until(number.exists)
+        yield process, Path("/proc") / number.read_text()
+        process.kill()
+
+
+def test_sigterm_ends_the_processes_too(waits):
+    process, begun = waits
     process.terminate()
     _, error = process.communicate(timeout=20)
     assert process.returncode == 128 + signal.SIGTERM
     assert error == "bin/fleet: stopped: the same command goes on with the sets that are left\n"
-    assert not Path(f"/proc/{number.read_text().strip()}").exists()
+    assert not begun.exists()
+
+
+def test_the_processes_of_a_fleet_that_is_killed_end(waits):
+    process, begun = waits
+    process.kill()
+    until(lambda: not begun.exists() or begun.joinpath("stat").read_text().split()[2] == "Z", 10)
+
+
+def test_a_process_ends_that_is_begun_after_the_others_were_ended(tmp_path, monkeypatch):
+    """By a thread that had taken its set up before."""
+    taken, running = threading.Event(), fleet_process._running
+    script = tmp_path / "sleeps"
+    script.write_text("#!/bin/sh\nexec sleep 60\n")
+    script.chmod(0o755)
+
+    @contextlib.contextmanager
+    def late(words, here):
+        taken.set()
+        time.sleep(0.3)
+        with running(words, here) as process:
+            yield process
+
+    monkeypatch.setattr(fleet_process, "_running", late)
+    monkeypatch.setattr(sys, "executable", str(script))
+    threads = ThreadPoolExecutor(1)
+    job = threads.submit(fleet_process.diagnose_set, "in", str(tmp_path / "out"), (), str(tmp_path))
+    assert taken.wait(10)
+    fleet_process.end_all(threads)
+    assert job.result(timeout=0) == f"ended with status {-signal.SIGTERM}: nothing said"
 
 
 def until(true, patience_s=30.0):

@@ -84,10 +84,10 @@ def lines(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def texts(
-    rows: Sequence[dict[str, Any]], version: str, flags: Sequence[str], sets: Mapping[str, str]
+    rows: Sequence[dict[str, Any]], version: str, flags: Sequence[str], sets: Mapping[str, Any]
 ) -> dict[str, str]:
-    """The table as files: JSON, CSV, and a page with links to the reports. sets: by name the folder of the
-    recordings of every report that is there, also of sets that have no row."""
+    """The table as files: JSON, CSV, and a page with links to the reports. sets: by name what every
+    report that is there was made of, also of sets that have no row."""
     document = {
         "schema": SCHEMA, "version": version, "flags": list(flags), "sets": dict(sets), "rows": list(rows),
     }  # fmt: skip
