@@ -1,4 +1,4 @@
-"""Pixels whose noise differs from that of the others: noisier ones, and telegraph ones."""
+"""Pixels that have a noise of their own each."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 from scipy import special, stats
 
 from cannoise_jax.signatures.added import as_map, placed
-from cannoise_jax.signatures.charge_noise import by_charge, own_charge
-from cannoise_jax.signatures.fields import Fields, without_pixels
+from cannoise_jax.signatures.charge_noise import own_charge
+from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.jumps import CHANCE, merely_noisy
 from cannoise_jax.signatures.known_shape import darks, known_kurtosis, kurtosis_doubt
@@ -21,13 +21,12 @@ from cannoise_jax.signatures.shape import parabola_peak
 from cannoise_jax.signatures.signature import (
     BLINKING,
     BY_SHIFT,
-    CONTRASTS,
     NO_LAW,
-    STATIC,
     Axes,
     Signature,
     unchanged,
 )
+from cannoise_jax.signatures.squares import READS, dark_sigma, histogram, square_map, sum_of_squares
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Relative spreads of the pixels' noise that are tried; a parabola goes between."""
@@ -45,27 +44,6 @@ _OF_NO_LAW = 1e-3
 """Share of the pixels whose noise may be any of these."""
 _LOUDEST = 12.0
 """Logarithm of the variance of the noisiest of those, over that of most."""
-
-
-def square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """Temporal sum of squares of every pixel over all darks, which pixels to use, the degrees of freedom."""
-    chosen = darks(fields)
-    freedom = sum(len(f.contrasts) for f in chosen)
-    if freedom < 2:
-        return None
-    return (
-        _sum_of_squares(tuple(chosen), own_charge(fields)),
-        np.all([f.usable for f in chosen], axis=0),
-        freedom,
-    )
-
-
-def _sum_of_squares(chosen: Many, charge: np.ndarray | None) -> np.ndarray:
-    """In units of the noise, in which the shot noise of what each pixel collects is."""
-    total = np.zeros(chosen[0].mean.shape)
-    for f in chosen:
-        total += np.einsum("nij,nij->ij", f.contrasts, f.contrasts) / by_charge(f, charge)
-    return total
 
 
 def _known_dispersion(fields: tuple[Fields, ...]) -> tuple[float, float]:
@@ -182,45 +160,6 @@ def _dispersion_variance(n: int) -> float:
     return 8.0 * n**2 + 16.0 * n
 
 
-def histogram(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Counts and centres on a fine logarithmic grid: likelihoods are then sums over a few hundred bins."""
-    logs = np.log(np.maximum(squares, 1e-3))
-    counts, edges = np.histogram(logs, 600)
-    used = counts > 0
-    return counts[used], np.exp((edges[1:] + edges[:-1]) / 2)[used]
-
-
-def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
-    """Takes the pixels whose variance stands out in the darks out of every field."""
-    found = square_map(fields)
-    if found is None:
-        return fields
-    return without_pixels(fields, found[0] > stats.chi2.isf(1e-3, found[2]))
-
-
-READS = STATIC | CONTRASTS | {"mean", "signal", "shot"}
-
-
-def dark_squares(fields: Many) -> tuple[np.ndarray, int]:
-    """Temporal sum of squares of every pixel of the darks in units of the noise, and its degrees of
-    freedom."""
-    chosen = [f for f in fields if not f.lit and len(f.contrasts)]
-    return _sum_of_squares(tuple(chosen), own_charge(fields)), sum(len(f.contrasts) for f in chosen)
-
-
-def noisy_map(fields: Many, share: float) -> np.ndarray:
-    """Temporal standard deviation beyond that of the others, DN, at the noisiest `share` of the pixels
-    `[H, W]`; 0 elsewhere."""
-    squares, freedom = dark_squares(fields)
-    limit = np.quantile(squares, 1 - np.clip(share, 0, 1))
-    excess = np.maximum(squares / max(freedom, 1) - 1, 0)
-    return _dark_sigma(fields) * np.sqrt(np.where(squares >= limit, excess, 0.0))
-
-
-def _dark_sigma(fields: Many) -> float:
-    return float(np.mean([np.median(f.sigma) for f in fields if not f.lit]))
-
-
 def noise_factors(fields: Many, spread: float, rng: np.random.Generator) -> np.ndarray:
     """A draw of every pixel's read noise over the mean one `[H, W]`, log-normal of relative spread
     `spread` but for a few, given its sums of squares. What darks of a gain setting have beyond the quietest
@@ -257,7 +196,7 @@ def _by_read_share(fields: Many) -> list[tuple[float, np.ndarray, int]]:
     out = []
     for share in sorted(set(shares)):
         own = tuple(f for f, s in zip(chosen, shares, strict=True) if s == share)
-        out.append((share, _sum_of_squares(own, charge), sum(len(f.contrasts) for f in own)))
+        out.append((share, sum_of_squares(own, charge), sum(len(f.contrasts) for f in own)))
     return out
 
 
@@ -297,7 +236,7 @@ def own_noise(
         """Noise beyond that of the quietest, DN."""
         assert found.pattern is not None
         beyond = np.maximum(found.pattern**2 - np.quantile(found.pattern, 0.05) ** 2, 0)
-        return placed(BLINKING)(found._replace(pattern=_dark_sigma(found.fields) * np.sqrt(beyond)))
+        return placed(BLINKING)(found._replace(pattern=dark_sigma(found.fields) * np.sqrt(beyond)))
 
     return Signature(
         name=name,

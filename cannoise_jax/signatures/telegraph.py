@@ -15,18 +15,18 @@ from cannoise_jax.signatures.heat import above_neighbours
 from cannoise_jax.signatures.hot import mask_off
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen
-from cannoise_jax.signatures.pixels import (
+from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p, spread_of
+from cannoise_jax.signatures.returning import returning_log_p
+from cannoise_jax.signatures.score import LEAST_LOG_P, Score
+from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
+from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
+from cannoise_jax.signatures.squares import (
     READS,
     histogram,
     mask_noisy,
     noisy_map,
     square_map,
 )
-from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p, spread_of
-from cannoise_jax.signatures.returning import returning_log_p
-from cannoise_jax.signatures.score import LEAST_LOG_P, Score
-from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
-from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 
 _LOOKED_AT = np.log(0.05)
 """Log p from which on nothing more is asked."""

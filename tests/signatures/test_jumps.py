@@ -9,7 +9,7 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.jumps import jumps_over_noise, merely_noisy
-from cannoise_jax.signatures.pixels import square_map
+from cannoise_jax.signatures.squares import square_map
 
 SIZE = (96, 128)
 _RNG = np.random.default_rng

@@ -17,9 +17,10 @@ from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.handed import Many
-from cannoise_jax.signatures.pixels import read_share, square_map
+from cannoise_jax.signatures.pixels import read_share
 from cannoise_jax.signatures.returning import halves
 from cannoise_jax.signatures.signature import BLINKING
+from cannoise_jax.signatures.squares import square_map
 
 _STRUCTURED = 0.5
 """Share of the map's variance at scales of many pixels, beyond what single pixels have there, from which on
