@@ -43,7 +43,7 @@ _OFFSETS = 16
 
 def merely_noisy(fields: Many, squares: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> bool:
     """Whether the frames of the noisy pixels speak for normal noise. squares: sums of squares of all darks in
-    units of the noise, of which `usable` count; see `squares.square_map`. False: too few are noisy to tell."""
+    units of the noise, of which `usable` count (`squares.square_map`). False: too few are noisy to tell."""
     seen = [f for f in darks(tuple(fields)) if f.frames >= _FRAMES]
     freedom = sum(len(f.contrasts) for f in darks(tuple(fields)))
     if not seen:
