@@ -83,6 +83,8 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
         ("--recordings", "", "--out", "out/f"),
         ("--recordings", "in/a.h5", "--out", "out/f"),
         ("--recordings", "in", "--out", "out/f", "--processes", "0"),
+        ("--recordings", "in", "--out", "in/f"),
+        ("--recordings", "in", "--out", "out/f", "--without", "no_such"),
         ("--recordings", "in", "--out", "out/f", "--nothing"),
     ),
     "compare": (
@@ -106,6 +108,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
         ("--suite", "noise", "--workdir", ""),
         ("--suite", "noise", "--workdir", "in/a.h5"),
         ("--suite", "noise", "--workdir", "nowhere/x/y"),
+        ("--suite", "noise", "--workdir", "out/w"),
         ("--suite", "noise", "--workdir", "out/w", "--model", "in/none"),
         ("--suite", "noise", "--workdir", "out/w", "--model", "in"),
         ("--suite", "noise", "--workdir", "out/w", "--model", "in/a.h5"),
