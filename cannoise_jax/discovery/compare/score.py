@@ -72,31 +72,14 @@ def better(a: Compared, b: Compared) -> Better | None:
     every = a.held_back and b.held_back
     kept = {n: gains[n][held_back(a.seen[n].frames)] for n in names} if not every else gains
     held = every or sum(v.size for v in kept.values()) > 1
-    chosen = kept if held else gains
-    mean, low, high = _over_frames(chosen, gains)
+    values = np.concatenate(list((kept if held else gains).values()))
+    mean, low, high = _interval(values)
     fixed = None
     one, two = (scores(c, of(STATIC, STRUCTURE)) for c in (a, b))
     maps = [float(two[n][0] - one[n][0]) for n in one if n in two]
     if len(maps) > 1:
         fixed = _interval(np.array(maps))
-    return Better(mean, low, high, sum(v.size for v in chosen.values()), held, fixed)
-
-
-def _over_frames(
-    chosen: dict[str, Float[np.ndarray, "n"]], every: dict[str, Float[np.ndarray, "u"]]
-) -> tuple[float, float, float]:
-    """Mean and 90 % interval over the frames of these recordings, which are what they are: that darks tell
-    more than flats is no chance. Each scatters as `every` contrast of it does (Welch, Biometrika 34,
-    28, 1947)."""
-    values = np.concatenate(list(chosen.values()))
-    told = {n: v for n, v in every.items() if v.size > 1}
-    if set(chosen) - set(told):
-        return _interval(values)
-    parts = [(chosen[n].size * v.var(ddof=1) / values.size**2, v.size - 1) for n, v in told.items()]
-    total = sum(part for part, _ in parts)
-    freedom = total**2 / max(sum(part**2 / own for part, own in parts), 1e-300)
-    wide = float(stats.t.ppf(0.95, max(freedom, 1.0)) * np.sqrt(total))
-    return float(values.mean()), float(values.mean() - wide), float(values.mean() + wide)
+    return Better(mean, low, high, values.size, held, fixed)
 
 
 def _interval(values: Float[np.ndarray, "n"]) -> tuple[float, float, float]:
