@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import logging
-import math
 import sys
 import warnings
 import zlib
@@ -24,11 +23,12 @@ from cannoise_jax.commands.parser import (
     above_zero,
     add_mechanisms_flag,
     celsius,
+    decibels,
     place,
     seconds,
     seed,
 )
-from cannoise_jax.recordings.recording import MOST_DB, BadInput, iso_of_gain
+from cannoise_jax.recordings.recording import BadInput, iso_of_gain
 
 if TYPE_CHECKING:
     import jax
@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     gain.add_argument("--iso", type=above_zero, help="default: the first calibrated ISO")
     gain.add_argument(
         "--gain",
-        type=_decibels,
+        type=decibels,
         metavar="DB",
         help="for --iso, of a camera that counts its gain in dB",
     )
@@ -111,16 +111,6 @@ def _size(text: str) -> tuple[int, int]:
     if not (2 <= height <= 2**15 and 2 <= width <= 2**15):
         raise argparse.ArgumentTypeError(f"{text}: sides must be 2 to 32768 pixels")
     return height, width
-
-
-def _decibels(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= MOST_DB:
-        raise argparse.ArgumentTypeError(f"{text!r}: give a gain in dB, at most {MOST_DB:g}")
-    return value
 
 
 def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording]]:

@@ -41,11 +41,12 @@ _OFFSETS = 16
 """Places of the mean between the levels that are tried."""
 
 
-def merely_noisy(fields: Many, squares: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) -> bool:
-    """Whether the frames of the noisy pixels speak for normal noise. squares: sums of squares of all darks in
-    units of the noise, of which `usable` count (`squares.square_map`). False: too few are noisy to tell."""
+def merely_noisy(
+    fields: Many, squares: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"], freedom: int
+) -> bool:
+    """Whether the frames of the noisy pixels speak for normal noise. squares, usable, freedom: see
+    `squares.square_map`. False where too few are noisy to tell."""
     seen = [f for f in darks(tuple(fields)) if f.frames >= _FRAMES]
-    freedom = sum(len(f.contrasts) for f in darks(tuple(fields)))
     if not seen:
         return False
     noisy = np.flatnonzero(usable & (squares > stats.chi2.isf(CHANCE, freedom)))

@@ -26,14 +26,19 @@ from cannoise_jax.signatures.signature import (
     Signature,
     unchanged,
 )
-from cannoise_jax.signatures.squares import READS, dark_sigma, histogram, square_map, sum_of_squares
+from cannoise_jax.signatures.squares import (
+    LOOKED_AT,
+    READS,
+    dark_sigma,
+    histogram,
+    square_map,
+    sum_of_squares,
+)
 
 _SPREADS = (0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.12, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Relative spreads of the pixels' noise that are tried; a parabola goes between."""
 
 
-_LOOKED_AT = np.log(0.05)
-"""Log p from which on it is not asked how the noisy pixels are noisy."""
 _MOSTLY = 0.5
 """Of the noisy pixels that the law of all has, from which on they are no kind of their own: of read noise of
 another strength in each it has 0.7 to 0.9, of a few that jump beside others that hardly differ 0.1."""
@@ -111,9 +116,9 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     error = 1 / (unit * max(2 * at, 1 / np.sqrt(unit)))
     return Score(
         log_p=log_p,
-        payload=log_p < _LOOKED_AT
+        payload=log_p < LOOKED_AT
         and _explains(at, share, squares, n)
-        and merely_noisy(fields, whole, usable),
+        and merely_noisy(fields, whole, usable, n),
         gain=best,
         penalty=0.5 * float(np.log(squares.size)),
         amplitude=at,

@@ -12,6 +12,9 @@ from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC
 
+LOOKED_AT = np.log(0.05)
+"""Log p from which on nothing more is asked of how the noisy pixels are noisy."""
+
 
 def square_map(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, int] | None:
     """Temporal sum of squares of every pixel over all darks, which pixels to use, the degrees of freedom."""

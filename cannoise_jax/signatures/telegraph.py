@@ -21,6 +21,7 @@ from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
 from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 from cannoise_jax.signatures.squares import (
+    LOOKED_AT,
     READS,
     histogram,
     mask_noisy,
@@ -28,8 +29,6 @@ from cannoise_jax.signatures.squares import (
     square_map,
 )
 
-_LOOKED_AT = np.log(0.05)
-"""Log p from which on nothing more is asked."""
 _START = 0.005
 """Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
 128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
@@ -59,7 +58,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
     log_p = sparse_log_p(counts, ratios)
     # Rare events make other pixels noisy the next time.
-    returning = returning_log_p(fields, usable) if log_p < _LOOKED_AT else None
+    returning = returning_log_p(fields, usable) if log_p < LOOKED_AT else None
     if returning is not None:
         log_p = max(log_p, returning)
     sigma = float(np.mean([np.median(f.sigma) for f in darks(fields)]))

@@ -37,8 +37,7 @@ def darks(draw, seed, frames=(8, 16)):
 def answer(draw, seed, frames=(8, 16)):
     capture = CaptureSet("camera", tuple(darks(draw, seed, frames)))
     fields = prepare(capture, all_frames(split_recordings(capture)), False).fields
-    squares, usable, _ = square_map(fields)
-    return merely_noisy(fields, squares, usable)
+    return merely_noisy(fields, *square_map(fields))
 
 
 @pytest.mark.parametrize("frames", [(8, 16), (10, 10), (6, 30)])

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.compare.correlated import Correlated, correlated, of_counts, of_moments, unskewed
+from cannoise_jax.discovery.compare.correlated import correlated, of_counts, of_moments, unskewed
 from cannoise_jax.discovery.compare.families import (
     FAMILIES,
     MOMENTS,
@@ -120,30 +120,35 @@ def _spread_over(values: np.ndarray, free: np.ndarray) -> np.ndarray:
     return out
 
 
-def _noise(sets: list[Measured]) -> Correlated | None:
-    """How a simulator's noise is alike from pixel to pixel: rows that it redraws are in the mean of its
-    frames too. None: it draws single frames."""
+def _wider(sets: list[Measured]) -> dict[str, Float[np.ndarray, "k"]]:
+    """By family, how much more its statistics scatter than those of independent pixels, where a simulator's
+    noise is alike from pixel to pixel: rows that it redraws are in the mean of its frames too. Empty where it
+    draws single frames."""
     powers = [(s.power, s.contrasts, s.width) for s in sets if s.power is not None and s.contrasts]
     if not powers:
-        return None
+        return {}
     fields = sum(n for _, n, _ in powers)
-    return correlated(np.sum([p for p, _, _ in powers], 0) / fields, powers[0][2], fields)
+    noise = correlated(np.sum([p for p, _, _ in powers], 0) / fields, powers[0][2], fields)
+    return {MOMENTS: of_moments(noise), **{name: of_counts(noise, *how) for name, how in _COUNTED.items()}}
 
 
 def _in_noise(
-    family: Family, recorded: Statistics, drawn: list[Statistics], moving, noise: Correlated | None
+    family: Family,
+    recorded: Statistics,
+    drawn: list[Statistics],
+    moving: list[Statistics] | None,
+    wider: dict[str, Float[np.ndarray, "k"]],
 ) -> laws.Judged:
-    """One family where pixels are alike as `noise` has it. moving: see `judged`."""
+    """One family where its statistics scatter `wider`. moving: see `judged`."""
     if family.name == SMOOTH_MAPS:  # by the scatter that all of them show
         recorded = recorded._replace(size=np.mean([recorded.size, *(s.size for s in drawn)], 0))
-    if noise is None or family.name not in (MOMENTS, *_COUNTED):
+    own = wider.get(family.name)
+    if own is None:
         return judged(recorded, drawn, moving)
-    if family.name == MOMENTS:
-        wider, pixels = of_moments(noise), 2.0 / float(recorded.size[0])
-        out = judged(recorded._replace(size=recorded.size * wider), drawn, moving)
-        return out._replace(z=unskewed(out.z, wider, pixels))
-    chances, squares = _COUNTED[family.name]
-    return judged(recorded, drawn, moving, of_counts(noise, chances, squares))
+    if family.name != MOMENTS:
+        return judged(recorded, drawn, moving, own)
+    out = judged(recorded._replace(size=recorded.size * own), drawn, moving)
+    return out._replace(z=unskewed(out.z, own, 2.0 / float(recorded.size[0])))
 
 
 def judge(
@@ -156,7 +161,7 @@ def judge(
     every: dict[str, list[tuple[str, laws.Judged]]] = defaultdict(list)
     for name, real in recorded.items():
         own: dict[str, laws.Judged] = {}
-        noise = _noise(simulated[name])
+        wider = _wider(simulated[name])
         for family, values in real.families.items():
             drawn = of_sets(simulated[name], family)
             if drawn:
@@ -166,7 +171,7 @@ def judge(
                 if moving is not None:
                     values = without_noise(known, values, moving, drawn)
                 units = None if moving is None else of_sets(simulated[name], redrawn)
-                own[family] = _in_noise(known, values, drawn, units, noise)
+                own[family] = _in_noise(known, values, drawn, units, wider)
                 every[family].append((name, own[family]))
     for results in every.values():
         pooled = []

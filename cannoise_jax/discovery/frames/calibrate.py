@@ -99,7 +99,7 @@ def _between_frames(dark: list[Stack], known: float) -> float:
     if not told:
         return 0.0
     quietest = min(told, key=lambda s: float(np.mean(s.variance)))
-    each = np.array([np.mean((c - c.mean()) ** 2) for c in quietest.contrasts])
+    each = quietest.contrasts.var((1, 2))
     error = float(each.std(ddof=1) / np.sqrt(each.size))
     return error if error > _MORE * known else 0.0
 
