@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,22 +30,12 @@ def source_of(place: Path) -> Source:
     The stamp is of names, sizes and times of all files below it. To read them would cost as much as a part of
     the diagnosis, of every set at every call; a file that is touched costs one diagnosis.
     """
-    whole = hashlib.sha256()
-    for path in sorted(_files(place)):
-        try:
-            found = path.stat()
-        except OSError:  # a link to nothing, or just removed
-            continue
-        name = os.fsencode(path.relative_to(place))
-        whole.update(name + b"\0%d %d\0" % (found.st_size, found.st_mtime_ns))
-    return Source(os.path.realpath(place), whole.hexdigest())
+    from cannoise_jax.recordings.folders.store import facts_of
 
-
-def _files(folder: Path) -> Iterator[Path]:
-    """All files below a folder but hidden ones, which hold no recordings."""
-    for above, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        yield from (Path(above, name) for name in names if not name.startswith("."))
+    own = [(Path(name).relative_to(place), *about) for name, *about in facts_of(place)]
+    # Hidden files hold no recordings.
+    shown = [(*path.parts, *about) for path, *about in own if not any(p.startswith(".") for p in path.parts)]
+    return Source(os.path.realpath(place), hashlib.sha256(repr(shown).encode()).hexdigest())
 
 
 def sets_of(source: Path) -> dict[str, Path]:

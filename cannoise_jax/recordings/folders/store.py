@@ -220,7 +220,15 @@ def _is_prepared(folder: Path) -> bool:
 
 
 def _key(folder: Path, options: Options) -> str:
-    facts: list[Any] = [_LAYOUT, str(folder.resolve()), options]
+    facts = [_LAYOUT, str(folder.resolve()), options, *facts_of(folder)]
+    text_ = json.dumps(facts, sort_keys=True, default=str)
+    return hashlib.sha256(text_.encode("utf-8", "surrogateescape")).hexdigest()[:24]
+
+
+def facts_of(folder: Path) -> list[tuple[Any, ...]]:
+    """Name, size and time of every file below a folder, in order; of what cannot be looked at the name and
+    None. To read the files would cost more, at every call."""
+    facts: list[tuple[Any, ...]] = []
     for root, folders, names in os.walk(folder, onerror=lambda error: facts.append((error.filename, None))):
         folders.sort()
         for name in sorted(names):
@@ -231,8 +239,7 @@ def _key(folder: Path, options: Options) -> str:
                 facts.append((str(path), None))
                 continue
             facts.append((str(path), about.st_size, about.st_mtime_ns))
-    text_ = json.dumps(facts, sort_keys=True, default=str)
-    return hashlib.sha256(text_.encode("utf-8", "surrogateescape")).hexdigest()[:24]
+    return facts
 
 
 def _into_cache(plan: Plan, entry: Path) -> Lease:
