@@ -34,6 +34,16 @@ def test_every_frame_looks_or_proves_and_never_both(count):
     assert count < 3 or len(look) > len(show) > 0
 
 
+@pytest.mark.parametrize("count", [16, 32])
+@pytest.mark.parametrize("period", [2, 3, 4, 5, 6, 7])
+def test_no_period_hides_from_the_frames_that_look(count, period):
+    look = np.array(split_frames(count)[0])
+    seen = np.bincount(look % period, minlength=period) / np.bincount(np.arange(count) % period)
+    assert seen.min() > 0.3
+    if period in (2, 4):
+        np.testing.assert_allclose(seen, 0.75)
+
+
 def test_recordings_of_two_frames_look_and_prove_in_turn():
     splits = split_recordings(capture_set(50, kinds="df", frames=2))
     assert {tuple(map(tuple, s)) for s in splits} <= {((0, 1), ()), ((), (0, 1))}

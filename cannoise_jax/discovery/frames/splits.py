@@ -29,9 +29,11 @@ def read_once(capture: CaptureSet) -> CaptureSet:
 
 
 def split_frames(count: int) -> tuple[list[int], list[int]]:
-    """Frames that look for effects, and frames that estimate and prove: three and one of every four. Fewer
+    """Frames that look for effects, and frames that estimate and prove: three and one of every four, a place
+    earlier from four to four (3, 6, 9, 12, 19, ...). Always the fourth would keep from those that look what
+    comes with every fourth frame, and of frames that alternate show them twice as many of one kind. Fewer
     than three cannot be split."""
-    show = [count - 1] if count == 3 else list(range(3, count, 4))
+    show = [count - 1] if count == 3 else [t for t in range(count) if t % 4 == 3 - t // 4 % 4]
     return [t for t in range(count) if t not in show], show
 
 
