@@ -125,6 +125,28 @@ def test_rows_that_differ_from_recording_to_recording_are_no_fixed_pattern(stays
         assert found.left > 0.6 and "in common" in found.against[0]
 
 
+@pytest.mark.parametrize("flats", ["as the darks", "of their own"])
+def test_columns_that_darks_share_and_flats_have_not_are_no_fixed_pattern(flats):
+    """Darks of one level cannot tell offsets of columns from errors of their converters, which are another
+    one's at another level."""
+    rng = np.random.default_rng(9)
+    own = {"dark": rng.standard_normal((1, 128))}
+
+    def alter(rng):
+        def change(dn, signal, kind, t):
+            kind = "dark" if flats == "as the darks" else f"{kind} {signal.mean():.0f}"
+            kind = "dark" if kind.startswith("dark") else kind
+            return dn + SIGMA * own.setdefault(kind, rng.standard_normal((1, 128)))
+
+        return change
+
+    step = named_map(capture_set(3, alter, kinds="df", frames=6), "column_additive_static", "column_fpn")
+    found = lasting(step)
+    assert step.log_p < -20 and (found is None) == (flats == "as the darks")
+    if found is not None:
+        assert found.left > 0.6 and "darks and flats" in found.against[0]
+
+
 def named_map(capture, name, mechanism):
     """A finding of one signature in all frames, under a name."""
     prepared = prepare(capture, all_frames(split_recordings(capture)), False)

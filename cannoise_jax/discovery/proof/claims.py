@@ -90,20 +90,28 @@ def lasting(step: Step) -> Doubt | None:
         own = np.ravel(found.pattern) / doubt, np.maximum(1 / doubt - 1 / claimed, 0.0)
         if np.median(own[1]) * claimed < _SHOWN:
             continue
-        sums.append(_apart(*own, _channels(field, np.shape(found.pattern))))
+        sums.append((field.lit, *_apart(*own, _channels(field, np.shape(found.pattern)))))
     if len(sums) < 2:
         return None
-    product, weight = _of_pairs(*(np.array(v) for v in zip(*sums, strict=True)))
-    used = weight > 0
-    if used.sum() < _FEWEST:
-        return None
-    common = float(product[used].sum() / weight[used].sum())
-    error = float(np.sqrt(np.sum((product - claimed * weight)[used] ** 2)) / weight[used].sum())
-    if common > _SHARED * claimed or claimed - common < _SURE * error:
-        return None
-    share = 1 - max(common, 0.0) / claimed
-    what = f"recordings have {100 * (1 - share):.0f} % of the pattern in common: it does not stay"
-    return Doubt(share, (what,), instead=True)
+    lit, *each = (np.array(v) for v in zip(*sums, strict=True))
+    dark_and_lit = [(v[lit].sum(0), v[~lit].sum(0)) for v in each]
+    # Darks alone may be of one level, which to each column of a converter's errors is one place.
+    pairs = {
+        "recordings": _of_pairs(*each),
+        "darks and flats": tuple(a * b for a, b in dark_and_lit),
+    }
+    for what, (product, weight) in pairs.items():
+        used = weight > 0
+        if used.sum() < _FEWEST:
+            continue
+        common = float(product[used].sum() / weight[used].sum())
+        error = float(np.sqrt(np.sum((product - claimed * weight)[used] ** 2)) / weight[used].sum())
+        if common > _SHARED * claimed or claimed - common < _SURE * error:
+            continue
+        share = 1 - max(common, 0.0) / claimed
+        said = f"{what} have {100 * (1 - share):.0f} % of the pattern in common: it does not stay"
+        return Doubt(share, (said,), instead=True)
+    return None
 
 
 def _channels(field: Fields, shape: tuple[int, ...]) -> np.ndarray:

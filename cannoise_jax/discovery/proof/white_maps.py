@@ -9,9 +9,12 @@ lies at those of many pixels. Whole rows and columns, and what is as smooth as l
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy import ndimage, stats
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -43,7 +46,8 @@ _PLACES = 8
 """Places of lines that lie side by side."""
 _SMOOTH = 8
 """Parts of the frame that are as smooth as light along a side."""
-
+_BESIDE = 9
+"""Frequencies beside each other, along each axis, over which a spectrum is smoothed."""
 
 _FARTHEST = 1e-3
 """Share of the pixels, the noisiest, that count as the next one does."""
@@ -82,25 +86,83 @@ def patterned(step: Step) -> Doubt | None:
     one, two = (_map(step, half, n) for n, half in enumerate(_halves(step.before)))
     if one is None or two is None:
         return None
+    noise = axes.law == NOISE
+    found = max(_of_blocks(one, two, noise), _of_waves(one, two, noise), key=lambda f: f.share)
+    if found.share <= _STRUCTURED:
+        return None
+    structures = f"structures some {found.length} px wide"
+    said = f"{100 * found.share:.0f} % of the map is of {structures}, not of single pixels"
+    return Doubt(found.share, (said,), instead=True)
+
+
+class _Structured(NamedTuple):
+    """Share of a map's variance that is of no single pixels, 0 where that may be chance, and how wide it
+    is, pixels."""
+
+    share: float
+    length: int
+
+
+def _structured(every: float, alone: float, error: float, length: Callable[[], int]) -> _Structured:
+    """every, alone: mean power of the map, and that of single pixels; error: of their difference."""
+    sure = every > 0 and every - max(alone, 0.0) >= max(_STRUCTURED * every, _SURE * error)
+    return _Structured(1 - max(alone, 0.0) / every, length()) if sure else _Structured(0.0, 0)
+
+
+def _of_blocks(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"], noise: bool) -> _Structured:
+    """Structure in blocks: by the scales of the bank, of which single pixels have the finest as the others.
+    one, two: the map by each half of the recordings."""
     each, other, both = (bank.energies(m.astype(np.float32)) for m in (one, two, one + two))
     shared = (both - each - other) / 2
-    weight = bank.counts(one.shape) * _local(one.shape, axes.law == NOISE)
+    weight = bank.counts(one.shape) * _local(one.shape, noise)
     fine = np.zeros_like(weight)
     fine[:, 0, 0] = weight[:, 0, 0]
     if not weight.any() or not fine.any():
-        return None
+        return _Structured(0.0, 0)
     every, alone = (float(np.sum(w * shared) / w.sum()) for w in (weight, fine))
     more = weight / weight.sum() - fine / fine.sum()
     # The map is what it is: by chance is only the noise of both estimates, which single pixels show.
     first, second = (max(float(np.sum(fine * (e - shared)) / fine.sum()), 1e-12) for e in (each, other))
     scatter = first * second + np.maximum(shared, 0) * (first + second)
     error = float(np.sqrt(np.sum(more**2 * scatter / np.maximum(weight, 1))))
-    if every <= 0 or every - max(alone, 0.0) < max(_STRUCTURED * every, _SURE * error):
-        return None
-    share = 1 - max(alone, 0.0) / every
-    length = _length(shared, weight, one.shape)
-    what = f"{100 * share:.0f} % of the map is of structures some {length} px wide, not of single pixels"
-    return Doubt(share, (what,), instead=True)
+    return _structured(every, alone, error, lambda: _length(shared, weight, one.shape))
+
+
+def _of_waves(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"], noise: bool) -> _Structured:
+    """Structure that repeats: by the cross-spectrum of both halves, of which single pixels have the same at
+    all frequencies, so as much as the median one has. Waves of a few pixels, as the rings of a wafer make
+    them, are of the bank's finest scale as single pixels are."""
+    first, second = (np.fft.fft2(m - m.mean()) / np.sqrt(m.size) for m in (one, two))
+    cross = _smoothed((first * second.conj()).real)
+    apart = float(np.mean(np.abs(first - second) ** 2)) / 2
+    local = ~_whole_or_smooth(one.shape, noise)
+    alone = float(np.median(cross[local]))
+    # Of all frequencies: single pixels have as much at those of whole lines and of light.
+    every = alone + float(np.sum(cross[local] - alone)) / cross.size
+    scatter = apart**2 + 2 * max(every, 0.0) * apart
+    error = float(np.sqrt(scatter * (1 + np.pi / 2) * local.sum())) / cross.size
+
+    def length() -> int:
+        down, across = (np.fft.fftfreq(n) for n in one.shape)
+        at = np.unravel_index(int(np.argmax(np.where(local, cross, -np.inf))), cross.shape)
+        return max(round(0.5 / float(np.hypot(down[at[0]], across[at[1]]))), 1)
+
+    return _structured(every, alone, error, length)
+
+
+def _smoothed(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """The mean over frequencies beside each other, of which each by itself is chance."""
+    return ndimage.uniform_filter(power, _BESIDE, mode="wrap")
+
+
+def _whole_or_smooth(size: tuple[int, int], noise: bool) -> Bool[np.ndarray, "h w"]:
+    """Frequencies of whole lines, of one parity or both, and those as smooth as light, as `_local` has it."""
+    cycles = [np.abs(np.fft.fftfreq(n, 1 / n)) for n in size]
+    whole = [(c < _BESIDE) | (c > n // 2 - _BESIDE) for c, n in zip(cycles, size, strict=True)]
+    slow = [np.minimum(c, n // 2 - c) <= _SMOOTH + _BESIDE for c, n in zip(cycles, size, strict=True)]
+    if noise:
+        return whole[0][:, None] & whole[1]
+    return whole[0][:, None] | whole[1] | (slow[0][:, None] & slow[1])
 
 
 def ranged(step: Step) -> Doubt | None:
