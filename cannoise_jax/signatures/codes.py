@@ -24,6 +24,8 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
+COMB = "comb"
+"""The law of codes of which every so-manieth is another."""
 _PERIODS = range(2, 129)
 """Codes from one gap or spike to the next that are looked for."""
 _SURE = 4.0
@@ -234,7 +236,7 @@ def combed(
         )
 
     return _of_codes(
-        "comb",
+        COMB,
         name=name,
         score=partial(comb_score, codes=recorded.codes),
         covers=covers,

@@ -45,6 +45,7 @@ from cannoise_jax.discovery.proof.shadow import (
 )
 from cannoise_jax.discovery.proof.shared_noise import shared
 from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
+from cannoise_jax.discovery.proof.whole_codes import in_few_lines
 from cannoise_jax.discovery.proof.whole_lines import in_parts
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -107,6 +108,7 @@ def doubts(
     if not named:
         return tuple(out)
     chosen = frames_for_names(capture, splits)
+    frames = [shown for _, shown in chosen]
     off = [_off(s, n) for n, s in enumerate(steps)]
 
     def drawn_from(model: SensorModel, names: Sequence[int]) -> Compared:
@@ -159,6 +161,7 @@ def doubts(
             or by_level(steps[n])
             or noisy_again(steps[n])
             or in_parts(steps[n])
+            or in_few_lines(steps[n], capture, frames)
             or not_gaussian(steps, n)
             or shared(steps[n])
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
@@ -167,7 +170,8 @@ def doubts(
     unknown = [n for n in every if n not in named or out[n] is not None]
     for n in named:
         if n not in borne:
-            out[n] = undrawn(steps[n], [steps[k] for k in unknown])
+            few = in_few_lines(steps[n], capture, frames)
+            out[n] = few or undrawn(steps[n], [steps[k] for k in unknown])
     left = [n for n in borne if out[n] is None]
     if unknown and left:
         # What has no name leaves traces that look like others: what it moves more is no evidence for them.
