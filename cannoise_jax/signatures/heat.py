@@ -12,10 +12,10 @@ from scipy.interpolate import RegularGridInterpolator
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.core_law import Core
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import LineSums, medians
 from cannoise_jax.signatures.patterns import pixel_sums
-from cannoise_jax.signatures.rare import log_ratio_of
 
 MOST_SHARE = 0.5
 """Most pixels that may be hot: more are the rule, and no outliers."""
@@ -86,18 +86,18 @@ def _around(
 
 class Heat(NamedTuple):
     """Law of the heat of a pixel: exponential of this mean, DN or ('exposure') DN per second, in a share of
-    the pixels, none in the others. spread: standard deviation of the levels of those others, in units of the
-    noise, where every pixel has a level of its own; else 1."""
+    the pixels, none in the others. core: law of the levels of those others, in units of the noise, where
+    every pixel has a level of its own."""
 
     share: float
     mean: float
     scaling: str
-    spread: float = 1.0
+    core: Core = Core()
 
     @property
     def beside_map(self) -> bool:
         """Whether the other pixels have levels far beyond the noise too, a pattern that is found after."""
-        return self.spread > 1
+        return self.core != Core()
 
 
 class Known(NamedTuple):
@@ -141,11 +141,12 @@ def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     sums = above_neighbours(fields, heat.scaling)
     if sums is None:
         return None
-    root = np.sqrt(sums.information) / heat.spread
+    core = heat.core
+    root = np.sqrt(sums.information) / core.spread
     seen = root > 0
     safe = np.where(seen, root, 1.0)
-    u, mean = sums.score / safe / heat.spread**2, heat.mean * safe
-    ratio = np.where(seen, log_ratio_of(u, mean), 0.0)
+    u, mean = core.standard(sums.score / safe / core.spread), heat.mean * safe
+    ratio = np.where(seen, core.log_ratio(u, mean), 0.0)
     log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, MOST_SHARE)) + ratio
     centre = np.where(seen, u - 1 / mean, -1 / mean)
     # Mean of a standard normal above -centre: the inverse of Mills' ratio.

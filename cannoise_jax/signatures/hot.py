@@ -6,11 +6,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
+from cannoise_jax.signatures.core_law import NORMAL, Core, skewed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
 from cannoise_jax.signatures.heat import MOST_SHARE, Heat, above_neighbours, known_heat
@@ -26,7 +27,6 @@ from cannoise_jax.signatures.rare import (
     hot_log_p,
     level_counts,
     log_mixture,
-    log_ratio_of,
     spread_of,
 )
 from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
@@ -62,7 +62,7 @@ def heat_again(
     return looked.replace(amplitude=amplitude * again, error=error)
 
 
-def _fitted(counts: np.ndarray) -> tuple[float, float, float]:
+def _fitted(counts: np.ndarray, core: Core) -> tuple[float, float, float]:
     """Share and mean height of most likelihood, and the nats that they gain."""
     used = counts > 0
     n, u = counts[used], CENTRES[used]
@@ -76,7 +76,7 @@ def _fitted(counts: np.ndarray) -> tuple[float, float, float]:
 
     best, at, share = 0.0, 1.0, 0.0
     for mean in HEATS:
-        ratio, f = log_ratio_of(u, mean), 1e-3
+        ratio, f = core.log_ratio(u, mean), 1e-3
         for _ in range(40):
             f = step(f, ratio)[0]
         gain = gained(f, ratio)
@@ -85,11 +85,28 @@ def _fitted(counts: np.ndarray) -> tuple[float, float, float]:
     if not share:
         return 0.0, at, 0.0
     for _ in range(40):
-        share, hot = step(share, log_ratio_of(u, at))
-        inner = u - 1 / at
-        height = inner + np.exp(stats.norm.logpdf(inner) - stats.norm.logcdf(inner))
-        at = max(float(np.sum(hot * height) / np.sum(hot)), HEATS[0])
-    return share, at, gained(share, np.minimum(log_ratio_of(u, at), FAR))
+        share, hot = step(share, core.log_ratio(u, at))
+        at = max(float(np.sum(hot * core.height(u, at)) / np.sum(hot)), HEATS[0])
+    return share, at, gained(share, np.minimum(core.log_ratio(u, at), FAR))
+
+
+def _core(u: np.ndarray, spread: float, mapped: bool) -> tuple[Core, np.ndarray, tuple[float, float, float]]:
+    """The law of the levels of most pixels, counts of standard levels, and what is `_fitted` beside it.
+    mapped: whether these have levels of their own, or had."""
+
+    def beside(core: Core) -> tuple[float, Core, np.ndarray, tuple[float, float, float]]:
+        counts = level_counts(core.standard(u))
+        fitted = _fitted(counts, core)
+        nats = float(np.sum(counts * core.log_density(CENTRES))) - u.size * float(np.log(core.spread))
+        return nats + fitted[2], core, counts, fitted
+
+    laws = [Core(spread), *(skewed(u) if mapped else ())]
+    if len(laws) == 1:
+        counts = level_counts(laws[0].standard(u))
+        return laws[0], counts, _fitted(counts, laws[0])
+    # Beside more hot ones the lower half of all levels is that of no law.
+    found = [f for f in map(beside, laws) if f[1].law == NORMAL or f[3][0] < _FEW]
+    return max(found, key=lambda f: f[0])[1:]
 
 
 def _lattice_spread(fields: tuple[Fields, ...]) -> float:
@@ -99,8 +116,10 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
     return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
 
 
-_STANDS_OUT = float(stats.norm.isf(2e-6))
-"""Standard deviations from which on a report counts a pixel as hot: two healthy ones in a million are."""
+_FEW = 0.05
+"""Share of hot pixels up to which the lower half of all levels tells the law of the others."""
+_HEALTHY = 2e-6
+"""Share of healthy pixels that a report counts as hot."""
 
 
 def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None:
@@ -113,12 +132,12 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
         return None
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
     bulk = spread_of(u[seen.ravel()])
-    spread = max(bulk, _lattice_spread(fields))
-    number = int(np.sum(u > _STANDS_OUT * spread))
-    root = float(np.sqrt(np.median(sums.information[seen]))) / spread
-    counts = level_counts(u[seen.ravel()] / spread)
-    share, at, gain = _fitted(counts)
-    mixture = float(log_mixture(counts))
+    least = _lattice_spread(fields)
+    own = bulk > max(_STRONG, least) or any(f.answers.apart for f in fields)
+    core, counts, (share, at, gain) = _core(u[seen.ravel()], max(bulk, least), own)
+    number = int(np.sum(core.standard(u) > core.far(_HEALTHY)))
+    root = float(np.sqrt(np.median(sums.information[seen]))) / core.spread
+    mixture = float(log_mixture(counts, core.table()))
     seconds = (
         float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in DARK]))
         if scaling == "exposure"
@@ -138,7 +157,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
         power=2,
         parameters={"fraction": (share, "1", float(np.sqrt(share / u.size)))},
         where={"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
-        payload=Heat(share, at / root, scaling, bulk if bulk > _STRONG else 1.0),
+        payload=Heat(share, at / root, scaling, core if bulk > _STRONG or core.law != NORMAL else Core()),
     )
 
 

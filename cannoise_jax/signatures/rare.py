@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -49,8 +50,13 @@ def sparse_log_p(counts: np.ndarray, log_ratios: list[np.ndarray]) -> float:
 @lru_cache(maxsize=1)
 def _table() -> np.ndarray:
     """Log likelihood ratio of a pixel in every bin, for every mean height and share that are tried."""
-    ratios = [np.minimum(log_ratio_of(CENTRES, mean), FAR) for mean in HEATS]
-    return np.array([np.logaddexp(np.log1p(-f), np.log(f) + r) for r in ratios for f in _SHARES])
+    return table_of([log_ratio_of(CENTRES, mean) for mean in HEATS])
+
+
+def table_of(ratios: Sequence[np.ndarray]) -> np.ndarray:
+    """The same of log density ratios in every bin, one for every mean height."""
+    capped = (np.minimum(r, FAR) for r in ratios)
+    return np.array([np.logaddexp(np.log1p(-f), np.log(f) + r) for r in capped for f in _SHARES])
 
 
 def level_counts(u: np.ndarray) -> np.ndarray:
@@ -58,10 +64,10 @@ def level_counts(u: np.ndarray) -> np.ndarray:
     return np.histogram(np.clip(u, EDGES[0], 0.999 * EDGES[-1]), EDGES)[0]
 
 
-def log_mixture(counts: np.ndarray) -> np.ndarray:
+def log_mixture(counts: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
     """Log likelihood ratio averaged over the mean heights and shares that are tried; counts `[bins]` or
-    `[bins, n]`."""
-    logs = np.einsum("kb,b...->k...", _table(), counts)
+    `[bins, n]`. table: of each bin, of levels that are not normal, see `table_of`."""
+    logs = np.einsum("kb,b...->k...", _table() if table is None else table, counts)
     return special.logsumexp(logs, axis=0) - np.log(len(logs))
 
 

@@ -155,7 +155,7 @@ def test_hot_pixels_beside_a_map_of_every_pixels_level():
     looked = hot_score((first,), scaling="additive")
     assert looked is not None and looked.log_p < -100
     assert looked.payload.beside_map
-    assert looked.payload.spread == pytest.approx(spread * np.sqrt(6), rel=0.1)
+    assert looked.payload.core.spread == pytest.approx(spread * np.sqrt(6), rel=0.1)
     assert looked.parameters["fraction"][0] == pytest.approx(share, rel=0.3)
     left = mask_hot((first,), looked)[0]
     far = heat > 6 * spread

@@ -1,0 +1,141 @@
+"""The law of the levels of most pixels, from which a few hot ones stand out.
+
+Without a dark current of their own pixels differ by noise, which is normal. Dark currents that differ from
+pixel to pixel do not: impurities make them gamma- or log-normally distributed, with a tail towards the warm
+side that no pixel is out of. Both are fitted to the levels below the median, which hot pixels do not move, as
+a law of mean 0 and standard deviation 1 with this skewness; which of them holds is told by the likelihood of
+all levels, hot pixels beside it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize, signal, stats
+
+from cannoise_jax.signatures.rare import CENTRES, HEATS, log_ratio_of, table_of
+
+NORMAL, GAMMA, LOGNORMAL = "normal", "gamma", "log-normal"
+_BELOW = (0.02, 0.2, 0.5)
+"""Quantiles that tell the skewness: one hot pixel in a hundred moves it by 0.04."""
+_SKEWS = np.linspace(0.02, 2.5, 125)
+_SURE = 4.0
+"""Standard errors from which on levels count as skewed."""
+_ERROR = 6.0
+"""Standard error of the skewness, of one level: of normal levels, by simulation."""
+_STEP, _LAST = 0.02, 60.0
+_GRID = np.arange(-8.0, _LAST, _STEP)
+"""Where densities are worked out, standard deviations; beyond, a sum falls as the exponential part does."""
+_LEAST, _BELOW_ALL = -700.0, -12.0
+"""Least logarithm of a density, and that of levels below the law's own least, where noise puts a few."""
+
+
+class Core(NamedTuple):
+    """The law of the levels of pixels that are not hot, in standard deviations of their noise: centre and
+    spread, and of what is left the law and its skewness."""
+
+    spread: float = 1.0
+    centre: float = 0.0
+    law: str = NORMAL
+    skew: float = 0.0
+
+    def standard(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The levels with this law's mean at 0 and its standard deviation 1."""
+        return (u - self.centre) / self.spread
+
+    def log_density(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Of standard levels."""
+        least = np.where((u < 0) & (self.law != NORMAL), _BELOW_ALL, _LEAST)
+        return np.maximum(_of(self.law, self.skew).logpdf(u), least)
+
+    def far(self, chance: float) -> float:
+        """The standard level that so few pixels lie beyond."""
+        return float(_of(self.law, self.skew).isf(chance))
+
+    def log_ratio(
+        self, u: Float[np.ndarray, "*n"], mean: Float[np.ndarray, "*n"] | float
+    ) -> Float[np.ndarray, "*n"]:
+        """Log density of a standard level plus an exponential one of this mean over the level's alone; of
+        levels that are not normal, of the median of the means."""
+        if self.law == NORMAL:
+            return log_ratio_of(u, mean)
+        typical = float(np.median(mean))
+        sums, _ = _added(self.law, self.skew, typical)
+        far = np.maximum(u - _GRID[-1], 0.0)
+        return np.maximum(np.interp(u, _GRID, sums) - far / typical - self.log_density(u), -50)
+
+    def table(self) -> np.ndarray | None:
+        """What `log_mixture` needs of levels that are not normal."""
+        return None if self.law == NORMAL else _table(self.law, self.skew)
+
+    def height(self, u: Float[np.ndarray, "*n"], mean: float) -> Float[np.ndarray, "*n"]:
+        """Mean of the exponential part of a standard level."""
+        if self.law == NORMAL:
+            inner = u - 1 / mean
+            return inner + np.exp(stats.norm.logpdf(inner) - stats.norm.logcdf(inner))
+        _, heights = _added(self.law, self.skew, mean)
+        return np.interp(u, _GRID, heights) + np.maximum(u - _GRID[-1], 0.0)
+
+
+@lru_cache(maxsize=16)
+def _table(law: str, skew: float) -> np.ndarray:
+    core = Core(law=law, skew=skew)
+    return table_of([core.log_ratio(CENTRES, float(mean)) for mean in HEATS])
+
+
+def skewed(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
+    """The laws whose lower half is that of the levels; none where that is skewed no more than by chance."""
+    low, middle, median = np.quantile(u, _BELOW)
+    if not middle < median:
+        return ()
+    out = []
+    for law in (GAMMA, LOGNORMAL):
+        ratios, middles, medians = _quantiles(law)
+        skew = float(np.interp(-(median - low) / (median - middle), -ratios, _SKEWS))
+        skew = round(skew, 2)  # so that tables are shared
+        if skew < _SURE * _ERROR / np.sqrt(u.size):
+            continue
+        at = (float(np.interp(skew, _SKEWS, q)) for q in (middles, medians))
+        inner, centre = at
+        spread = float(median - middle) / (centre - inner)
+        out.append(Core(spread, float(median) - spread * centre, law, skew))
+    return tuple(out)
+
+
+def _of(law: str, skew: float):
+    """The law of mean 0, standard deviation 1 and this skewness."""
+    if law == NORMAL:
+        return stats.norm()
+    if law == GAMMA:
+        return stats.pearson3(skew)
+    grown = _spread_of_logs(skew)
+    scale = float(1 / np.sqrt(np.exp(grown**2) * np.expm1(grown**2)))
+    return stats.lognorm(grown, loc=-scale * np.exp(grown**2 / 2), scale=scale)
+
+
+@lru_cache(maxsize=512)
+def _spread_of_logs(skew: float) -> float:
+    """Standard deviation of the logarithm of log-normal values of this skewness."""
+    return float(optimize.brentq(lambda s: (np.exp(s**2) + 2) * np.sqrt(np.expm1(s**2)) - skew, 1e-4, 1.5))
+
+
+@lru_cache(maxsize=2)
+def _quantiles(law: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """By skewness: how far the lowest of `_BELOW` lies below the median over how far the middle one does, the
+    middle one, and the median."""
+    low, middle, median = np.array([_of(law, float(s)).ppf(_BELOW) for s in _SKEWS]).T
+    return (median - low) / (median - middle), middle, median
+
+
+@lru_cache(maxsize=256)
+def _added(law: str, skew: float, mean: float) -> tuple[np.ndarray, np.ndarray]:
+    """On `_GRID`, log density of the law plus an exponential value, and the mean of that value in the sum."""
+    density = np.exp(_of(law, skew).logpdf(_GRID))
+    kept = np.exp(-_STEP / mean)
+    once = signal.lfilter([1 - kept], [1, -kept], density)
+    twice = signal.lfilter([1 - kept], [1, -kept], once)
+    tiny = np.finfo(float).tiny
+    return np.log(np.maximum(once, tiny)), mean * twice / np.maximum(once, tiny)

@@ -1,0 +1,76 @@
+"""Hot pixels beside dark currents that differ from pixel to pixel by a skewed law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from cannoise_jax.signatures.core_law import GAMMA, LOGNORMAL, NORMAL, Core, skewed
+from cannoise_jax.signatures.hot import _core
+from cannoise_jax.signatures.rare import spread_of
+
+CORES = [Core(law=NORMAL), Core(law=GAMMA, skew=0.8), Core(law=LOGNORMAL, skew=1.2)]
+
+
+def drawn(law, variation, hot, seed, pixels=30_000, noise=5.0):
+    """Levels in standard deviations of the noise: currents of mean 100, hot ones higher by 500 on average."""
+    rng = np.random.default_rng(seed)
+    logs = np.sqrt(np.log1p(variation**2))
+    current = {
+        "normal": lambda: 100 * (1 + variation * rng.standard_normal(pixels)),
+        "gamma": lambda: rng.gamma(1 / variation**2, 100 * variation**2, pixels),
+        "log-normal": lambda: 100 * np.exp(logs * rng.standard_normal(pixels) - logs**2 / 2),
+    }[law]()
+    current += (rng.random(pixels) < hot) * rng.exponential(500.0, pixels)
+    return (current - np.mean(current) + noise * rng.standard_normal(pixels)) / noise
+
+
+@pytest.mark.parametrize("core", CORES, ids=lambda c: c.law)
+@pytest.mark.parametrize("mean", [2.0, 20.0])
+def test_the_sum_of_a_level_and_a_height_has_the_density_of_both(core, mean):
+    for u in (-1.0, 0.5, 4.0, 12.0):
+
+        def both(x, power, u=u):
+            return x**power * np.exp(core.log_density(np.array(u - x)) - x / mean) / mean
+
+        grid = np.linspace(0, 80, 80_001)
+        density, first = (integrate.trapezoid(both(grid, k), grid) for k in (0, 1))
+        ratio = float(core.log_ratio(np.array(u), mean))
+        assert ratio == pytest.approx(np.log(density) - float(core.log_density(np.array(u))), abs=0.03)
+        assert float(core.height(np.array(u), mean)) == pytest.approx(first / density, rel=0.03, abs=0.03)
+
+
+@pytest.mark.parametrize("core", CORES, ids=lambda c: c.law)
+def test_standard_levels_have_mean_0_and_deviation_1(core):
+    grid = np.linspace(-8, 30, 40_001)
+    density = np.exp(core.log_density(grid)) * (core.log_density(grid) > -11)
+    moments = [integrate.trapezoid(grid**k * density, grid) for k in range(4)]
+    assert moments == pytest.approx([1, 0, 1, core.skew], abs=0.03)
+    assert float(integrate.trapezoid(density * (grid > core.far(0.01)), grid)) == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize("law", ["normal", "gamma", "log-normal"])
+@pytest.mark.parametrize("variation", [0.25, 0.4])
+@pytest.mark.parametrize("hot", [0.0, 0.005, 0.02])
+def test_the_tail_of_a_skewed_dark_current_is_no_hot_pixels(law, variation, hot):
+    """Of normal levels as before; of skewed ones the normal law has 0.02 to 0.06 of the pixels hot where
+    none is, and 0.006 to 0.026 for 0.005."""
+    u = drawn(law, variation, hot, 3)
+    core, _, (share, _, gain) = _core(u, spread_of(u), True)
+    assert (core.law == NORMAL) == (law == "normal")
+    if hot:
+        assert share == pytest.approx(hot, rel=0.35) and gain > 300
+    else:
+        assert gain < 40 and share * 30_000 * (gain > 10) < 0.03 * 30_000
+
+
+def test_levels_that_are_normal_are_skewed_by_chance_alone():
+    none = [skewed(np.random.default_rng(k).standard_normal(5_000)) for k in range(200)]
+    assert sum(map(bool, none)) <= 1
+    assert skewed(stats.pearson3.rvs(0.6, size=5_000, random_state=1))
+
+
+def test_beside_many_hot_pixels_no_law_is_told_from_the_lower_half():
+    u = drawn("normal", 0.3, 0.3, 4)
+    assert _core(u, spread_of(u), True)[0].law == NORMAL
