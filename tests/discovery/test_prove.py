@@ -10,7 +10,7 @@ import pytest
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.blocks import frame_blocks, leave_out
-from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.proof.gains import frame_interval, held_out_gain
 from cannoise_jax.discovery.proof.heldout import Predicted, Scored, score_frames
 from cannoise_jax.discovery.proof.prove import Proof, Proofs, refuted, standing
@@ -45,7 +45,7 @@ def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood(sigma):
     value, low, high = gain(capture, Predicted(row=sigma))
     exact = 0.0
     for r in capture.recordings:
-        x = np.asarray(r.frames, float)[3::4] - 200.0
+        x = np.asarray(r.frames, float)[split_frames(r.count)[1]] - 200.0
         w, total = x.shape[2], np.sqrt(read**2 + sigma**2 + 1 / 12)
         within = total**2 - sigma**2
         # Exact law of rows with a shared offset, against independent pixels of the same variance.

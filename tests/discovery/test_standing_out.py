@@ -75,7 +75,8 @@ def test_hits_of_the_frames_before_are_out_of_those_held_back(seed):
         return sum(int(np.sum(np.abs(f.contrasts).max(0) > 8)) for f in fields if not f.lit)
 
     # Shot noise of the hottest pixels lies as far.
-    assert far(held.fields) > 100 and far(hits.absorb(held.fields, score)) < 4
+    assert far(held.fields) > 100
+    assert far(hits.absorb(held.fields, score)) < 0.05 * far(held.fields)
     rows = next(s for s in held.signatures if s.name == "row_additive_temporal")
     again = rows.score(hits.absorb(held.fields, score))
     assert again.amplitude == pytest.approx(1.0, abs=3 * again.error)
