@@ -77,6 +77,11 @@ FIRST = (
     "discovery/test_model",
     "commands/test_sample",
     "blind/test_development",
+    "training/test_devices",
+    "training/test_step",
+    "networks/test_compute",
+    "commands/test_denoise",
+    "fuzz/test_fuzz",
 )
 """Files that take minutes: begun first, so that no process is left alone with one of them at the end."""
 

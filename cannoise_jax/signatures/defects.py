@@ -188,9 +188,9 @@ def find_corrected(fields: tuple[Fields, ...], mono: bool) -> tuple[str, float, 
         ratio = _likelihood(fields, name)
         if ratio is None:
             continue
-        share = _START
+        share, against = _START, np.exp(-np.clip(ratio, -60, 60))
         for _ in range(30):
-            chance = share / (share + (1 - share) * np.exp(-np.clip(ratio, -60, 60)))
+            chance = share / (share + (1 - share) * against)
             share = float(np.clip(np.mean(chance), 1e-7, 0.9))
         gain = float(np.sum(np.log1p(share * np.expm1(np.clip(ratio, -60, 300)))))
         if gain > most:
