@@ -34,7 +34,7 @@ if version("jaxlib").startswith("0.10."):
 # on its size JAX locks while it reads or writes. `pytest --cache-clear` empties it.
 _locks = find_spec("filelock") is not None  # without: a folder for each process, kept no longer than it
 if "PYTEST_XDIST_WORKER" not in os.environ or not _locks:
-    if _locks:
+    if _locks and os.access(ROOT, os.W_OK):
         from filelock import FileLock
 
         _folder = ROOT / ".pytest_cache" / "d" / f"compiled-{processor()}"
@@ -45,11 +45,12 @@ if "PYTEST_XDIST_WORKER" not in os.environ or not _locks:
                 if not _part.with_name(_part.name.removesuffix("cache") + "atime").exists():
                     _part.unlink()
         _compiled = str(_folder)
-        os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(1 << 29)
     else:
         _compiled = tempfile.mkdtemp(prefix="cannoise-tests-")
         atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled
+    if _locks:
+        os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(1 << 29)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 # Tracing makes many objects that stay: to look through them as often as Python does took a tenth of the time.
