@@ -16,6 +16,10 @@ from pathlib import Path
 
 import pytest
 
+from cannoise_jax.commands.compiled import processor
+
+ROOT = Path(__file__).resolve().parents[1]
+
 # Two workers share two cores: one thread pool each keeps them from fighting. Set before JAX is imported.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -25,21 +29,33 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
 _XLA = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 if version("jaxlib").startswith("0.10."):
     os.environ.setdefault("XLA_FLAGS", _XLA)
-# What one test compiles later ones load, on both processes and in the commands that they start: one folder,
-# which with a limit on its size JAX locks while it reads or writes.
-_locks = find_spec("filelock") is not None  # without: a folder for each process
+# What one test compiles later ones load: on both processes, in the commands that they start, and in the next
+# run of this checkout, which compiles only programs that have changed since. One folder, which with a limit
+# on its size JAX locks while it reads or writes. `pytest --cache-clear` empties it.
+_locks = find_spec("filelock") is not None  # without: a folder for each process, kept no longer than it
 if "PYTEST_XDIST_WORKER" not in os.environ or not _locks:
-    _compiled = tempfile.mkdtemp(prefix="cannoise-tests-")
+    if _locks and os.access(ROOT, os.W_OK):
+        from filelock import FileLock
+
+        _folder = ROOT / ".pytest_cache" / "d" / f"compiled-{processor()}"
+        _folder.mkdir(parents=True, exist_ok=True)
+        with FileLock(_folder / ".lockfile"):
+            # A process that was killed while it wrote left a part, or no time: JAX mends neither.
+            for _part in _folder.glob("*-cache"):
+                if not _part.with_name(_part.name.removesuffix("cache") + "atime").exists():
+                    _part.unlink()
+        _compiled = str(_folder)
+    else:
+        _compiled = tempfile.mkdtemp(prefix="cannoise-tests-")
+        atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled
     if _locks:
-        os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(8 << 30)
-    atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
+        os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(1 << 29)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 # Tracing makes many objects that stay: to look through them as often as Python does took a tenth of the time.
 gc.set_threshold(20_000, 20, 50)
 
-ROOT = Path(__file__).resolve().parents[1]
 REAL_DATA = Path(os.environ.get("CANNOISE_DATA", ROOT.parent / "shared" / "data"))
 
 
@@ -62,6 +78,11 @@ FIRST = (
     "discovery/test_model",
     "commands/test_sample",
     "blind/test_development",
+    "training/test_devices",
+    "training/test_step",
+    "networks/test_compute",
+    "commands/test_denoise",
+    "fuzz/test_fuzz",
 )
 """Files that take minutes: begun first, so that no process is left alone with one of them at the end."""
 

@@ -40,13 +40,13 @@ def occurrences(stacks, fields: tuple[Fields, ...], chosen, step: float) -> Occu
             part = (means >= low) & (means <= high)
             if not part.any():
                 continue
-            each = np.bincount(np.clip(means[part] / step, 0, size - 1).astype(np.int64), minlength=size)
+            code = np.clip(means[part] / step, 0, size - 1).astype(np.int64)
             width = max(float(np.quantile(sigma[part], 0.05)) / step, 0.3)
-            at = np.flatnonzero(each)
             reach = int(6 * width) + 1
-            window = slice(max(at[0] - reach, 0), min(at[-1] + reach + 1, size))
+            window = slice(max(code.min() - reach, 0), min(code.max() + reach + 1, size))
+            each = np.bincount(code - window.start, minlength=window.stop - window.start)
             expected[window] += len(frames) * ndimage.gaussian_filter1d(
-                each[window].astype(float), width, mode="constant", truncate=4
+                each.astype(float), width, mode="constant", truncate=4
             )
         for t in frames:
             frame = np.asarray(s.recording.frames[t : t + 1])[0]

@@ -21,7 +21,7 @@ from cannoise_jax.signatures.hot import without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
+from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score, chi2_median
 from cannoise_jax.signatures.signature import CONTRASTS, COVERS_NOTHING, STATIC, Axes, Signature
 
 _LOST = 0.5
@@ -158,7 +158,7 @@ def _likelihood(fields: tuple[Fields, ...], name: str) -> np.ndarray | None:
         rest = _left_over(values, kernel)
         power = np.einsum("nij,nij->ij", rest, rest) / codes**2
         n = len(f.contrasts)
-        typical = float(np.median(power[f.usable])) / float(stats.chi2.median(n)) if f.usable.any() else 0.0
+        typical = float(np.median(power[f.usable])) / chi2_median(n) if f.usable.any() else 0.0
         own = np.broadcast_to((1 / 12 + 0.02) / codes**2 + _BESIDE_MEAN.get(name, 0.0), power.shape)
         if typical < 0.1:
             continue
@@ -188,9 +188,9 @@ def find_corrected(fields: tuple[Fields, ...], mono: bool) -> tuple[str, float, 
         ratio = _likelihood(fields, name)
         if ratio is None:
             continue
-        share = _START
+        share, against = _START, np.exp(-np.clip(ratio, -60, 60))
         for _ in range(30):
-            chance = share / (share + (1 - share) * np.exp(-np.clip(ratio, -60, 60)))
+            chance = share / (share + (1 - share) * against)
             share = float(np.clip(np.mean(chance), 1e-7, 0.9))
         gain = float(np.sum(np.log1p(share * np.expm1(np.clip(ratio, -60, 300)))))
         if gain > most:

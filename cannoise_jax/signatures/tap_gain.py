@@ -8,7 +8,8 @@ dust and shadows are in it.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cache, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -161,16 +162,24 @@ def gain_score(fields: Many, *, layout: Layout | None = None) -> Score[Gains] | 
     cells = _in_cells(fields)
     if cells is None:
         return None
-    found = [_found(cells, one) for one in ([layout] if layout else _LAYOUTS) if _shown(cells, one)]
-    if not found:
+    shown = [one for one in ([layout] if layout else _LAYOUTS) if _shown(cells, one)]
+    if not shown:
         return None
-    best = found[0] if layout else None
-    for one in found:
-        # More regions are held against the scatter about the best of fewer.
-        noise = best.noise if best else one.noise
-        least = best.evidence(noise) if best else 0.0
-        if not layout and one.evidence(noise) > least and _steplike(cells, one):
-            best = one
+    lines = cache(partial(_of_lines, cells))
+    best = _found(cells, layout, lines) if layout else None
+    for one in () if layout else shown:
+        chi2 = cells.explained(_steps(one, 0))
+        if best:
+            # More regions are held against the scatter about the best of fewer.
+            noise, least = best.noise, best.evidence(best.noise)
+        else:
+            # Their own, which is worked out only where the least that it can be leaves any evidence.
+            noise, least = 1.0, 0.0
+        if not _Found(one, chi2, noise, 0).evidence(noise) > least:
+            continue
+        found = _found(cells, one, lines)
+        if (best or found.evidence(found.noise) > 0) and _steplike(cells, found):
+            best = found
     if best is None:
         error = 1 / float(np.sqrt(np.sum(cells.root**2)))
         return Score(
@@ -202,15 +211,20 @@ def _shown(cells: _Cells, layout: Layout) -> bool:
     return bool(np.all(information > 1e-3 * information.mean()))
 
 
-def _found(cells: _Cells, layout: Layout) -> _Found:
+def _of_lines(cells: _Cells, layout: Layout) -> tuple[float, int]:
+    """What lines of cells explain, chi-square, and how many of them can be told beside a surface."""
+    lines = _regions(layout, 0)
+    return cells.explained(lines), int(np.linalg.matrix_rank(cells.beside(lines), 1e-6))
+
+
+def _found(cells: _Cells, layout: Layout, of_lines: Callable[[Layout], tuple[float, int]]) -> _Found:
     """The steps of a layout against the scatter of cells, or of whole lines of them, whichever is more: gains
     of single lines look like those of a few regions."""
     chi2, number = cells.explained(_steps(layout, 0)), layout[0] * layout[1] - 1
     left = [(float(np.sum(cells.score**2)), np.count_nonzero(cells.root) - cells.basis.shape[1])]
     for axis in (0, 1):
         if layout[axis] > 1:
-            lines = _regions((CELLS[0], layout[1]) if axis == 0 else (layout[0], CELLS[1]), 0)
-            left.append((cells.explained(lines), int(np.linalg.matrix_rank(cells.beside(lines), 1e-6))))
+            left.append(of_lines((CELLS[0], layout[1]) if axis == 0 else (layout[0], CELLS[1])))
     told = [(max((v - chi2) / (n - number), 1.0), n - number) for v, n in left if n - number > 2]
     return _Found(layout, chi2, *max(told))
 

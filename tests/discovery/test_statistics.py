@@ -13,7 +13,13 @@ from cannoise_jax.recordings.codes import detect_code_step
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures import lines
 from cannoise_jax.signatures.fields import frame_fields, helmert
-from cannoise_jax.signatures.score import chi2_log_sf, quadratic_log_p, sidak, variance_component
+from cannoise_jax.signatures.score import (
+    chi2_log_sf,
+    normal_log_p,
+    quadratic_log_p,
+    sidak,
+    variance_component,
+)
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES, white
 
@@ -47,6 +53,18 @@ def test_quadratic_tail_of_unequal_weights_against_simulation():
     for level in (0.1, 0.01, 1e-3):
         value = np.quantile(draws, 1 - level)
         assert quadratic_log_p(value, weights) == pytest.approx(np.log(level), abs=0.15)
+
+
+@pytest.mark.parametrize("dof", [0.3, 1, 7.7, 100.0, 3e5])
+def test_tails_are_those_of_scipy(dof):
+    """They are worked out without its checks, on both sides of the median."""
+    for x in (0.0, *(dof * np.geomspace(1e-3, 3, 40))):
+        wanted = stats.chi2.logsf(x, dof)
+        if wanted > -600:
+            assert chi2_log_sf(x, dof) == pytest.approx(wanted, rel=1e-12, abs=1e-15)
+    for z in (0.0, 1e-3, -2.5, 7.0, -40.0):
+        assert normal_log_p(z) == pytest.approx(min(0.0, stats.norm.logsf(abs(z)) + np.log(2)), rel=1e-12)
+        assert normal_log_p(z, 1) == pytest.approx(stats.norm.logsf(z), rel=1e-12)
 
 
 def test_chi_square_tail_goes_on_where_it_underflows():

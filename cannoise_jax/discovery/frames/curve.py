@@ -9,6 +9,7 @@ row noise has to explain all of the noise of a pixel; the table of `physics.tran
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -84,10 +85,16 @@ def levels_of(
     return [p for curve in curves for c in range(4) for p in _levels(curve, c, black[c], start)]
 
 
+@lru_cache(maxsize=64)
+def _far(dof: int) -> float:
+    """A mean square, in units of its expectation, that one pixel of a million exceeds by chance."""
+    return float(stats.chi2.isf(1e-6, dof) / dof)
+
+
 def _levels(curve: Curve, c: int, black: float, start: tuple[np.ndarray, np.ndarray] | None) -> list[Level]:
     stacked, at = curve.stack, SITES[c]
     n, rounding = len(stacked.contrasts), stacked.step**2 / 12
-    far, lattice = float(stats.chi2.isf(1e-6, n) / n), HALF_A_CODE * rounding
+    far, lattice = _far(n), HALF_A_CODE * rounding
     part, out = curve.part[at], []
     for b in range(int(part.max()) + 1):
         chosen = part == b

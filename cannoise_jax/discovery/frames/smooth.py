@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import ndimage, stats
+from scipy import ndimage, special
 
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
 from cannoise_jax.discovery.frames.shadows import light_at
@@ -174,5 +174,5 @@ def _needed(values, rows, columns, above: int, upto: int) -> bool:
     for lines, chosen in ((left.mean(1), new & (j == 0)), (left.mean(0), new & (i == 0))):
         number = left.size // lines.size
         tests.append((inner[chosen], number * float(np.mean(lines**2)), lines.size - upto - 1))
-    chances = [stats.f.sf(np.mean(c**2) / max(v, 1e-300), c.size, max(n, 1)) for c, v, n in tests]
+    chances = [special.fdtrc(c.size, max(n, 1), np.mean(c**2) / max(v, 1e-300)) for c, v, n in tests]
     return bool(min(chances) < _CHANCE / len(chances))

@@ -14,6 +14,7 @@ and taken out of the normal equations.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +75,7 @@ class Line:
         return self.slope.stderr <= _UNSURE * abs(self.slope.value)
 
 
+@lru_cache(maxsize=256)
 def cut_and_loss(dof: float) -> tuple[float, float]:
     """The quotient above which a pixel is set aside, and by what factor this shrinks a healthy mean."""
     cut = max(_LEAST_CUT, float(stats.chi2.isf(_RARE, dof)) / dof)
@@ -95,6 +97,7 @@ def robust_mean_square(
     return float(variance[keep].mean()) / loss, keep
 
 
+@lru_cache(maxsize=256)
 def median_quotient(dof: float) -> float:
     """Median of a mean square in units of its expectation."""
     return float(stats.chi2.median(dof) / dof)
