@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -274,6 +274,8 @@ def _score(
     )
 
 
+_SIDES = (("below", "above"), ("on the right", "on the left"))
+"""Of a pixel, where its tail is."""
 _TRIED = np.geomspace(0.15, 40.0, 120)
 """Lengths, pixels, of which the nearest is taken."""
 
@@ -351,6 +353,17 @@ def tails(
     def beside(found: Found) -> dict[str, float]:
         return {"length_px": found.score.payload.length, "growth": found.score.payload.growth}
 
+    def says(entry: dict[str, Any]) -> tuple[str, tuple[float, float]]:
+        told = {name: each["value"] for name, each in entry["parameters"].items()}
+        side = _SIDES[axis][told["fraction"] < 0]
+        grows = ", more the farther it was shifted" if told["growth"] > 0 else ""
+        low, high = entry["amplitude"]["ci90"]
+        return (
+            f"A share of the charge comes out late, with the pixels {side}, over {told['length_px']:.2g} px"
+            f"{grows}: {entry['amplitude']['value']:.3g}",
+            (low, high),
+        )
+
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "signal", "one-sided tail"),
@@ -362,6 +375,7 @@ def tails(
         before=lambda score: before,
         found_in=before,
         simulate=strength("fraction", signed="fraction", beside=beside),
+        says=says,
         single_pixels=True,
         approximate=True,
     )
