@@ -17,12 +17,14 @@ _STANDS_OUT = 5.0
 class Deferred(NamedTuple):
     """A share of the charge that comes out along an axis (0: columns, 1: rows) with pixels read later, below
     0: with those above or on the left; length: pixels over which what comes out falls to 1/e; growth: share
-    at the last pixel read over that in the middle, less 1."""
+    at the last pixel read over that in the middle, less 1. beyond: what the next pixels have beyond such a
+    tail, as shares of what is left of the charge, which traps of several kinds make of it."""
 
     axis: int
     share: float
     length: float
     growth: float
+    beyond: tuple[float, ...] = ()
 
 
 def shifted_out(x: Float[np.ndarray, "n h w"], by: Deferred) -> Float[np.ndarray, "n h w"]:
@@ -43,8 +45,13 @@ def _through(x: Float[np.ndarray, "n h w"], by: Deferred, back: bool) -> Float[n
     out = np.empty_like(lines)
     out[0] = lines[0]
     held = left[0] * lines[0] / (1 - stays)
+    more = [(n, part) for n, part in enumerate(by.beyond, 1) if part]
+    before = out if back else lines
     for k in range(1, len(lines)):
         late = (1 - stays) * held
+        for n, part in more:
+            at = max(k - n, 0)
+            late = late + part * (1 + by.growth * place[at]) * (1 - left[at]) * before[at]
         out[k] = (lines[k] - late) / (1 - left[k]) if back else (1 - left[k]) * lines[k] + late
         held = stays * held + left[k] * (out[k] if back else lines[k])
     out = out[::-1] if by.share < 0 else out

@@ -298,7 +298,15 @@ def _fitted(seen: _Differences, held: _Held, axis: int) -> tuple[Deferred, tuple
     unit = np.sqrt(np.maximum(np.diag(known), 1e-30))
     doubt = np.linalg.inv(known / np.outer(unit, unit) + 1e-9 * np.eye(2)) / np.outer(unit, unit)
     growth, grown = _growth(seen, held, shapes[at], float(np.sign(height)))
-    found = Deferred(axis, float(np.sign(height)) * min(share, _MOST_LEFT), length, growth)
+    beyond = float(np.sign(height)) * (held.tail - height * shapes[at])
+    told = np.abs(beyond) > _SURE * np.sqrt(held.variance)
+    found = Deferred(
+        axis,
+        float(np.sign(height)) * min(share, _MOST_LEFT),
+        length,
+        growth,
+        tuple(np.where(told, beyond, 0.0).tolist()),
+    )
     errors = (float(np.sqrt(doubt[0, 0])), float(np.sqrt(doubt[1, 1])), grown)
     return found, errors, 0.5 * height**2 * float(power[at])
 

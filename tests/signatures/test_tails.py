@@ -73,7 +73,11 @@ def test_what_lies_on_both_sides_is_no_tail(by):
 def test_charge_is_put_back_where_it_was():
     rng = np.random.default_rng(0)
     x = rng.random((3, 20, 30)) * 100
-    for by in (Deferred(0, 0.2, 2.0, 0.5), Deferred(1, -0.3, 5.0, 0.0), Deferred(1, 0.1, 0.2, 1.0)):
+    for by in (
+        Deferred(0, 0.2, 2.0, 0.5, (0.0, 0.02)),
+        Deferred(1, -0.3, 5.0, 0.0),
+        Deferred(1, 0.1, 0.2, 1.0),
+    ):
         out = shifted_out(x, by)
         assert np.abs(out - x).max() > 1 and np.allclose(put_back(out, by), x, atol=1e-3)
 
