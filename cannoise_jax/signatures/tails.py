@@ -302,7 +302,7 @@ def _fitted(seen: _Differences, held: _Held, axis: int) -> tuple[Deferred, tuple
     told = np.abs(beyond) > _SURE * np.sqrt(held.variance)
     found = Deferred(
         axis,
-        float(np.sign(height)) * min(share, _MOST_LEFT),
+        float(np.sign(height) * min(share, _MOST_LEFT)),
         length,
         growth,
         tuple(np.where(told, beyond, 0.0).tolist()),
@@ -363,7 +363,7 @@ def tails(
 
     def says(entry: dict[str, Any]) -> tuple[str, tuple[float, float]]:
         told = {name: each["value"] for name, each in entry["parameters"].items()}
-        side = _SIDES[axis][told["fraction"] < 0]
+        side = _SIDES[axis][int(told["fraction"] < 0)]
         grows = ", more the farther it was shifted" if told["growth"] > 0 else ""
         low, high = entry["amplitude"]["ci90"]
         return (

@@ -11,6 +11,7 @@ from scipy import stats
 from cannoise_jax.signatures.deferred import Deferred, put_back, shifted_out, taken_back
 from cannoise_jax.signatures.tails import tail_score
 from tests.discovery.drawn import standing_out
+from tests.discovery.looks import SIGNATURES
 from tests.discovery.planted import with_tails
 from tests.discovery.test_signature_laws import UNLIKELY, off_by
 
@@ -87,3 +88,16 @@ def test_nothing_is_left_of_a_tail_that_is_taken_back():
     score = tail_score(fields, axis=0)
     left = tail_score(taken_back(fields, score), axis=0)
     assert left.log_p > np.log(1e-3) or left.amplitude < 0.01
+
+
+def test_a_report_says_to_which_side():
+    signature, score = SIGNATURES["tail_row"], tail_score(with_tails(1, 0.1), axis=1)
+    entry = {
+        "amplitude": {"value": score.amplitude, "ci90": score.interval90},
+        "parameters": {name: {"value": value} for name, (value, _, _) in score.parameters.items()},
+    }
+    said, (low, high) = signature.says(entry)
+    assert "with the pixels on the right" in said and "farther" not in said and low < 0.1 < high
+    entry["parameters"] |= {"fraction": {"value": np.float64(-0.1)}, "growth": {"value": 0.5}}
+    said, _ = signature.says(entry)
+    assert "on the left" in said and "more the farther it was shifted" in said
