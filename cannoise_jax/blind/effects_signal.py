@@ -167,6 +167,27 @@ def image_lag(amplitude: float) -> Effect:
     return Effect("image_lag", amplitude, "charge", apply)
 
 
+def _behind(n: np.ndarray, share: float, axis: int) -> np.ndarray:
+    """Each pixel keeps a `share` of its charge back, of which the next three get a half, a third and the
+    rest."""
+    out = (1 - share) * n
+    for step, part in enumerate((1 / 2, 1 / 3, 1 / 6), 1):
+        late = np.roll(n, step, axis)
+        np.moveaxis(late, axis, 0)[:step] = 0
+        out += share * part * late
+    return out
+
+
+def parallel_cti(amplitude: float) -> Effect:
+    """A fraction `amplitude` of the charge comes out with the rows below."""
+    return Effect("parallel_cti", amplitude, "charge", lambda n, c: _behind(n, amplitude, 1))
+
+
+def serial_cti(amplitude: float) -> Effect:
+    """A fraction `amplitude` of the charge comes out with the pixels on the right."""
+    return Effect("serial_cti", amplitude, "charge", lambda n, c: _behind(n, amplitude, 2))
+
+
 def cosmic_rays(amplitude: float) -> Effect:
     """`amplitude` hits per megapixel and second, each a few pixels long and hundreds of electrons strong."""
 

@@ -49,6 +49,8 @@ NAMES: dict[str, Name] = {
     "dead_pixels": Name("1", ("prnu",)),
     "cosmic_rays": Name("1/(Mpx s)"),
     "image_lag": Name("1"),
+    "parallel_cti": Name("1"),
+    "serial_cti": Name("1"),
     "lossy_compression": Name("DN"),
     "defect_correction": Name("1"),
     "hot_pixel_suppression": Name("1"),

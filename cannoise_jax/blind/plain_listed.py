@@ -158,6 +158,23 @@ def lag(rng: Rng, camera: Camera) -> Effect:
     return Effect(charge=charge)
 
 
+def late_charge(rng: Rng, camera: Camera) -> Effect:
+    """Hot pixels, and charge that rows leave behind for those below or above, in a few steps."""
+    hot_ones, share, stays = hot(rng, camera), rng.uniform(0.03, 0.1), rng.uniform(0.2, 0.7)
+    up = rng.random() < 0.5
+
+    def charge(q, shot: Shot, rng: Rng):
+        q = hot_ones.charge(q, shot, rng)
+        lines, held = q[::-1] if up else q, np.zeros(q.shape[1])
+        out = np.empty(lines.shape)
+        for i, line in enumerate(lines):
+            out[i] = (1 - share) * line + (1 - stays) * held
+            held = stays * held + share * line
+        return out[::-1] if up else out
+
+    return Effect(charge=charge)
+
+
 def bent(rng: Rng, camera: Camera) -> Effect:
     """A response that bends, for the noise as for the light."""
     bend = rng.uniform(0.02, 0.06)
@@ -205,6 +222,7 @@ LISTED: dict[str, tuple[Make, tuple[str, ...]]] = {
     "corner_glow": (corner_glow, ("amp_glow",)),
     "tracks": (tracks, ("cosmic_rays",)),
     "lag": (lag, ("image_lag",)),
+    "late_charge": (late_charge, ("parallel_cti",)),
     "bent": (bent, ("nonlinearity",)),
     "sinusoid": (sinusoid, ("banding",)),
     "tails": (tails, ("heavy_tails",)),

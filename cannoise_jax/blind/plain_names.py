@@ -14,6 +14,11 @@ ARGUABLE = {
 }
 """Names that are true of an effect without a name of its own: means of frames or the black level do move,
 columns are offset, rows are noisy. Any other is wrong."""
-BESIDE = {"uneven_rows": ("bookkeeping",), "slow_rows": ("offset_drift",), "slow_raster": ("offset_drift",)}
+BESIDE = {
+    "uneven_rows": ("bookkeeping",),
+    "slow_rows": ("offset_drift",),
+    "slow_raster": ("offset_drift",),
+    "late_charge": ("hot_pixels",),
+}
 """Names that are true of a listed effect as well, but not its own: the mean of the rows is off the stated
-black level, slow noise moves the means of frames."""
+black level, slow noise moves the means of frames, tails are behind hot pixels."""

@@ -15,6 +15,7 @@ from cannoise_jax.mechanisms import (
     photons,
     pixel,
     readout,
+    transfer,
     transport,
     unnamed,
 )
@@ -33,6 +34,7 @@ _FAMILIES = (
     noise_steps.ENTRIES,
     pixel.EARLY,  # charge that is there before any moves
     transport.ENTRIES,
+    transfer.ENTRIES,
     pixel.ENTRIES,
     readout.ENTRIES,
     parity.ENTRIES,

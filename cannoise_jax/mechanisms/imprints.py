@@ -79,3 +79,4 @@ WARM = (
     *("frame_additive", "dark_level", "kurtosis", *_BLINKS, "hot_thermal", "pixel_thermal_static"),
     *(*_SITES_REDRAWN, *_TILES_REDRAWN, *_DIAGONALS_REDRAWN, *_OFFSETS_OF_LINES, *_SLOPES),
 )
+TAILS = (*(*HITS, *PEAKS, *CORRECTED, "hits", "dead", "corrected", "clocking", *_SCENES),)

@@ -37,6 +37,7 @@ from cannoise_jax.signatures import (
     shape,
     smear,
     spectra,
+    tails,
     tap_gain,
     taps,
     telegraph,

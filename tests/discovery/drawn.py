@@ -23,6 +23,8 @@ LEVELS = ("black_level", "black_channels", "dark_level", "reference_scale", "des
 """Signatures of means, which other fields state without noise."""
 SHAPES = ("kurtosis", "light_tails", "skewness", "excess_skewness")
 """Signatures of what is beyond Poisson noise and rounding."""
+TAILS = ("tail_column", "tail_row")
+"""Signatures of what lies on one side of pixels that stand out."""
 Many = tuple[Fields, ...]
 
 
@@ -98,7 +100,22 @@ def measured(seed: int) -> Many:
     return kept(tuple(with_noise(f) for f in drawn(seed)))
 
 
-DRAWS = dict.fromkeys(SHAPES, counted) | dict.fromkeys(LEVELS, measured)
+@lru_cache(maxsize=64)
+def standing_out(seed: int) -> Many:
+    """Darks and flats with hot pixels, each with a few hits in every frame, that have nothing to one side."""
+    rng, size = np.random.default_rng([8, seed]), (64, 96)
+    hot = np.where(rng.random(size) < 0.01, rng.exponential(300.0, size), 0.0)
+    out = []
+    for f in white(rng, kinds=("dark", "dark", "flat"), frames=6, size=size, signal=60.0):
+        hits = np.where(rng.random((6, *size)) < 5e-4, rng.exponential(300.0, (6, *size)), 0.0)
+        values = (hot * f.exposure_s + hits) / f.sigma
+        contrasts = f.contrasts + np.einsum("nt,tij->nij", helmert(6), values)
+        static = f.static + np.sqrt(6) * values.mean(0)
+        out.append(f._replace(contrasts=contrasts.astype(np.float32), static=static.astype(np.float32)))
+    return kept(tuple(out))
+
+
+DRAWS = dict.fromkeys(SHAPES, counted) | dict.fromkeys(LEVELS, measured) | dict.fromkeys(TAILS, standing_out)
 
 
 @lru_cache(maxsize=32)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cannoise_jax.signatures.fields import Fields, helmert, refit
 from cannoise_jax.signatures.signature import Signature
-from tests.discovery.drawn import SIZE, Many, drawn, wide
+from tests.discovery.drawn import SIZE, Many, drawn, standing_out, wide
 from tests.discovery.looks import SIGNATURES
 
 
@@ -174,3 +174,12 @@ def by_own_law(name: str, seed: int = 6) -> Many:
         return f._replace(static=(f.static + np.sqrt(f.frames) * values * f.weight).astype(np.float32))
 
     return refit(tuple(laid_over(f) for f in bare), bare)
+
+
+def with_tails(axis: int, share: float, seed: int = 6) -> Many:
+    """Fields of pixels that stand out, of which each leaves a share to the next one along an axis."""
+
+    def late(x: np.ndarray) -> np.ndarray:
+        return ((1 - share) * x + share * np.roll(x, 1, axis - 2)).astype(np.float32)
+
+    return tuple(f._replace(contrasts=late(f.contrasts), static=late(f.static)) for f in standing_out(seed))

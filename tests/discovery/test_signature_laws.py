@@ -82,7 +82,7 @@ def test_the_error_of_what_a_law_of_its_own_leaves_is_the_spread_of_what_is_foun
         assert abs(np.mean(values) - TRUE[name]) < 3 * np.mean(errors)
 
 
-SEARCHED = ("step", "lags_any", "lags_read", "taps", "glow")
+SEARCHED = ("step", "lags_any", "lags_read", "taps", "glow", "tail_column", "tail_row")
 """Signatures whose value without an effect is the largest of many, which scatters by more than one of them,
 or their mean, which scatters by less."""
 
@@ -115,6 +115,7 @@ UNTOLD = {
     "clocking, hits, corrected, lattice, taps": "zero without an effect, which recordings alone show",
     "tap_gains": "zero without steps",
     "kurtosis, light_tails, pixel_spread, taps_redrawn": "told of one side alone: zero on the other",
+    "tail_column, tail_row": "of the length that fits best; held against that of planted ones by themselves",
     "wave_redrawn_2, wave_redrawn_3": "the score of the first wave",
     "saturation, signal_step, iso_step, code_spacing, pile_up, variance_curve": "of levels and codes",
 }

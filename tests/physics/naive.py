@@ -102,6 +102,22 @@ def image_lag(rng, x, p, maps, c):
     return (1 - p["fraction"]) * x + p["fraction"] * np.concatenate([before, x[:-1]])
 
 
+def tails(x, p):
+    """Pixel by pixel along the last axis: traps keep what they hold, let go of some and take their share."""
+    out, n = x.copy(), x.shape[-1]
+    stays = np.exp(-1 / p["length_px"])
+    share = np.abs(p["fraction"]) * (1 + p["growth"] * np.linspace(-1, 1, n))
+    order = range(n) if p["fraction"] > 0 else range(n - 1, -1, -1)
+    held = None
+    for k, i in enumerate(order):
+        if held is None:
+            held = share[k] * x[..., i] / (1 - stays)
+            continue
+        out[..., i] = (1 - share[k]) * x[..., i] + (1 - stays) * held
+        held = stays * held + share[k] * x[..., i]
+    return out
+
+
 def rts(rng, x, p, maps, c):
     state = np.empty(x.shape)
     state[0] = rng.choice([-1.0, 1.0], size=x.shape[1:])
@@ -201,6 +217,8 @@ SAMPLE = {
     "brighter_fatter": brighter_fatter,
     "image_lag": image_lag,
     "smear": lambda rng, x, p, m, c: x + p["fraction"] * x.mean(axis=1, keepdims=True),
+    "parallel_cti": lambda rng, x, p, m, c: np.swapaxes(tails(np.swapaxes(x, 1, 2), p), 1, 2),
+    "serial_cti": lambda rng, x, p, m, c: tails(x, p),
     "crosstalk": lambda rng, x, p, m, c: (1 - p["fraction"]) * x + p["fraction"] / 4 * sum(neighbours(x, 1)),
     "cosmic_rays": cosmic_rays,
     "saturation": lambda rng, x, p, m, c: np.where(x > p["full_well_e"], p["full_well_e"], x),

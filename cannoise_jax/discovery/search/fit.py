@@ -326,16 +326,21 @@ def _bearing(
 def _in_final_model(steps: list[Step], tests: float, needed: Set[str]) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
     that the others leave nothing to look at, or that is `needed`, keeps the p-value of its step. What is left
-    of an effect that is known but approximately, and has no name, does not make it superfluous."""
+    of an effect that is known but approximately, and has no name, does not make it superfluous; nor do those
+    that set the pixels aside by which it is seen, and in which it would be counted."""
     changed = [_changed(step.before, after.before) for step, after in zip(steps, steps[1:], strict=False)]
 
     def alone(k: int) -> Step:
         step = steps[k]
         if step.late or step.named.signature.name in needed:
             return step
-        fields, approximate = step.before, step.named.signature.approximate
+        fields, own = step.before, step.named.signature
+        holds_it = own.found_in if own.single_pixels else ()
         taken = [
-            n for n in range(k + 1, len(steps)) if not (approximate and steps[n].named.mechanism == UNKNOWN)
+            n
+            for n in range(k + 1, len(steps))
+            if not (own.approximate and steps[n].named.mechanism == UNKNOWN)
+            and steps[n].named.signature.name not in holds_it
         ]
         for n in _bearing(steps, changed, taken, step.named.signature.reads):
             fields = without(steps[n].named, fields, fields)
