@@ -20,33 +20,18 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.deferred import Deferred, taken_back
-from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.handed import Found, Many
 from cannoise_jax.signatures.lag_sums import LAGS, lag_sums
 from cannoise_jax.signatures.plain import plain
-from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import LEAST_LOG_P, ONE_OF_SEVERAL, ONE_PARAMETER, Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
+from cannoise_jax.signatures.tops import NOISE, REACH, TOPS, Tops
 
-REACH = 10
-"""Pixels behind, and before, that are looked at."""
-_FAR = 7.0
-"""Standard deviations of noise and pattern from which on a pixel stands out."""
-_AROUND = (4, 2)
-"""Pixels along and across within which none stands out farther."""
-_BROAD, _LONG = 0.25, 0.5
-"""Of its height, what pixels next to one that stands out have at most, across the tail and along it: tracks
-and areas have no profile."""
-_BESIDE = (-4, -3, 3, 4)
-"""Lines whose difference of both sides is what a slope of the level makes of it."""
-_NOISE = 2 + 2 / len(_BESIDE)
-"""Variance of such a difference, in that of a pixel."""
 _LENGTHS = (0.3, 1.0, 2.5, 6.0)
 """Pixels, of the tails that are tried."""
 _SCATTER = (0.005, 0.02, 0.08)
@@ -57,8 +42,6 @@ _LEAST = 16
 most."""
 _MOST_LEFT = 0.45
 """Share left behind beyond which the tail is no smaller than what it is of."""
-_MOST = 20_000
-"""Pixels of a recording that are looked at, those that stand out the farthest."""
 _BOUND = 3.18
 """By which Pinelis' bound is above the chance of a normal value."""
 _ODD = 4.0
@@ -76,77 +59,6 @@ _SURE = 3.0
 """Standard errors from which on the growth along the lines, or another form, is told."""
 
 
-class _Tops(NamedTuple):
-    """Pixels of one recording that stand out: place `[n]` (pixel in reading order), sum of products of their
-    height with the differences at every distance `[n, k]`, and of their squared heights `[n]`."""
-
-    place: Int[np.ndarray, "n"]
-    products: Float[np.ndarray, "n k"]
-    power: Float[np.ndarray, "n"]
-
-
-def _standing(f: Fields, axis: int) -> _Tops:
-    """Those of the mean of the frames, and of single frames."""
-    images = [] if f.static is None else [(f.static, max(_local_spread(f), 1.0))]
-    if f.frames > 2:
-        images += [(frame, 1.0) for frame in each_frame(f, static=False)]
-    found = [_of_image(f, image, spread, axis) for image, spread in images]
-    return _Tops(*(np.concatenate(part) for part in zip(*found, strict=True))) if found else _no_tops()
-
-
-def _local_spread(f: Fields) -> float:
-    """Standard deviation of the mean of most pixels, of what those a few lines away do not share."""
-    assert f.static is not None
-    by = _BESIDE[-1]
-    apart = (f.static[by:] - f.static[:-by], f.static[:, by:] - f.static[:, :-by])
-    both = (f.usable[by:] & f.usable[:-by], f.usable[:, by:] & f.usable[:, :-by])
-    return min((robust_std(d[u]) / 2**0.5 for d, u in zip(apart, both, strict=True) if u.any()), default=1.0)
-
-
-def _no_tops() -> _Tops:
-    return _Tops(np.zeros(0, int), np.zeros((0, REACH)), np.zeros(0))
-
-
-def _of_image(f: Fields, image: Float[np.ndarray, "h w"], spread: float, axis: int) -> _Tops:
-    size = image.shape
-    v, sigma = image * f.usable, f.sigma
-    if axis:
-        v, sigma = v.T, sigma.T
-    height, width = v.shape
-    y, x = np.nonzero(np.abs(v) > _FAR * spread)
-    along, across = _AROUND
-    inside = (y >= REACH) & (y < height - REACH) & (x >= _BESIDE[-1]) & (x < width - _BESIDE[-1])
-    y, x = y[inside], x[inside]
-    if y.size > _MOST:
-        most = np.argsort(-np.abs(v[y, x]), kind="stable")[:_MOST]
-        y, x = y[most], x[most]
-    if not y.size:
-        return _no_tops()
-    top = np.abs(v[y, x])
-    beside, ends = (np.array([[-1], [1]]) * step for step in ((0, 1), (1, 0)))
-    broad = np.abs(v[y[:, None] + beside[:, 0], x[:, None] + beside[:, 1]]).max(1) > _BROAD * top
-    broad |= np.abs(v[y[:, None] + ends[:, 0], x[:, None] + ends[:, 1]]).max(1) > _LONG * top
-    highest = ~broad
-    for dy in range(-along, along + 1):
-        for dx in range(-across, across + 1):
-            highest &= np.abs(v[y + dy, x + dx]) <= top
-    y, x = y[highest], x[highest]
-    k, unit = np.arange(1, REACH + 1), sigma[y, x][:, None]
-
-    def one_sided(aside: int) -> np.ndarray:
-        behind, before = (y[:, None] + k, (x + aside)[:, None]), (y[:, None] - k, (x + aside)[:, None])
-        return (v[behind] * sigma[behind] - v[before] * sigma[before]) / unit
-
-    apart = one_sided(0) - sum(one_sided(n) for n in _BESIDE) / len(_BESIDE)
-    top = v[y, x] / spread
-    place = x * size[1] + y if axis else y * size[1] + x
-    return _Tops(place, top[:, None] * apart / spread, top**2)
-
-
-_reads = remembered("static", "contrasts", "usable", "sigma")
-_TOPS = (_reads(partial(_standing, axis=0)), _reads(partial(_standing, axis=1)))
-
-
 class _Differences(NamedTuple):
     """Of every pixel that stands out: differences of both sides at every distance, shares of its height
     `[n, k]`, their standard error by noise `[n]` and its place along the lines, -1 to 1 `[n]`."""
@@ -158,17 +70,17 @@ class _Differences(NamedTuple):
 
 def _differences(fields: Many, axis: int) -> _Differences | None:
     """One of every pixel, of all recordings together: in these its neighbours are the same."""
-    found = [t for f in fields if f.kind != "scene" and (t := _TOPS[axis](f)).place.size]
+    found = [t for f in fields if f.kind != "scene" and (t := TOPS[axis](f)).place.size]
     if not found:
         return None
-    every = _Tops(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    every = Tops(*(np.concatenate(part) for part in zip(*found, strict=True)))
     pixels, of = np.unique(every.place, return_inverse=True)
     products, power = np.zeros((pixels.size, REACH)), np.bincount(of, every.power)
     np.add.at(products, of, every.products)
     size = fields[0].mean.shape
     line = pixels % size[1] if axis else pixels // size[1]
     return _Differences(
-        products / power[:, None], np.sqrt(_NOISE / power), 2 * line / max(size[axis] - 1, 1) - 1.0
+        products / power[:, None], np.sqrt(NOISE / power), 2 * line / max(size[axis] - 1, 1) - 1.0
     )
 
 
