@@ -117,7 +117,7 @@ def diagnose(
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
-    own = own_effects(judged.drawn, entries, allowed, log_alpha)
+    own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
     too_much = excess(own, raw.looking)
     judged, raw, own, kept = less_of(too_much, judged, raw, own, entries, allowed, log_alpha, key)
     splits = raw.less(partial(without_own, own=own))
@@ -201,12 +201,12 @@ def less_of(
     only the last is changed."""
     if not too_much:
         return judged, raw, own, own
-    share = shares(too_much)
+    share = shares(too_much, None if judged.handed is None else judged.handed.model)
     less = with_less(judged, share, key)
     if less is None:
         return judged, raw, own, at_shares(own, share)
     again = splits_of(less.capture, less.stated, less.drawn, searched(entries))
-    own = own_effects(less.drawn, entries, allowed, log_alpha)
+    own = own_effects(less.drawn, entries, less.own_names(allowed, entries), log_alpha)
     return less, again, own, own
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.simulate import Simulator
 from cannoise_jax.discovery.proof.excess import Excess
+from cannoise_jax.discovery.proof.judged import Judged
 from cannoise_jax.discovery.proof.lowered import lowered, shares
+from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.physics.core.sensor import SensorModel
 from tests.discovery.capture import capture_set
 from tests.discovery.test_compare_bank import rows
@@ -49,6 +54,27 @@ def test_what_is_too_much_is_lowered_in_what_is_handed_back(given, there):
     assert np.mean(found.model.read_noise_e) == pytest.approx(3.0, rel=0.03)
     assert found.remains is not None and not found.remains.after.differences
     assert found.quality is not None and found.remains.before.differences
+
+
+def test_what_others_add_to_rows_stays():
+    """Of 3.2 DN that the draws show 3 are its own: variances are taken from that."""
+    found = [Excess("row_noise", 3.2, 1.5, 0.1, 0.1)]
+    own = float(np.sqrt(3.0**2 - (3.2**2 - 1.5**2)))
+    assert shares(found, sensor(3.0))["row_noise"] == pytest.approx(own / 3.0)
+    assert shares(found)["row_noise"] == pytest.approx(1.5 / 3.2)
+    # Less than they add: none of it is left.
+    assert shares([Excess("row_noise", 3.2, 0.5, 0.1, 0.1)], sensor(3.0))["row_noise"] == 0.0
+    # A strength that does not go with what is seen tells nothing.
+    assert shares(found, sensor(0.3))["row_noise"] == pytest.approx(1.5 / 3.2)
+
+
+def test_lines_of_a_camera_model_have_the_names_that_it_holds():
+    names = frozenset({"row_noise", "row_pink_noise", "column_noise", "odd_even_row_noise", "dsnu"})
+    judged = Judged(capture_set(71, kinds="d"), "sensor", False)
+    assert judged.own_names(names, ENTRIES) == names
+    handed = Simulator("sensor", sensor(1.0).sample, True, sensor(1.0))
+    judged = dataclasses.replace(judged, handed=handed)
+    assert judged.own_names(names, ENTRIES) == names - {"row_pink_noise"}
 
 
 def test_only_what_is_too_much_is_changed():

@@ -18,6 +18,8 @@ from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulat
 from cannoise_jax.discovery.search.fit import Step, stepwise, without_all
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.signatures import generic
@@ -38,6 +40,16 @@ class Judged:
     handed: Simulator | None = None
     drawn: CaptureSet | None = None
     given: SensorModel | None = None
+
+    def own_names(self, allowed: frozenset[str], entries: tuple[Entry, ...]) -> frozenset[str]:
+        """Names for what its own draws show: of noise of rows or columns those that the camera model holds,
+        where it holds one of the same lines. White rows beside noise along the raster look like rows of a
+        power law, as which they could not be lowered."""
+        if self.handed is None or self.handed.model is None:
+            return allowed
+        held = {f.mechanism: _lines(f.record) for f in self.handed.model.mechanisms}
+        lines = set(held.values()) - {None}
+        return allowed - {e.id for e in entries if e.id not in held and _lines(e.record) in lines}
 
     def sides(
         self, first: Prepared, steps: tuple[Step, ...], own: tuple[Step, ...], less: bool = False
@@ -103,6 +115,15 @@ def own_effects(
         return ()
     prepared = splits_of(drawn, entries=searched(entries)).looking
     return stepwise(prepared.fields, prepared.signatures, allowed, log_alpha).steps
+
+
+def _lines(record: Mechanism) -> Point | None:
+    """The point of a mechanism of rows or columns, whatever its spectrum."""
+    return (
+        dataclasses.replace(record.point, spectrum="white")
+        if record.point.over in ("row", "column")
+        else None
+    )
 
 
 def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:

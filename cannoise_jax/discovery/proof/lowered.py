@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from cannoise_jax.discovery.proof.excess import Excess
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel
@@ -13,11 +15,27 @@ SURE = 2.0
 """Standard errors from which on the recordings show some of it, and not none."""
 
 
-def shares(found: Iterable[Excess]) -> dict[str, float]:
-    """Of every mechanism that a simulator has too much of the share that the recordings show."""
-    return {
-        e.mechanism: e.recorded / e.simulated if e.recorded > SURE * e.recorded_error else 0.0 for e in found
-    }
+_MOST = 0.5
+"""Of what a simulator's draws show of a mechanism, what its own strength is at least, where it is in the same
+unit: the rest is what others add to it, as noise along the raster adds to that of rows."""
+
+
+def shares(found: Iterable[Excess], model: SensorModel | None = None) -> dict[str, float]:
+    """Of every mechanism that a simulator has too much of the share that the recordings show. model: the
+    simulator, whose own strengths tell what of that others add: variances add, and theirs stays."""
+    held = {} if model is None else {f.mechanism: f for f in model.mechanisms}
+    return {e.mechanism: _share(e, held.get(e.mechanism)) for e in found}
+
+
+def _share(e: Excess, fitted: Fitted | None) -> float:
+    if e.recorded <= SURE * e.recorded_error:
+        return 0.0
+    first = None if fitted is None else fitted.record.parameters[0]
+    if fitted is not None and first is not None and first.name.endswith("_dn"):
+        own = float(np.mean(fitted.parameters[first.name]))
+        if _MOST * e.simulated < own < e.simulated:
+            return float(np.sqrt(max(1 - (e.simulated**2 - e.recorded**2) / own**2, 0.0)))
+    return e.recorded / e.simulated
 
 
 def lowered(model: SensorModel, share: Mapping[str, float]) -> SensorModel | None:
