@@ -16,7 +16,7 @@ from cannoise_jax.discovery.proof.heldout import Predicted, Scored, score_frames
 from cannoise_jax.discovery.proof.prove import Proof, Proofs, refuted, standing
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.locate import Located
-from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.discovery.search.name import UNKNOWN, Named
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import frame_fields
 from cannoise_jax.signatures.score import Score
@@ -203,21 +203,23 @@ def test_what_is_found_elsewhere_is_no_gain(other, gains):
 
 
 @pytest.mark.parametrize(
-    ("again", "gain", "gone"),
+    ("name", "again", "gain", "gone"),
     [
-        ((0.0, 0.1), -0.6, True),  # excluded: at most 0.16 of the 1.0 that was found
-        ((0.0, 0.4), -0.6, False),  # too few frames to say
-        ((0.0, 0.1), 2.0, False),  # they gain by it
-        ((0.3, 0.1), -0.6, False),  # they show some of it
+        ("row_noise", (0.0, 0.1), -0.6, True),  # excluded: at most 0.16 of the 1.0 that was found
+        ("row_noise", (0.0, 0.4), -0.6, False),  # too few frames to say
+        ("row_noise", (0.0, 0.1), 2.0, False),  # they gain by it
+        ("row_noise", (0.3, 0.1), -0.6, False),  # they show some of it
+        (UNKNOWN, (0.3, 0.1), -0.6, True),  # without a name, of which they show less than half
+        (UNKNOWN, (0.8, 0.1), 2.0, False),
     ],
 )
-def test_what_the_frames_held_back_exclude_is_no_finding(again, gain, gone):
+def test_what_the_frames_held_back_exclude_is_no_finding(name, again, gain, gone):
     found = Score(
         log_p=-20.0, gain=25.0, penalty=3.0, amplitude=1.0, error=0.2, shift=0.3, power=2,
         parameters={}, where={"axis": "row"},
     )  # fmt: skip
     rows = SIGNATURES["row_additive_temporal"]
-    step = Step(Named(found, rows, "row_noise", (("row_noise", 1.0),), False), (), -20.0)
+    step = Step(Named(found, rows, name, ((name, 1.0),), False), (), -20.0)
     proof = Proof(found.replace(amplitude=again[0], error=again[1]), gain, gain - 1, gain + 1, 9)
     empty = Located({}, {}, 1.0)
     fitted, proofs = standing(Fitted((step,), (), empty, empty), Proofs((proof,), None, None))
