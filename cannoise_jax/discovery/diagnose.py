@@ -34,6 +34,7 @@ from cannoise_jax.discovery.proof.in_full import in_full
 from cannoise_jax.discovery.proof.judged import (
     CALIBRATED,
     Judged,
+    beyond_draws,
     opened,
     own_effects,
     searched,
@@ -129,6 +130,7 @@ def diagnose(
     every = (lambda: splits.together.fields) if splits.can_prove else None
     fitted = stepwise(first.fields, first.signatures, allowed, log_alpha, tell, every, located)
 
+    fitted = beyond_draws(fitted, own, tell)
     fitted = fitted._replace(steps=beside_others(fitted.steps))
     proven = unproven(fitted.steps)
     if splits.can_prove:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import jax
+import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.frames.battery import Prepared, stated_parameters
@@ -15,7 +16,7 @@ from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulat
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.lowered import lowered
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
-from cannoise_jax.discovery.search.fit import Step, stepwise, without_all
+from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise, without_all
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.grammar import Point
@@ -23,6 +24,7 @@ from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.signatures import generic
+from cannoise_jax.signatures.signature import FILES
 
 CALIBRATED, STATED = "poisson-gaussian", "nlf"
 """Simulators by name: calibrated from the recordings, or as the files state it."""
@@ -124,6 +126,33 @@ def _lines(record: Mechanism) -> Point | None:
         if record.point.over in ("row", "column")
         else None
     )
+
+
+_SHOWN, _MORE = 2.0, 3.0
+"""Standard errors from which on draws show something, and from which on recordings show more of it."""
+
+
+def beyond_draws(
+    fitted: Fitted, own: tuple[Step, ...], tell: Callable[[str], None] = lambda text: None
+) -> Fitted:
+    """Without the findings of which the simulator's own draws, with what was found in them taken out, show as
+    much: a description of what it has that is a little off leaves the same in both."""
+    if not own:
+        return fitted
+    kept = []
+    for step in fitted.steps:
+        signature, found = step.named.signature, step.named.score
+        there = None if signature.beyond or signature.reads == FILES else signature.score(own[-1].left)
+        if (
+            there is not None
+            and np.isfinite(there.error)
+            and there.amplitude > _SHOWN * there.error
+            and found.amplitude - there.amplitude < _MORE * float(np.hypot(found.error, there.error))
+        ):
+            tell(f"given up: {step.named.mechanism} ({signature.name}), the draws show as much")
+        else:
+            kept.append(step)
+    return fitted._replace(steps=tuple(kept))
 
 
 def without_own(prepared: Prepared, own: tuple[Step, ...]) -> Prepared:
