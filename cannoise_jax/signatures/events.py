@@ -33,6 +33,8 @@ _QUIET = 1e-3
 _RETURNS = 0.2
 """Share of the spikes of telegraph pixels, seen once, whose pixel shows another in the frames at hand, at
 least: less is a duty of far below one frame in all."""
+_NONE_SEEN = 1e-6
+"""Share of single electrons that stand out, below which none does: normal noise does so as often."""
 _CELL = np.ones((3, 3), bool)
 
 
@@ -199,6 +201,7 @@ def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
     else:
         volume = sum(s.frames for s in found) * float(size)
     unit = 1 / volume if volume > 0 else float("inf")
+    hidden = _hidden(fields, found) if kind == "clocking" else 1.0
     events = seen.tracks if kind == "hits" else seen.up
     charge = _charge(fields, found)
     where = {"axis": "pixel", "pixels": seen.up}
@@ -208,11 +211,23 @@ def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
         penalty=float(np.log(max(size, 2))),
         amplitude=events * unit,
         error=float(np.sqrt(max(events, 1))) * unit,
-        shift=3 * unit,
+        shift=3 * unit * hidden,
         power=1,
         parameters={"charge_e": (charge, "e-", charge / np.sqrt(max(events, 1)))},
         where=where,
     )
+
+
+def _hidden(fields: tuple[Fields, ...], found: list[Spikes]) -> float:
+    """How many single electrons are freed for each that stands out of the noise; infinite where none does."""
+    by_number = {f.number: f for f in fields}
+    seen = frames = 0.0
+    for s in found:
+        f = by_number[s.number]
+        height = float(np.mean(f.gain)) / f.sigma
+        seen += s.frames * float(np.mean(np.where(f.usable, stats.norm.sf(_limit(f) - height), 0.0)))
+        frames += s.frames
+    return frames / seen if seen > _NONE_SEEN * frames else float("inf")
 
 
 def _charge(fields: tuple[Fields, ...], found: list[Spikes]) -> float:

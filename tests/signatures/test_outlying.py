@@ -175,3 +175,15 @@ def test_hits_of_frames_of_unknown_exposure_are_counted_by_the_frame(exposure):
     assert score is not None and np.isfinite([score.amplitude, score.error, score.shift]).all()
     megapixels = sum(f.frames for f in fields) * fields[0].mean.size / 1e6
     assert score.amplitude * megapixels == pytest.approx(round(score.amplitude * megapixels), abs=1e-6)
+
+
+@pytest.mark.parametrize(("gain", "seen"), [(1.5, 0.0), (27.0, 0.5), (60.0, 1.0)])
+def test_single_electrons_are_told_as_far_as_they_stand_out(gain, seen):
+    """Noise of 4.5 DN: an electron of 27 DN lies at the limit and a little above, half of them beyond."""
+    fields = [f._replace(gain=np.full(4, gain), sigma=np.full(SIZE, 4.5)) for f in white(_RNG(3), size=SIZE)]
+    darks = tuple(f for f in fields if not f.lit)
+    score = spike_score(darks, kind="clocking")
+    assert score is not None
+    frames = sum(f.frames for f in darks) * fields[0].mean.size
+    expected = 3 / frames / seen if seen else np.inf
+    assert score.shift == pytest.approx(expected, rel=0.5)
