@@ -13,7 +13,7 @@ from cannoise_jax.discovery.frames.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.proof.gains import frame_interval, held_out_gain
 from cannoise_jax.discovery.proof.heldout import Predicted, Scored, score_frames
-from cannoise_jax.discovery.proof.prove import Proof, Proofs, refuted, standing
+from cannoise_jax.discovery.proof.prove import Proof, Proofs, others_out, refuted, standing
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import UNKNOWN, Named
@@ -225,3 +225,28 @@ def test_what_the_frames_held_back_exclude_is_no_finding(name, again, gain, gone
     fitted, proofs = standing(Fitted((step,), (), empty, empty), Proofs((proof,), None, None))
     assert (len(fitted.steps), len(proofs.each)) == ((0, 0) if gone else (1, 1))
     assert not refuted(step._replace(late=True), proof)
+
+
+@pytest.mark.parametrize("columns", [0.0, 1.0])
+def test_an_offset_of_frames_keeps_its_strength_beside_noise_of_lines(columns):
+    """Of a row all noise is taken out together, what its frame has included."""
+
+    def alter(rng):
+        def change(dn, signal, kind, t):
+            rows = 1.5 * rng.standard_normal((dn.shape[0], 1))
+            lines = rows + columns * rng.standard_normal((1, dn.shape[1]))
+            return dn + lines + 2.0 * rng.standard_normal()
+
+        return change
+
+    capture = capture_set(31, alter, kinds="d", frames=16)
+    first, _, _ = halves(capture)
+    names = ["row_additive_temporal", *(["column_additive_temporal"] if columns else []), "frame_additive"]
+    fields, steps = first.fields, []
+    for name in names:
+        signature = next(s for s in first.signatures if s.name == name)
+        score = signature.score(fields)
+        steps.append(Step(Named(score, signature, name, ((name, 1.0),), False), fields, -99.0))
+        fields = signature.absorb(fields, score)
+    proved = steps[-1].named.signature.score(others_out(tuple(steps), first.fields)(len(steps) - 1))
+    assert proved.amplitude == pytest.approx(2.0, abs=3 * proved.error) and proved.error < 0.5

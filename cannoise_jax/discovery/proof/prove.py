@@ -236,8 +236,9 @@ def _maps_beside(
 def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[[int], tuple[Fields, ...]]:
     """Fields by number of a finding, asked for in order, with every other finding taken out but those in
     which it would be counted; of many, and for hot pixels that stand out from a map found after them, those
-    accepted before it. Of one more than there are: with all taken out."""
-    done = 0
+    accepted before it. Of one more than there are: with all taken out. What whole frames have is in all of
+    their rows and columns, whose noise would take most of it along."""
+    done, start = 0, fields
 
     def without(n: int) -> tuple[Fields, ...]:
         nonlocal fields, done
@@ -246,12 +247,24 @@ def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[
         if n == len(steps):
             return out
         found = steps[n].named
+        frame = found.signature.axes.varies_over == "frame"
+        if frame and any(map(_of_lines, steps[:n])):
+            out = without_all((s for s in steps[:n] if not _of_lines(s)), start)
         if len(steps) <= MOST_JOINT and not found.signature.before(found.score):
             holds_it = found.signature.found_in
-            out = without_all((s for s in steps[n + 1 :] if s.named.signature.name not in holds_it), out)
+            after = (s for s in steps[n + 1 :] if s.named.signature.name not in holds_it)
+            out = without_all((s for s in after if not (frame and _of_lines(s))), out)
         return out
 
     return without
+
+
+def _of_lines(step: Step) -> bool:
+    """Whether a finding is white noise of whole rows or columns, of which next to nothing is in the mean of a
+    frame."""
+    axes = step.named.signature.axes
+    lines = axes.varies_over in ("row", "column")
+    return lines and (axes.time, axes.scales, axes.law) == ("redrawn", "additive", "white")
 
 
 def _score_of(signature: Signature, n: int, split: Callable[[int], tuple[Fields, ...]]) -> Score | None:
