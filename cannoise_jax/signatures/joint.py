@@ -253,7 +253,8 @@ def _fit(fields: tuple[Fields, ...], maps: Sequence[FrozenMap], place: _Place) -
         variance = np.maximum(variance * np.exp(by), 1e-8 * start)
         if np.max(np.abs(by)) < 1e-4:
             break
-    inverse = np.linalg.pinv(fisher)
+    # Of the logarithms: variances of unlike units lie many powers of ten apart.
+    inverse = np.linalg.pinv(fisher * variance[:, None] * variance) * variance[:, None] * variance
     out = {}
     for k, n in enumerate(place.which):
         information = place.information[used, k, k]

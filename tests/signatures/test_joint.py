@@ -196,3 +196,17 @@ def test_a_map_that_no_pixel_tells_of_has_no_strength():
     fields, _ = planted(1)
     blind = tuple(f._replace(usable=np.zeros_like(f.usable)) for f in fields)
     assert joint.strengths(blind, [joint.FrozenMap("pixel", "additive", 1.0)]) == [None]
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-5])
+def test_the_error_of_a_strength_does_not_depend_on_its_unit(unit):
+    """A map of a share of the light beside one of so many DN in a second, of exposures a hundred thousand
+    times as short: variances fourteen powers of ten apart."""
+    fields, _ = planted(2)
+    fields = tuple(f._replace(exposure_s=f.exposure_s * unit) for f in fields)
+    left, names, maps = taken_out(fields, tuple(TRUE), known=False)
+    told = dict(zip(names, joint.strengths(left, maps), strict=True))
+    for name, true in (("pixel_thermal_static", 0.08 / unit), ("pixel_relative_static", 0.01)):
+        sigma, error, _ = told[name]
+        assert sigma == pytest.approx(true, rel=0.2)
+        assert 0.01 < error / sigma < 0.1
