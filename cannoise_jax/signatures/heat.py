@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import special, stats
 from scipy.interpolate import RegularGridInterpolator
 
@@ -82,6 +82,28 @@ def _around(
     middles = [(e[1:] + e[:-1] - 1) / 2 for e in edges]
     between = RegularGridInterpolator(middles, share * levels, bounds_error=False, fill_value=None)
     return between(tuple(np.meshgrid(*(np.arange(n) for n in values.shape), indexing="ij")))
+
+
+_LINEAR = 0.05
+"""Share by which the level of a hot pixel may be off its law: warm-up of a sensor, a bend of its response."""
+
+
+def follows_exposure(fields: tuple[Fields, ...], far: Bool[np.ndarray, "h w"]) -> float | None:
+    """By how much, chi-square of a typical pixel that stands out, levels in the darks follow the exposure
+    better than they stay the same; None where no two darks of known exposures differ in that."""
+    darks = [f for f in fields if f.kind in DARK and f.exposure_s is not None and f.static is not None]
+    if len({f.exposure_s for f in darks}) < 2 or not far.any():
+        return None
+    seconds = np.array([f.exposure_s for f in darks], float)[:, None]
+    sigma = np.stack([f.sigma[far] / np.sqrt(f.frames) for f in darks]).astype(np.float64)
+    level = np.stack([f.static[far] for f in darks if f.static is not None]) * sigma
+    weight = np.stack([f.usable[far] for f in darks]) / (sigma**2 + (_LINEAR * level) ** 2)
+
+    def left(response: Float[np.ndarray, "r 1"]) -> Float[np.ndarray, "n"]:
+        told = np.sum(weight * level * response, 0) ** 2
+        return np.sum(weight * level**2, 0) - told / np.maximum(np.sum(weight * response**2, 0), 1e-30)
+
+    return float(np.median(left(np.ones_like(seconds)) - left(seconds)))
 
 
 class Heat(NamedTuple):

@@ -14,7 +14,13 @@ from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.core_law import NORMAL, Core, skewed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
-from cannoise_jax.signatures.heat import MOST_SHARE, Heat, above_neighbours, known_heat
+from cannoise_jax.signatures.heat import (
+    MOST_SHARE,
+    Heat,
+    above_neighbours,
+    follows_exposure,
+    known_heat,
+)
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -118,6 +124,9 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
 
 _FEW = 0.05
 """Share of hot pixels up to which the lower half of all levels tells the law of the others."""
+_TOLD = 4.0
+"""Chi-square of a typical pixel that stands out by which one law of its heat is told from the other: both are
+as sure that it is hot, where it is so many standard deviations that these are no longer counted."""
 _HEALTHY = 2e-6
 """Share of healthy pixels that a report counts as hot."""
 
@@ -135,7 +144,10 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
     least = _lattice_spread(fields)
     own = bulk > max(_STRONG, least) or any(f.answers.apart for f in fields)
     core, counts, (share, at, gain) = _core(u[seen.ravel()], max(bulk, least), own)
-    number = int(np.sum(core.standard(u) > core.far(_HEALTHY)))
+    out = (core.standard(u) > core.far(_HEALTHY)).reshape(seen.shape) & seen
+    number = int(np.sum(out))
+    better = follows_exposure(fields, out) or 0.0
+    other_law = better > _TOLD if scaling == "additive" else better < -_TOLD
     root = float(np.sqrt(np.median(sums.information[seen]))) / core.spread
     mixture = float(log_mixture(counts, core.table()))
     seconds = (
@@ -148,8 +160,8 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
     high = [int(k) for k in np.argsort(-u)[:8]]
     width = fields[0].mean.shape[1]
     return Score(
-        log_p=max(hot_log_p(mixture, int(seen.sum())), LEAST_LOG_P),
-        gain=gain,
+        log_p=0.0 if other_law else max(hot_log_p(mixture, int(seen.sum())), LEAST_LOG_P),
+        gain=0.0 if other_law else gain,
         penalty=max(gain - mixture, SHARE_OF_FEW),
         amplitude=float(amplitude),
         error=float(amplitude / np.sqrt(events)),

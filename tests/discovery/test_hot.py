@@ -228,3 +228,19 @@ def test_pixels_in_either_level_half_of_the_time_are_no_hot_ones(frames):
     found = stepwise(looking.fields, looking.signatures, frozenset(MECHANISMS), np.log(0.01))
     names = [step.named.mechanism for step in found.steps]
     assert "rts" in names and "hot_pixels" not in names
+
+
+@pytest.mark.parametrize("grows", [True, False])
+def test_far_pixels_have_the_law_that_their_levels_follow(grows):
+    """A thousand standard deviations and more: both laws are as sure that these are hot."""
+
+    def alter(rng):
+        heat = (rng.random(SIZE) < 0.01) * rng.exponential(2000.0, SIZE)
+        return lambda dn, signal, kind, t: dn + heat * (t / 0.1 if grows else 0.5) * (kind == "dark")
+
+    capture = capture_set(7, alter, kinds="df")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    by_name = {s.name: s for s in prepared.signatures}
+    scores = {law: by_name[f"hot_{law}"].score(prepared.fields) for law in ("thermal", "additive")}
+    right, wrong = ("thermal", "additive") if grows else ("additive", "thermal")
+    assert scores[right].log_p < -100 and scores[wrong].log_p == 0
