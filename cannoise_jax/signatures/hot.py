@@ -107,9 +107,6 @@ def _core(u: np.ndarray, spread: float, mapped: bool) -> tuple[Core, np.ndarray,
         return nats + fitted[2], core, counts, fitted
 
     laws = [Core(spread), *(skewed(u) if mapped else ())]
-    if len(laws) == 1:
-        counts = level_counts(laws[0].standard(u))
-        return laws[0], counts, _fitted(counts, laws[0])
     # Beside more hot ones the lower half of all levels is that of no law.
     found = [f for f in map(beside, laws) if f[1].law == NORMAL or f[3][0] < _FEW]
     return max(found, key=lambda f: f[0])[1:]
