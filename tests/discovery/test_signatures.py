@@ -140,9 +140,10 @@ UNPLANTED = {
     "taps, taps_redrawn, tap_gains": "discovery/test_taps.py",
     "row_turns_temporal": "discovery/test_parity.py",
     "wave_redrawn_2, wave_redrawn_3": "signatures/test_waves.py",
+    "tail_column, tail_row": "discovery/test_late_charge.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single
-electrons, frames in their order, pixels made of others, layouts of readouts, and what comes after another.
+electrons, what lies behind single pixels, frames in their order, pixels made of others, layouts of readouts, and what comes after another.
 Each with the tests of it."""
 
 

@@ -62,21 +62,22 @@ def test_a_dark_current_is_what_a_glow_leaves_of_the_level(seed):
     assert "amp_glow" in strength
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_hits_of_the_frames_before_are_out_of_those_held_back(seed):
-    """What was hit before lies far from its mean in all frames that are seen against it."""
-    capture = capture_set(seed, struck, kinds="df")
-    splits = split_recordings(capture)
-    looks, held = (prepare_split(capture, splits, held_back=back) for back in (False, True))
-    hits = next(s for s in looks.signatures if s.name == "hits")
-    score = hits.score(looks.fields)
+def test_hits_of_the_frames_before_are_out_of_those_held_back():
+    """What was hit before lies far from its mean in all frames that are seen against it. One hit that is left
+    in one of the sets would be noise of its row."""
+    rows = []
+    for seed in range(1, 6):
+        capture = capture_set(seed, struck, kinds="df")
+        splits = split_recordings(capture)
+        looks, held = (prepare_split(capture, splits, held_back=back) for back in (False, True))
+        hits = next(s for s in looks.signatures if s.name == "hits")
+        left = hits.absorb(held.fields, hits.score(looks.fields))
 
-    def far(fields):
-        return sum(int(np.sum(np.abs(f.contrasts).max(0) > 8)) for f in fields if not f.lit)
+        def far(fields):
+            return sum(int(np.sum(np.abs(f.contrasts).max(0) > 8)) for f in fields if not f.lit)
 
-    # Shot noise of the hottest pixels lies as far.
-    assert far(held.fields) > 100
-    assert far(hits.absorb(held.fields, score)) < 0.05 * far(held.fields)
-    rows = next(s for s in held.signatures if s.name == "row_additive_temporal")
-    again = rows.score(hits.absorb(held.fields, score))
-    assert again.amplitude == pytest.approx(1.0, abs=3 * again.error)
+        # Shot noise of the hottest pixels lies as far.
+        assert far(held.fields) > 100 and far(left) < 0.05 * far(held.fields)
+        rows.append(next(s for s in held.signatures if s.name == "row_additive_temporal").score(left))
+    typical = float(np.median([r.amplitude for r in rows]))
+    assert typical == pytest.approx(1.0, abs=3 * max(r.error for r in rows))
