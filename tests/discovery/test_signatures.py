@@ -143,8 +143,8 @@ UNPLANTED = {
     "tail_column, tail_row": "discovery/test_late_charge.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single
-electrons, what lies behind single pixels, frames in their order, pixels made of others, layouts of readouts, and what comes after another.
-Each with the tests of it."""
+electrons, what lies behind single pixels, frames in their order, pixels made of others, layouts of readouts,
+and what comes after another. Each with the tests of it."""
 
 
 def test_every_signature_that_takes_something_out_is_held_to_it_or_named():
