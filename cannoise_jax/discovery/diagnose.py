@@ -203,7 +203,7 @@ def less_of(
     only the last is changed."""
     if not too_much:
         return judged, raw, own, own
-    share = shares(too_much, None if judged.handed is None else judged.handed.model)
+    share = shares(too_much, judged.model)
     less = with_less(judged, share, key)
     if less is None:
         return judged, raw, own, at_shares(own, share)

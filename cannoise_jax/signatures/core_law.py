@@ -106,6 +106,7 @@ def skewed(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
     return tuple(out)
 
 
+@lru_cache(maxsize=512)
 def _of(law: str, skew: float):
     """The law of mean 0, standard deviation 1 and this skewness."""
     if law == NORMAL:
@@ -117,7 +118,6 @@ def _of(law: str, skew: float):
     return stats.lognorm(grown, loc=-scale * np.exp(grown**2 / 2), scale=scale)
 
 
-@lru_cache(maxsize=512)
 def _spread_of_logs(skew: float) -> float:
     """Standard deviation of the logarithm of log-normal values of this skewness."""
     return float(optimize.brentq(lambda s: (np.exp(s**2) + 2) * np.sqrt(np.expm1(s**2)) - skew, 1e-4, 1.5))

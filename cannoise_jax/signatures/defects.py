@@ -16,12 +16,13 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.hot import without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.recorded import Recorded
-from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score, chi2_median
+from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import CONTRASTS, COVERS_NOTHING, STATIC, Axes, Signature
 
 _LOST = 0.5
@@ -158,7 +159,7 @@ def _likelihood(fields: tuple[Fields, ...], name: str) -> np.ndarray | None:
         rest = _left_over(values, kernel)
         power = np.einsum("nij,nij->ij", rest, rest) / codes**2
         n = len(f.contrasts)
-        typical = float(np.median(power[f.usable])) / chi2_median(n) if f.usable.any() else 0.0
+        typical = float(np.median(power[f.usable])) / (n * median_quotient(n)) if f.usable.any() else 0.0
         own = np.broadcast_to((1 / 12 + 0.02) / codes**2 + _BESIDE_MEAN.get(name, 0.0), power.shape)
         if typical < 0.1:
             continue

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -141,12 +140,6 @@ def chi2_log_sf(x: float, dof: float) -> float:
             return value
     a, h = dof / 2, x / 2
     return float((a - 1) * np.log(h) - h - special.gammaln(a))
-
-
-@lru_cache(maxsize=64)
-def chi2_median(dof: float) -> float:
-    """Median of chi-square."""
-    return float(stats.chi2.median(dof))
 
 
 def normal_log_p(z: float, sides: int = 2) -> float:

@@ -43,13 +43,18 @@ class Judged:
     drawn: CaptureSet | None = None
     given: SensorModel | None = None
 
+    @property
+    def model(self) -> SensorModel | None:
+        """The camera model that was handed over, None where it is no such."""
+        return None if self.handed is None else self.handed.model
+
     def own_names(self, allowed: frozenset[str], entries: tuple[Entry, ...]) -> frozenset[str]:
         """Names for what its own draws show: of noise of rows or columns those that the camera model holds,
         where it holds one of the same lines. White rows beside noise along the raster look like rows of a
         power law, as which they could not be lowered."""
-        if self.handed is None or self.handed.model is None:
+        if self.model is None:
             return allowed
-        held = {f.mechanism: _lines(f.record) for f in self.handed.model.mechanisms}
+        held = {f.mechanism: _lines(f.record) for f in self.model.mechanisms}
         lines = set(held.values()) - {None}
         return allowed - {e.id for e in entries if e.id not in held and _lines(e.record) in lines}
 
@@ -68,7 +73,7 @@ class Judged:
 def with_less(judged: Judged, share: Mapping[str, float], key: Key[Array, ""]) -> Judged | None:
     """The simulator at a share of the strength of what it has too much of; None where it is no camera model
     or has no such mechanism."""
-    model = None if judged.handed is None else judged.handed.model
+    model = judged.model
     less = None if model is None else lowered(model, share)
     if judged.handed is None or less is None:
         return None
