@@ -19,12 +19,16 @@ def images(seed=0):
 
 def both(network, *inputs, **named):
     """The output in float32 and in bfloat16 with the same weights, and those weights."""
-    variables = network.init({"params": jax.random.key(0), "noise": jax.random.key(1)}, *inputs, **named)
-    low = network.clone(dtype="bfloat16")
-    rngs = {"noise": jax.random.key(2)}
-    return network.apply(variables, *inputs, rngs=rngs, **named), low.apply(
-        variables, *inputs, rngs=rngs, **named
-    ), low.init({"params": jax.random.key(0), "noise": jax.random.key(1)}, *inputs, **named)  # fmt: skip
+    keys, low = {"params": jax.random.key(0), "noise": jax.random.key(1)}, network.clone(dtype="bfloat16")
+
+    def of(module, variables):
+        apply = jax.jit(lambda v, *given: module.apply(v, *given, rngs={"noise": jax.random.key(2)}, **named))
+        return apply(variables, *inputs)
+
+    # As programs: operations one by one are compiled for every shape.
+    variables = jax.jit(lambda: network.init(keys, *inputs, **named))()
+    weights = jax.eval_shape(lambda: low.init(keys, *inputs, **named))
+    return of(network, variables), of(low, variables), weights
 
 
 def off(exact, low):
