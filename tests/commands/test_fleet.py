@@ -89,12 +89,15 @@ def test_what_has_its_report_is_passed_over_and_what_failed_is_tried_again(sets,
 
 def test_a_cluster_gives_the_same_table(sets, here, tmp_path):
     distributed = pytest.importorskip("distributed", reason="needs cannoise-jax[fleet]")
+    listed = tmp_path / "list.txt"
+    listed.write_text(f"{sets / 'rows'}\n{sets / 'void'}\n")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
     ) as cluster:
-        assert call(sets, tmp_path / "out", "--scheduler", cluster.scheduler_address, "--key", "5") == 1
-    assert rows(tmp_path / "out")[:2] == rows(here)[:2]
-    assert rows(tmp_path / "out")[2]["set"] == "void"
+        assert call(listed, tmp_path / "out", "--scheduler", cluster.scheduler_address, "--key", "5") == 1
+    found, failed_ = rows(tmp_path / "out")
+    assert found == next(r for r in rows(here) if r["set"] == "rows")
+    assert failed_["set"] == "void" and failed_["error"]
 
 
 def test_a_process_that_dies_is_a_row_of_its_own(sets, tmp_path, monkeypatch):
