@@ -14,8 +14,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = OneLineParser(
         prog="bin/test",
         usage="bin/test [--slow] [PATH ...] [pytest's own flags]",
-        description="Runs ruff check, ruff format --check, mypy and all tests on two processes (sixteen "
-        "minutes on two cores). With paths it runs only the tests there, and no linter.",
+        description="Runs ruff check, ruff format --check, mypy and all tests on two processes. With paths "
+        "it runs only the tests there, and no linter.",
         epilog="Everything else goes to pytest, as -k NAME, -x or --durations=50.",
         passes_on=True,
     )

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from runpy import run_path
 from types import SimpleNamespace
+from unittest import mock
 
 from cannoise_jax.training import loop
 from cannoise_jax.training.devices import join, leave, make_mesh
@@ -36,7 +37,9 @@ def run(folder, data, devices=1, act=lambda: None):
 
     watched = SimpleNamespace(update=update, set_postfix=lambda *_, **__: None)
     made = config()
-    return loop.train(made, Path(folder), data, lambda *_: watched, make_mesh(devices, made.batch_size))
+    # Validation is of one device, as ever, and takes long to compile.
+    with mock.patch.object(loop, "_validate", lambda *_: 0.0):
+        return loop.train(made, Path(folder), data, lambda *_: watched, make_mesh(devices, made.batch_size))
 
 
 def main(folder, data, devices, coordinator=None, processes="1", process="0"):
@@ -48,7 +51,6 @@ def main(folder, data, devices, coordinator=None, processes="1", process="0"):
 
         refused = command(["--workdir", f"{folder}/none", "--config", str(CI), f"--devices={devices}"])
         assert refused == 2, "a batch of four over eight devices"
-    loop._validate = lambda *_: 0.0  # of one device, as ever; takes long to compile
     outcome = run(
         folder,
         pickle.loads(Path(data).read_bytes()),
