@@ -108,7 +108,7 @@ FIRST = (
     "blind/test_development",
     "training/test_devices",
     "training/test_step",
-    "networks/test_compute",
+    "commands/test_fleet",
     "commands/test_denoise",
     "fuzz/test_fuzz",
 )
