@@ -204,7 +204,8 @@ def calibrate(
         wrong = faults(alike[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        said = wrong.black, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
+        stated = wrong.black, wrong.colours, wrong.lights, wrong.charge
+        said = *stated, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
         for line in filter(None, (others, *said)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in alike[iso]]):

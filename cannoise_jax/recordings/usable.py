@@ -11,6 +11,7 @@ import numpy as np
 
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
+from cannoise_jax.recordings.one_level import odd_levels, told_level
 from cannoise_jax.recordings.one_light import odd_pictures, told
 from cannoise_jax.recordings.one_noise import apart, numbered, short_names, words
 from cannoise_jax.recordings.over_time import check_single_exposures
@@ -43,12 +44,13 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     they are what is looked for.
 
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, the few of
-    which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), and
-    the few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
-    recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
-    none at all, for frames that are too small, for a recording of frames of several noises none of which is
-    the rule, for frames averaged over time (see `over_time`), for flats all darker than all darks, and where
-    so much is lost that no two frames of one recording are left.
+    which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), the
+    few at another level than the rest (see `one_level`), and the few whose temporal noise is another than
+    that of the rest (see `one_noise`); with its last frame a recording goes too. Raises BadInput for
+    recordings that no file may hold (see `metadata.checked`), for none at all, for frames that are too small,
+    for a recording of frames of several noises none of which is the rule, for frames averaged over time (see
+    `over_time`), for flats all darker than all darks, and where so much is lost that no two frames of one
+    recording are left.
     """
     if not capture.recordings:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings: add some")
@@ -68,6 +70,8 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     for recording, good, why in judged:
         lines += why
         good, why = (good, []) if unsteady else _of_one_picture(recording, good)
+        lines += why
+        good, why = _of_one_level(recording, good, unsteady)
         lines += why
         good, why = _of_one_noise(recording, good, unsteady)
         lines += why
@@ -199,6 +203,19 @@ def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tupl
     if not found.few:
         raise BadInput(f"{line}: leave them out (--leave-out), or put them in a folder of their own")
     return [good[k] for k in found.others], [line]
+
+
+def _of_one_level(recording: Recording, good: list[int], unsteady: bool) -> tuple[list[int], list[str]]:
+    """The frames of one level among the good ones, and at which the others are."""
+    left = _some(recording, good) if good else recording
+    found = odd_levels(left, unsteady) if good else None
+    if found is None:
+        return good, []
+    which = numbered([good[k] + 1 for k in found.numbers])
+    names = short_names(left.sources) if len(left.sources) == left.count else ()
+    which += f" ({', '.join(names[k] for k in found.numbers)})" if names else ""
+    kept = [n for k, n in enumerate(good) if k not in found.numbers]
+    return kept, [f"{recording.path or recording.camera}: {which}: {told_level(left, found)}"]
 
 
 def _of_one_picture(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
