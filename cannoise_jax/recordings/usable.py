@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,10 +38,12 @@ class LeftOutWarning(UserWarning):
     """Frames that show no noise take no part."""
 
 
-def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tuple[str, ...]]:
+def usable(
+    capture: CaptureSet, unsteady: bool = False, tell: Callable[[int, int], None] = lambda number, total: None
+) -> tuple[CaptureSet, tuple[str, ...]]:
     """The capture set without frames that show no noise, and a line for each reason to leave some out.
     unsteady: frames that are noisier than others stay, as long as no gain setting is that far from the next:
-    they are what is looked for.
+    they are what is looked for. tell: called with how much is done, and of how much.
 
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, the few of
     which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), the
@@ -59,7 +61,9 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     seen: Seen = {}
     judged: list[tuple[Recording, list[int], list[str]]] = []
     full: dict[tuple, float] = {}
-    for recording in map(checked, capture.recordings):
+    looks = 2 * len(capture.recordings)
+    for number, recording in enumerate(map(checked, capture.recordings)):
+        tell(number, looks)
         _check_size(recording)
         good, why = _judged(recording, seen)
         judged.append((recording, good, why))
@@ -67,7 +71,8 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
             full[_setting(recording)] = max(*codes, full.get(_setting(recording), 0.0))
     # First of all: of frames averaged over time the last ones look as if they had another noise.
     check_single_exposures([_some(recording, good) for recording, good, _ in judged if good])
-    for recording, good, why in judged:
+    for number, (recording, good, why) in enumerate(judged, len(judged)):
+        tell(number, looks)
         lines += why
         good, why = (good, []) if unsteady else _of_one_picture(recording, good)
         lines += why
@@ -79,6 +84,7 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
             left = _some(recording, good)
             code = full.get(_setting(recording), recording.full_code)
             kept.append(left if code == left.full_code else dataclasses.replace(left, full_code=code))
+    tell(looks, looks)
     repeated = any(r.count > 1 for r in capture.recordings)
     if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""

@@ -187,7 +187,7 @@ def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
         now[0] = number * 6.0
         tell(number, 10)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "doing: 2 of 10, 48 s left" and lines[-1] == "doing: 10 in 60 s"
+    assert lines[0] == "doing: 1 of 10, 54 s left" and lines[-1] == "doing: 10 in 60 s"
     quick = entry.progress("doing")
     for number in range(1, 11):
         now[0] += 0.01
