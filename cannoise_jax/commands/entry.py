@@ -124,9 +124,10 @@ def cache_folder() -> Path:
         raise BadInput("no home folder to keep converted files in: set XDG_CACHE_HOME") from error
 
 
-def progress(doing: str) -> Callable[..., None]:
+def progress(doing: str, alone: bool = True) -> Callable[..., None]:
     """Says on stderr how many are done and how long the rest will take, once that is worth saying: on one
-    line of a terminal, else a line every few seconds. next_one: what is being done now."""
+    line of a terminal, else a line every few seconds. next_one: what is being done now. alone: else what is
+    done is said by the caller, and only silence is broken."""
     started = last = time.monotonic()
     spoken = False
     at = 0, 0, ""
@@ -156,7 +157,8 @@ def progress(doing: str) -> Callable[..., None]:
         if first:
             pulse.at(words)
         terminal = sys.stderr.isatty()
-        if now - started < _SILENT_S or not number or now - last < (0.2 if terminal else _EVERY_S):
+        soon = now - started < _SILENT_S or now - last < (0.2 if terminal else _EVERY_S)
+        if soon or not number or not alone:
             return
         last, spoken = now, True
         line, end = (f"\r{words():<72}", "") if terminal else (words(), "\n")
