@@ -167,6 +167,19 @@ def progress(doing: str, alone: bool = True) -> Callable[..., None]:
     return tell
 
 
+def stages() -> Callable[[str], None]:
+    """Says each line with the time since it was made, and the last one again where nothing else is said."""
+    began, last = time.monotonic(), "reading the files"
+
+    def tell(text: str) -> None:
+        nonlocal last
+        last = text
+        print(f"[{time.monotonic() - began:6.1f} s] {text}", file=sys.stderr, flush=True)
+
+    current().at(lambda: f"still {last}")
+    return tell
+
+
 def counted(items: Sequence[Any], doing: str, named: Callable[[Any], str] | None = None) -> Iterator[Any]:
     """The items one by one, with word of how far it is. named: what an item is called while it is done."""
     tell = progress(doing)
