@@ -17,7 +17,7 @@ import numpy as np
 from flax import struct
 from flax.errors import FlaxError
 from flax.traverse_util import flatten_dict, unflatten_dict
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.networks.branches import NoiseLevel
@@ -136,10 +136,10 @@ def sample_noise(
     next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
     Pure; use `jax.vmap` for one reference per clean image.
 
-    Raises ValueError for images of other shapes, for images in DN, for an nlf that is negative or infinite
-    (of what is traced under jit only shapes are known), and for a level of another source than the model was
-    trained with (`Model.level`), which would be corrected twice or not at all; TypeError for what is no
-    model or no key.
+    Raises ValueError for images of other shapes, for images in DN, for an nlf that is negative or infinite,
+    and for a level of another source than the model was trained with (`Model.level`), which would be
+    corrected twice or not at all; TypeError for what is no model or no key. Of what is traced under jit only
+    shapes are known: images in DN then give noise that is nan throughout, an nlf is not checked.
     """
     if not isinstance(params, Model):
         raise TypeError(f"params is a {type(params).__name__}: expected a Model, of load_model(workdir)")
@@ -175,7 +175,11 @@ def sample_noise(
     noise: Any = params.generator_module.apply(
         params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
     )
-    return noise[:, margin : margin + height, margin : margin + width].reshape(clean.shape)
+    noise = noise[:, margin : margin + height, margin : margin + width].reshape(clean.shape)
+    for image in (clean, noisy_ref):
+        if isinstance(image, jax.core.Tracer):
+            noise = jnp.where(_normalised(image), noise, jnp.nan)
+    return noise
 
 
 def initial_noise_of(model: Model) -> InitialNoise:
@@ -233,6 +237,11 @@ def _check_units(image: Array, name: str) -> None:
         raise ValueError(
             f"{name} has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
         )
+
+
+def _normalised(image: Array) -> Bool[Array, ""]:
+    """Whether the median of an image that is traced may be that of a normalised one: most pixels tell."""
+    return (jnp.mean(image > _BRIGHTEST) <= 0.5) & (jnp.mean(image < _DARKEST) <= 0.5)
 
 
 def _check(image, name):

@@ -104,6 +104,18 @@ def slope_at(model, key, clean, reference):
     return jax.grad(energy, (0, 1))(clean, reference)
 
 
+def test_images_in_dn_are_not_numbers_under_jit(model):
+    """Nothing can be refused there; numbers that look like noise would be worse."""
+    key, clean, reference = jax.random.key(1), scene(32, 32), noisy(jax.random.key(2))
+    right = sample(model, key, clean, reference, NLF)
+    assert bool(jnp.isfinite(right).all())
+    assert jnp.allclose(right, sample_noise(model, key, clean, reference, NLF), atol=1e-5)
+    assert bool(jnp.isnan(sample(model, key, 4000 * clean, reference, NLF)).all())
+    assert bool(jnp.isnan(sample(model, key, clean, 4000 * reference, NLF)).all())
+    glint = clean.at[:8].set(50.0)  # beyond the white level, as of a scene
+    assert bool(jnp.isfinite(sample(model, key, glint, reference, NLF)).all())
+
+
 def test_jit_vmap_and_grad(model):
     clean, reference = jnp.stack([scene(16, 16)] * 2), noisy(jax.random.key(2))[:32, :32]
     keys = jax.random.split(jax.random.key(1), 2)

@@ -27,6 +27,7 @@ from cannoise_jax.commands.parser import (
     options,
     place,
 )
+from cannoise_jax.commands.pulse import current
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def _run(arguments: argparse.Namespace) -> int:
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:
         print(plan, file=sys.stderr, flush=True)
-    capture, left_out = usable(capture)
+    capture, left_out = usable(capture, tell=progress("looking over the frames: steps"))
     for line in left_out:
         print(f"bin/calibrate: {line}", file=sys.stderr, flush=True)
 
@@ -201,10 +202,12 @@ def calibrate(
     order = sorted(every, key=lambda iso: (iso is not None, iso))
     for iso in order:
         alike[iso], others = of_one_temperature(every[iso])
-        wrong = faults(alike[iso])  # of the gain the table says it
+        with current().doing(lambda: "looking for faults of the recordings"):
+            wrong = faults(alike[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        said = wrong.black, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
+        stated = wrong.black, wrong.colours, wrong.lights, wrong.charge
+        said = *stated, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
         for line in filter(None, (others, *said)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in alike[iso]]):

@@ -7,11 +7,10 @@ import argparse
 import json
 import logging
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.entry import cache_folder, command, progress, stages
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, seed
 from cannoise_jax.recordings.recording import BadInput
@@ -28,11 +27,7 @@ def main(argv: list[str] | None = None) -> int:
     input."""
     arguments = _parser().parse_intermixed_args(argv)
     logging.basicConfig(format="bin/compare: %(message)s", level=logging.WARNING)
-    started = time.monotonic()
-
-    def tell(text: str) -> None:
-        print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
-
+    tell = stages()
     try:
         if arguments.reports:
             return _of_reports(arguments)

@@ -6,11 +6,10 @@ import argparse
 import logging
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import cache_folder, command, duration, progress
+from cannoise_jax.commands.entry import cache_folder, command, progress
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import (
     OneLineParser,
@@ -21,6 +20,7 @@ from cannoise_jax.commands.parser import (
     options,
     seed,
 )
+from cannoise_jax.commands.stages import Stages
 from cannoise_jax.recordings.atomic import REPORT_FILES
 from cannoise_jax.recordings.recording import BadInput
 
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 
 _MOST_PIXELS = 160_000
 """Of a frame that are used unless told otherwise, of recordings as of a folder of single files."""
-_LOOKS = 25
-"""How long a run takes beyond the first look, in units of that: 15 to 45 on recordings of three cameras."""
-_LONG_S = 5.0
 _BUILT_IN = ("poisson-gaussian", "nlf")
 
 
@@ -43,7 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(format="bin/diagnose: %(message)s", level=logging.WARNING)
     started = time.monotonic()
 
-    tell = teller(started)
+    tell = Stages(started)
     try:
         check_folder(arguments.out, REPORT_FILES, arguments.force, "the report")
         _check(arguments)
@@ -73,24 +70,6 @@ def main(argv: list[str] | None = None) -> int:
         print(f"sensor.json {why}, see the report")
     print(f"{arguments.out / 'report.html'}")
     return 0
-
-
-def teller(started: float, clock: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
-    """Says each stage with the time since `started`, and after the first look how long the rest may take."""
-    began: float | None = None
-
-    def line(now: float, text: str) -> None:
-        print(f"[{now - started:6.1f} s] {text}", file=sys.stderr, flush=True)
-
-    def tell(text: str) -> None:
-        nonlocal began
-        now = clock()
-        if began is not None and _LOOKS * (now - began) > _LONG_S:
-            line(now, f"some {duration(_LOOKS * (now - began))} more, give or take a factor of two")
-        began = now if text.startswith("locate") else None
-        line(now, text)
-
-    return tell
 
 
 def check_flags(argv: list[str], asked: str) -> None:
@@ -135,7 +114,7 @@ def _is_function(simulator: str) -> bool:
     return ":" in simulator and not Path(simulator).exists()
 
 
-def _diagnosed(arguments: argparse.Namespace, tell, started: float) -> tuple[dict, str]:
+def _diagnosed(arguments: argparse.Namespace, tell: Stages, started: float) -> tuple[dict, str]:
     from cannoise_jax.discovery.frames.simulate import check_file
     from cannoise_jax.mechanisms.outside import function_at
     from cannoise_jax.physics.core.sensor_json import check_place

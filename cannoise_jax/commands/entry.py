@@ -13,12 +13,13 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from cannoise_jax.commands.compiled import caches
+from cannoise_jax.commands.pulse import Pulse, Stream, beating, current
 from cannoise_jax.recordings.recording import BadInput
 
-_SILENT_S, _EVERY_S, _SOON_S = 2.0, 10.0, 0.05
+_SILENT_S, _EVERY_S, _SOON_S = 2.0, 5.0, 0.05
 _LONGEST = 200
 """Characters of a name that a line shows."""
 
@@ -33,7 +34,7 @@ def command(name: str) -> Callable[[Main], Main]:
         @functools.wraps(main)
         def wrapped(*given: Any, **more: Any) -> int:
             os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-            with warnings.catch_warnings(), _unread_too():
+            with warnings.catch_warnings(), _streams(name):
                 warnings.showwarning = functools.partial(_shown, name)
                 waiting: list[threading.Timer] = []
                 hook, sys.unraisablehook = sys.unraisablehook, functools.partial(_again, waiting)
@@ -84,41 +85,17 @@ def _of_interrupt(error: BaseException | None) -> bool:
 
 
 @contextmanager
-def _unread_too() -> Iterator[None]:
-    """Within it commands end their work, and say so to nobody, when the reader of a pipe has left."""
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = map(_Unread, before)  # type: ignore[assignment]
+def _streams(name: str) -> Iterator[None]:
+    """Within it commands end their work, and say so to nobody, when the reader of a pipe has left, and say
+    what they are at when they have said nothing for a while."""
+    before, pulse = (sys.stdout, sys.stderr), Pulse(name)
+    out, err = (Stream(stream, pulse) for stream in before)
+    sys.stdout, sys.stderr = out, err  # type: ignore[assignment]
     try:
-        yield
+        with beating(pulse, err):
+            yield
     finally:
         sys.stdout, sys.stderr = before
-
-
-class _Unread:
-    """A stream that drops what nobody reads."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        with self._dropping():
-            self._stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        with self._dropping():
-            self._stream.flush()
-
-    @contextmanager
-    def _dropping(self) -> Iterator[None]:
-        try:
-            yield
-        except BrokenPipeError:
-            # What is left in the buffer must not be written at exit, either.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
 
 def _again(waiting: list[threading.Timer], swallowed: Any) -> None:
@@ -147,35 +124,59 @@ def cache_folder() -> Path:
         raise BadInput("no home folder to keep converted files in: set XDG_CACHE_HOME") from error
 
 
-def progress(doing: str) -> Callable[..., None]:
+def progress(doing: str, alone: bool = True) -> Callable[..., None]:
     """Says on stderr how many are done and how long the rest will take, once that is worth saying: on one
-    line of a terminal, else a line every ten seconds. next_one: what is being done now."""
+    line of a terminal, else a line every few seconds. next_one: what is being done now. alone: else what is
+    done is said by the caller, and only silence is broken."""
     started = last = time.monotonic()
     spoken = False
+    at = 0, 0, ""
+
+    def words() -> str:
+        number, total, next_one = at
+        spent = time.monotonic() - started
+        text = f"{doing}: {number} of {total}"
+        # What is being done may take longer than what was: none of it is taken for done.
+        text += f", {duration(spent / number * (total - number))} left" if number else ""
+        return text + (f", now {next_one}" if next_one else "")
+
+    pulse = current()
 
     def tell(number: int, total: int, next_one: str = "") -> None:
-        nonlocal last, spoken
-        now = time.monotonic()
-        terminal = sys.stderr.isatty()
-        if spoken and number >= total:
-            end = "\n" if terminal else ""
-            print(f"{end}{doing}: {total} in {now - started:.0f} s", file=sys.stderr, flush=True)
+        nonlocal last, spoken, at
+        now, first = time.monotonic(), not at[1]
+        at = number, total, next_one
+        if number >= total:
+            pulse.done(words)
+            if spoken:
+                line = f"{doing}: {total} in {now - started:.0f} s"
+                line = f"\r{line:<72}" if sys.stderr.isatty() else line
+                print(line, file=sys.stderr, flush=True)
             spoken = False
             return
-        if (
-            number >= total
-            or now - started < _SILENT_S
-            or not number
-            or now - last < (0.2 if terminal else _EVERY_S)
-        ):
+        if first:
+            pulse.at(words)
+        terminal = sys.stderr.isatty()
+        soon = now - started < _SILENT_S or now - last < (0.2 if terminal else _EVERY_S)
+        if soon or not number or not alone:
             return
         last, spoken = now, True
-        left = (now - started) / number * (total - number)
-        text = f"{doing}: {number} of {total}, {duration(left)} left"
-        text += f", now {next_one}" if next_one else ""
-        line, end = (f"\r{text:<72}", "") if terminal else (text, "\n")
+        line, end = (f"\r{words():<72}", "") if terminal else (words(), "\n")
         print(line, end=end, file=sys.stderr, flush=True)
 
+    return tell
+
+
+def stages() -> Callable[[str], None]:
+    """Says each line with the time since it was made, and the last one again where nothing else is said."""
+    began, last = time.monotonic(), "reading the files"
+
+    def tell(text: str) -> None:
+        nonlocal last
+        last = text
+        print(f"[{time.monotonic() - began:6.1f} s] {text}", file=sys.stderr, flush=True)
+
+    current().at(lambda: f"still {last}")
     return tell
 
 
@@ -183,9 +184,9 @@ def counted(items: Sequence[Any], doing: str, named: Callable[[Any], str] | None
     """The items one by one, with word of how far it is. named: what an item is called while it is done."""
     tell = progress(doing)
     for number, item in enumerate(items):
+        tell(number, len(items), *([named(item)] if named else []))
         yield item
-        following = [named(other) for other in items[number + 1 : number + 2]] if named else []
-        tell(number + 1, len(items), *following)
+    tell(len(items), len(items))
 
 
 def duration(seconds: float) -> str:

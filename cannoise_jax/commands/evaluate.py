@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.entry import command, stages
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, above_zero, count, folder, seed, whole
 from cannoise_jax.recordings.atomic import new_folder, one_work, texts_in_place
@@ -61,11 +61,7 @@ def _run(arguments, argv: list[str]) -> None:
     from cannoise_jax.physics.synthetic.virtual import virtual_cameras
     from cannoise_jax.sampling import MODEL_FILE, load_model
 
-    begun = time.monotonic()
-
-    def tell(text: str) -> None:
-        print(f"[{time.monotonic() - begun:6.0f} s] {text}", file=sys.stderr, flush=True)
-
+    tell = stages()
     paths = arguments.model or ([arguments.workdir] if (arguments.workdir / MODEL_FILE).is_file() else [])
     models = [load_model(path) for path in paths]
     also = {name: [load_model(p) for p in runs] for name, runs in arguments.also}

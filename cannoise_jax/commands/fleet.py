@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands import diagnose
-from cannoise_jax.commands.entry import command, duration
+from cannoise_jax.commands.entry import command, duration, progress
 from cannoise_jax.commands.fleet_process import diagnose_set, end_all
 from cannoise_jax.commands.fleet_sets import Source, check_out, recorded, sets_of, source_of
 from cannoise_jax.commands.outputs import check_folder, make_folder
@@ -98,7 +98,10 @@ def _run(arguments: Any, flags: list[str]) -> int:
             if name not in found
         }
         begun = time.monotonic()
+        tell = progress("diagnosing: sets", alone=False)
+        tell(0, len(jobs))
         for number, job in enumerate(as_completed(jobs), start=1):
+            tell(number, len(jobs))
             name = jobs[job]
             found[name] = row = _outcome(job, name, out)
             still = (time.monotonic() - begun) / number * (len(jobs) - number)

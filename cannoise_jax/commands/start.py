@@ -28,7 +28,8 @@ def run(name: str) -> int:
             stream.reconfigure(errors="backslashreplace")
     keep_compiled()
     # The work is shared out above: threads of the library of matrices would fight with those that share it.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if "OMP_NUM_THREADS" not in os.environ:  # whoever states it has chosen
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     main = import_module(f"cannoise_jax.commands.{name}").main
     signal.signal(signal.SIGINT, before)
     try:

@@ -135,7 +135,7 @@ def diagnose(
     proven = unproven(fitted.steps)
     if splits.can_prove:
         tell("prove: on the frames held back")
-        fitted, proven = standing(fitted, prove(fitted, splits), tell)
+        fitted, proven = standing(fitted, prove(fitted, splits, tell), tell)
     fitted, proven = in_full(fitted, proven, own, raw.looking)
     sides = judged.sides(first, fitted.steps, kept, less=bool(too_much))
     gated = remains = quality = panel = None
@@ -145,7 +145,7 @@ def diagnose(
         panel = open_panel(*judged_by(raw, fitted, sides, key))
     if panel is not None:
         tell("gate: draws of the simulator before and after")
-        gated = gate(panel, sides, fitted.steps, proven)
+        gated = gate(panel, sides, fitted.steps, proven, tell)
         if sides.model is not None:
             chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
             shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
@@ -153,13 +153,14 @@ def diagnose(
                 judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell
             )
         tell("remainder: what is left, measured as it is")
-        rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3))
+        rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3), tell=tell)
         well, sure = described(fitted.steps, against), sure_of(fitted.steps, against)
-        gated = remaining(gated, panel, sides, well, sure, rest)
+        gated = remaining(gated, panel, sides, well, sure, rest, tell)
     if compare:
         tell("check: what still differs")
         less = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
-        gated, remains, model = checked(judged, sides, gated, less, splits, alpha, jax.random.fold_in(key, 4))
+        own_key = jax.random.fold_in(key, 4)
+        gated, remains, model = checked(judged, sides, gated, less, splits, alpha, own_key, tell)
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
         if not sides.likelihood:
@@ -232,6 +233,7 @@ def checked(
     splits: Splits,
     alpha: float,
     key: Key[Array, ""],
+    tell: Callable[[str], None],
 ) -> tuple[Gated | None, Checked | None, SensorModel]:
     """What differs between the frames held back and draws before and after (None: none can be drawn), and the
     simulator that is handed back. Where more differs than before, the first of what is `instead` is by which
@@ -241,7 +243,7 @@ def checked(
 
     def against(model: SensorModel) -> Checked:
         after = None if model is sides.model else lambda: source_of(model, sides.plain, AFTER, key)
-        return check(judged.capture, splits.frames, before, after, alpha * SHARED.layer)
+        return check(judged.capture, splits.frames, before, after, alpha * SHARED.layer, tell)
 
     try:
         found = against(model)

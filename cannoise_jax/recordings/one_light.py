@@ -79,6 +79,8 @@ def odd_pictures(recording: Recording) -> list[Odd]:
 def told(recording: Recording, odd: Odd) -> str:
     """What of the frame is another."""
     part = f"its rows {odd.rows[0]} to {odd.rows[1]}, columns {odd.columns[0]} to {odd.columns[1]}"
+    if (odd.rows, odd.columns) == tuple((1, n) for n in recording.size):
+        part = "all parts of it"
     if recording.kind in DARK:
         return f"{part} lie {odd.most:+.0f} DN from the other frames: read in part, or interfered with"
     share = f"{100 * max(odd.most, -1.0):+.0f} %"

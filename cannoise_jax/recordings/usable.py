@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.metadata import checked, chunks
+from cannoise_jax.recordings.one_level import odd_levels, told_level
 from cannoise_jax.recordings.one_light import odd_pictures, told
 from cannoise_jax.recordings.one_noise import apart, numbered, short_names, words
 from cannoise_jax.recordings.over_time import check_single_exposures
@@ -37,18 +38,21 @@ class LeftOutWarning(UserWarning):
     """Frames that show no noise take no part."""
 
 
-def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tuple[str, ...]]:
+def usable(
+    capture: CaptureSet, unsteady: bool = False, tell: Callable[[int, int], None] = lambda number, total: None
+) -> tuple[CaptureSet, tuple[str, ...]]:
     """The capture set without frames that show no noise, and a line for each reason to leave some out.
     unsteady: frames that are noisier than others stay, as long as no gain setting is that far from the next:
-    they are what is looked for.
+    they are what is looked for. tell: called with how much is done, and of how much.
 
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, the few of
-    which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), and
-    the few whose temporal noise is another than that of the rest (see `one_noise`); with its last frame a
-    recording goes too. Raises BadInput for recordings that no file may hold (see `metadata.checked`), for
-    none at all, for frames that are too small, for a recording of frames of several noises none of which is
-    the rule, for frames averaged over time (see `over_time`), for flats all darker than all darks, and where
-    so much is lost that no two frames of one recording are left.
+    which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), the
+    few at another level than the rest (see `one_level`), and the few whose temporal noise is another than
+    that of the rest (see `one_noise`); with its last frame a recording goes too. Raises BadInput for
+    recordings that no file may hold (see `metadata.checked`), for none at all, for frames that are too small,
+    for a recording of frames of several noises none of which is the rule, for frames averaged over time (see
+    `over_time`), for flats all darker than all darks, and where so much is lost that no two frames of one
+    recording are left.
     """
     if not capture.recordings:
         raise BadInput(f"{capture.path or capture.camera}: holds no recordings: add some")
@@ -57,7 +61,9 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
     seen: Seen = {}
     judged: list[tuple[Recording, list[int], list[str]]] = []
     full: dict[tuple, float] = {}
-    for recording in map(checked, capture.recordings):
+    looks = 2 * len(capture.recordings)
+    for number, recording in enumerate(map(checked, capture.recordings)):
+        tell(number, looks)
         _check_size(recording)
         good, why = _judged(recording, seen)
         judged.append((recording, good, why))
@@ -65,9 +71,12 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
             full[_setting(recording)] = max(*codes, full.get(_setting(recording), 0.0))
     # First of all: of frames averaged over time the last ones look as if they had another noise.
     check_single_exposures([_some(recording, good) for recording, good, _ in judged if good])
-    for recording, good, why in judged:
+    for number, (recording, good, why) in enumerate(judged, len(judged)):
+        tell(number, looks)
         lines += why
         good, why = (good, []) if unsteady else _of_one_picture(recording, good)
+        lines += why
+        good, why = _of_one_level(recording, good, unsteady)
         lines += why
         good, why = _of_one_noise(recording, good, unsteady)
         lines += why
@@ -75,6 +84,7 @@ def usable(capture: CaptureSet, unsteady: bool = False) -> tuple[CaptureSet, tup
             left = _some(recording, good)
             code = full.get(_setting(recording), recording.full_code)
             kept.append(left if code == left.full_code else dataclasses.replace(left, full_code=code))
+    tell(looks, looks)
     repeated = any(r.count > 1 for r in capture.recordings)
     if lines and not any(r.count > 1 for r in kept) and (repeated or not kept):
         more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
@@ -199,6 +209,19 @@ def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tupl
     if not found.few:
         raise BadInput(f"{line}: leave them out (--leave-out), or put them in a folder of their own")
     return [good[k] for k in found.others], [line]
+
+
+def _of_one_level(recording: Recording, good: list[int], unsteady: bool) -> tuple[list[int], list[str]]:
+    """The frames of one level among the good ones, and at which the others are."""
+    left = _some(recording, good) if good else recording
+    found = odd_levels(left, unsteady) if good else None
+    if found is None:
+        return good, []
+    which = numbered([good[k] + 1 for k in found.numbers])
+    names = short_names(left.sources) if len(left.sources) == left.count else ()
+    which += f" ({', '.join(names[k] for k in found.numbers)})" if names else ""
+    kept = [n for k, n in enumerate(good) if k not in found.numbers]
+    return kept, [f"{recording.path or recording.camera}: {which}: {told_level(left, found)}"]
 
 
 def _of_one_picture(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:

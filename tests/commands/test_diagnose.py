@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands import outputs
-from cannoise_jax.commands.diagnose import main, teller
+from cannoise_jax.commands.diagnose import main
 from cannoise_jax.discovery.report import save as saving
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -33,19 +33,6 @@ def write(folder, capture):
     for recording in capture.recordings:
         write_recording(folder / recording.path, recording)
     return folder
-
-
-def test_how_long_it_will_take_is_said_once_after_the_first_look(capsys):
-    now = iter([10.0, 12.0, 16.0, 90.0])
-    tell = teller(8.0, lambda: next(now))
-    for text in ("calibrate", "locate: 81 signatures", "step 1: prnu", "step 2: dsnu"):
-        tell(text)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[2:4] == [
-        "[   8.0 s] some 2 min more, give or take a factor of two",
-        "[   8.0 s] step 1: prnu",
-    ]
-    assert len(lines) == 5 and lines[4] == "[  82.0 s] step 2: dsnu"
 
 
 def test_a_folder_of_single_files_is_cut_as_its_conversion_is(tmp_path, monkeypatch, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -179,6 +180,23 @@ def test_an_interrupt_while_a_command_is_loaded_is_one_line(ignored):
         assert (done.returncode, done.stdout, done.stderr) == (130, "", "bin/convert: interrupted\n")
 
 
+@pytest.mark.parametrize(
+    ("stated", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2), ({"OMP_NUM_THREADS": "2"}, 2)]
+)
+def test_the_library_of_matrices_has_one_thread_unless_the_user_states_more(stated, threads):
+    script = (
+        "import sys, types\nfrom cannoise_jax.commands import start\n"
+        "def main():\n    import numpy, scipy.linalg\n    from threadpoolctl import threadpool_info\n"
+        "    print({one['num_threads'] for one in threadpool_info() if one['user_api'] == 'blas'})\n"
+        "    return 0\n"
+        "sys.modules['cannoise_jax.commands.x'] = types.SimpleNamespace(main=main)\nsys.exit(start.run('x'))"
+    )
+    pytest.importorskip("threadpoolctl", reason="tells how many threads there are")
+    own = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=own | stated)
+    assert done.stdout == f"{{{min(threads, os.cpu_count() or 1)}}}\n", done.stderr
+
+
 def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
@@ -187,7 +205,7 @@ def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
         now[0] = number * 6.0
         tell(number, 10)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "doing: 2 of 10, 48 s left" and lines[-1] == "doing: 10 in 60 s"
+    assert lines[0] == "doing: 1 of 10, 54 s left" and lines[-1] == "doing: 10 in 60 s"
     quick = entry.progress("doing")
     for number in range(1, 11):
         now[0] += 0.01

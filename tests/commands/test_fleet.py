@@ -283,7 +283,7 @@ def test_sigterm_ends_the_processes_too(waits):
     process.terminate()
     _, error = process.communicate(timeout=20)
     assert process.returncode == 128 + signal.SIGTERM
-    assert error == "bin/fleet: stopped: the same command goes on with the sets that are left\n"
+    assert error.endswith("bin/fleet: stopped: the same command goes on with the sets that are left\n")
     assert not begun.exists()
 
 

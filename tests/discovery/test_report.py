@@ -260,7 +260,15 @@ def test_command_writes_report_page_and_model(tmp_path, capsys):
     content = (folder / "0.h5").read_bytes()
     assert report["inputs"][0]["sha256"] == hashlib.sha256(content).hexdigest()
     assert report["key"] == 3 and report["seconds"] > 0 and report["peak_memory_mb"] > 0
-    assert (out / "report.html").stat().st_size > 10000
+    page = (out / "report.html").read_text()
+    assert len(page) > 10000
+    # Narrow screens show no head of a table: each value says what it is.
+    tables = re.findall(r'<table class="measures">(.*?)</table>', page, re.DOTALL)
+    heads = [re.findall(r"<th>(.*?)</th>", table)[1:] for table in tables]
+    assert ["size", "the simulator has", "share"] in heads and ["before", "after"] in heads
+    for head, table in zip(heads, tables, strict=True):
+        for line in re.findall(r"<tr><td.*?</tr>", table, re.DOTALL):
+            assert re.findall(r'<td[^>]*? data-of="(.*?)"', line) == head
     assert "row_noise" in capsys.readouterr().out
     names = {f.mechanism for f in SensorModel.load(out / "sensor.json").mechanisms}
     assert {"row_noise", "column_fpn"} <= names

@@ -65,7 +65,7 @@ def parts_of(
     looks = [look for look, _ in split_recordings(capture)]
 
     def one(n: int) -> Part | None:
-        tell(f"remainder: recording {n + 1} of {len(capture.recordings)}")
+        tell(f"remainder: recordings, {n + 1} of {len(capture.recordings)}")
         r = capture.recordings[n]
         return _part(r, n, looks[n], source, step, isos[r.iso])
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from itertools import count
 
 import numpy as np
 from jaxtyping import Array, Key
@@ -120,12 +121,14 @@ def doubts(
     # Where all names together make it worse, each has to show by itself what it is worth.
     alone = _found(full) > _found(start)
 
+    asked = count(1)
+
     def bears(n: int) -> tuple[Compared, list[Borne], frozenset[str]] | None:
         silent = of((steps[n],), silent=steps[n])
         still = len(silent.mechanisms) == len(plain.mechanisms)
         if still and not off[n]:
             return None  # of the capture or the bookkeeping: it is not drawn
-        tell(f"adequacy: {steps[n].named.mechanism}")
+        tell(f"adequacy: {steps[n].named.mechanism}, {next(asked)} of {len(steps)}")
         others = [k for k in every if k != n]
         claimed = steps[n].named.signature.speaks_for if off[n] and (alone or still) else frozenset[str]()
         if alone:

@@ -93,11 +93,12 @@ def compared_on(
     splits: list[tuple[list[int], list[int]]],
     source: Source,
     alpha: float,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
     """One simulator against the frames held back (all frames where there are none)."""
     held = any(held for _, held in splits)
     chosen = frames_for(splits) if held else [([], look) for look, _ in splits]
-    bank = compare_bank(capture, source, alpha=alpha, held_back=chosen)._replace(held_back=held)
+    bank = compare_bank(capture, source, alpha=alpha, held_back=chosen, tell=tell)._replace(held_back=held)
     return Comparison(bank, tuple(differences(bank)))
 
 
@@ -114,9 +115,10 @@ def check(
     before: Source,
     after: Callable[[], Source] | None,
     alpha: float,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Checked:
     """The simulator that was judged and the one that is handed back (None: the same)."""
-    first = compared_on(capture, splits, before, alpha)
-    last = first if after is None else compared_on(capture, splits, after(), alpha)
+    first = compared_on(capture, splits, before, alpha, tell)
+    last = first if after is None else compared_on(capture, splits, after(), alpha, tell)
     nearer = None if after is None else better(first.bank, last.bank)
     return Checked(first, last, nearer, first.bank.held_back)

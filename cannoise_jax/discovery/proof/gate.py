@@ -56,6 +56,9 @@ FARTHER = 0.01
 not be at the cost of another."""
 
 
+Tell = Callable[[str], None]
+
+
 class Gain(NamedTuple):
     """A change with its 90 % interval."""
 
@@ -132,7 +135,9 @@ class Gated(NamedTuple):
         return Gated(model, self.before, looked, steps, tried, False)
 
 
-def gate(panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs) -> Gated:
+def gate(
+    panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs, tell: Tell = lambda text: None
+) -> Gated:
     """Which findings enter.
 
     A simulator that is no camera model keeps its own draws, changed by all findings; the camera model that is
@@ -150,6 +155,7 @@ def gate(panel: Panel, sides: Sides, steps: tuple[Step, ...], proofs: Proofs) ->
     for what, some, number in (("findings", steps, NAMED), ("confirmed findings", sure, SURE)):
         if not (some or sides.lowered) or (all_tried and len(some) == len(steps)):
             continue
+        tell(f"gate: {what}")
         candidate = sides.level(sides.of(some))
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, before, looked)
@@ -167,6 +173,7 @@ def remaining(
     described: tuple[Step, ...],
     sure: tuple[Step, ...],
     with_rest: Callable[[SensorModel], SensorModel],
+    tell: Tell = lambda text: None,
 ) -> Gated:
     """With the remainder where it helps. described: findings that account for most of what they bear on;
     sure: those with a name against which nothing speaks; with_rest: adds what the frames that look show
@@ -195,6 +202,7 @@ def remaining(
         candidate = with_rest(base)
         if candidate is base:
             continue
+        tell(f"remainder: draws with the {what}")
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, gated.after, looked)
         if some:

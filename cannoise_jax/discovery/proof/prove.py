@@ -129,6 +129,7 @@ def unconfirmed(proofs: Proofs, steps: tuple[Step, ...]) -> Proofs:
 def prove(
     fitted: Fitted,
     splits: Splits,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Proofs:
     """Every accepted mechanism on the frames held back, all others in the model; for statistics, of many
     findings, those accepted before it, which have the larger effects. With all frames together the strength
@@ -159,7 +160,7 @@ def prove(
     lawful = [n for n, law in enumerate(laws) if law is not None and pixels]
     alike = {cut(n): n for n in lawful}  # the complete model is the same for all that are cut alike
     asked = [*((n, True) for n in alike.values()), *((n, False) for n in lawful)]
-    told_by = each(lambda which: scored(*which), asked)
+    told_by = each(lambda which: scored(*which), asked, tell, "prove: likelihood of findings")
     complete_model = dict(zip(alike, told_by, strict=False))
     less = dict(zip(lawful, told_by[len(alike) :], strict=True))
     out: list[Proof] = []
@@ -167,6 +168,7 @@ def prove(
     once = any(step.named.signature.drawn_once or step.named.signature.redraws_frames for step in steps)
     together = others_out(steps, splits.together.fields) if once else None
     for n, step in enumerate(steps):
+        tell(f"prove: strength of findings, {n} of {len(steps)}")
         fields = again(n)
         signature = signatures.get(step.named.signature.name)
         score = signature.score_again(fields, step.named.score) if signature is not None else None

@@ -118,13 +118,13 @@ def stepwise(
     needed: set[str] = set()
     while True:
         steps, fields, last = _forward(search, steps, fields, last, given_up)
-        final = _in_final_model(steps, first.tests, needed)
+        final = _in_final_model(steps, first.tests, needed, tell)
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
         if not weak:
             late = None
             if every and len(steps) < MOST_STEPS:
                 active = _active(signatures, steps, given_up)
-                late = second_look(steps, last, every, active, allowed, first.tests, log_alpha)
+                late = second_look(steps, last, every, active, allowed, first.tests, log_alpha, tell)
             if late is None:
                 charged = (s if s.late else s._replace(log_p=charge(s.log_p, share)) for s in final)
                 return Fitted(tuple(s._replace(left=fields) for s in charged), fields, last, first)
@@ -178,6 +178,7 @@ def second_look(
     allowed: frozenset[str],
     tests: float,
     log_alpha: float,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Named, float] | None:
     """What all frames together reject of that which the frames that look suspect, with the score of the
     latter and the family-wise log p of the former; None where there is no suspicion or it does not hold."""
@@ -188,7 +189,7 @@ def second_look(
         for p in signatures
         if p.name in last.scores and last.scores[p.name].log_p < np.log(SHARED.candidate)
     )
-    fields = _again(steps, every())[1]
+    fields = _again(steps, every(), tell)[1]
     together = locate(fields, doubtful, tests)
     named = name(together, doubtful, allowed, log_alpha + float(np.log(SHARED.together)))
     if named is None:
@@ -278,10 +279,13 @@ def _active(
     return tuple(p for p in signatures if p.name not in doubtful | names and p.after in before)
 
 
-def _again(steps: list[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:
+def _again(
+    steps: list[Step], fields: tuple[Fields, ...], tell: Callable[[str], None] = lambda text: None
+) -> tuple[list[Step], tuple[Fields, ...]]:
     """The steps fitted anew from the start, each beside those before it, and what is left of the fields."""
     out = []
-    for step in steps:
+    for number, step in enumerate(steps):
+        tell(f"all frames: {number} of {len(steps)}")
         named = step.named._replace(score=step.named.signature.score(fields) or step.named.score)
         out.append(step._replace(named=named, before=fields))
         fields = without(named, fields, fields)
@@ -323,7 +327,9 @@ def _bearing(
     return out[::-1]
 
 
-def _in_final_model(steps: list[Step], tests: float, needed: Set[str]) -> tuple[Step, ...]:
+def _in_final_model(
+    steps: list[Step], tests: float, needed: Set[str], tell: Callable[[str], None] = lambda text: None
+) -> tuple[Step, ...]:
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
     that the others leave nothing to look at, or that is `needed`, keeps the p-value of its step. What is left
     of an effect that is known but approximately, and has no name, does not make it superfluous; nor do those
@@ -348,4 +354,4 @@ def _in_final_model(steps: list[Step], tests: float, needed: Set[str]) -> tuple[
         share = step.named.signature.weight
         return step if score is None else step._replace(log_p=sidak(score.log_p, tests / share))
 
-    return tuple(each(alone, range(len(steps))))
+    return tuple(each(alone, range(len(steps)), tell, "each step beside the others"))

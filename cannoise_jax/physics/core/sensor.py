@@ -204,7 +204,8 @@ class SensorModel:
     ) -> UInt16[Array, "t h w"]:
         """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
         setting beyond the calibrated range draws one `ExtrapolationWarning`, what `ranges.check_taken`
-        refuses raises ValueError, and what is no key TypeError."""
+        refuses raises ValueError, and what is no key TypeError. Under jit the values of `clean` are not
+        known, so that one in DN is not refused: its frames are at the last code."""
         ranges.check_key(key)
         ranges.check_taken(clean, settings)
         warn_outside(self, settings)

@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
+from cannoise_jax.physics.transfer.stated import colours_line, exposures_lines
 from cannoise_jax.physics.transfer.unlit import unlit_line, without_unlit
 from cannoise_jax.recordings.recording import DARK
 
@@ -29,6 +30,8 @@ class Faults(NamedTuple):
     scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
     uneven: it differs between parts of the frame. defects: pixels that show nothing. shadows: of dust.
+    colours: the greens of the stated order are none. lights, charge: flats, or darks, contradict their
+    exposures.
     """
 
     cut_off: str = ""
@@ -41,6 +44,9 @@ class Faults(NamedTuple):
     uneven: str = ""
     defects: str = ""
     shadows: str = ""
+    colours: str = ""
+    lights: str = ""
+    charge: str = ""
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -55,7 +61,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     return Faults(
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
         unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
-        shadows_line(parted),
+        shadows_line(parted), colours_line(parted), *exposures_lines(parted),
     )  # fmt: skip
 
 

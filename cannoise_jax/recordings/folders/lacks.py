@@ -49,7 +49,7 @@ def lacks(groups: Sequence[Group]) -> list[str]:
     notes = []
     if groups and all(g.kind in DARK for g in groups):
         notes.append(NO_LIGHT)
-    single = [g.label for g in groups if g.frames == 1]
+    single = [f"{g.label} ({g.shots[0].name})" for g in groups if g.frames == 1]
     if single:
         notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")
     timeless = [g.label for g in groups if g.kind in ("dark", "flat") and g.settings["exposure_s"] is None]

@@ -1,0 +1,117 @@
+"""Colour orders and exposures that are stated of recordings and that their levels contradict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from cannoise_jax.physics.transfer.black import black_level
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.folders.sites import greens_apart
+from cannoise_jax.recordings.packing import site
+from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
+
+_LONGER = 1.5
+"""Times another exposure, from which light and dark charge have to tell both apart."""
+_ALIKE = 0.02
+"""Share by which flats of one level differ: of two exposures they do so where the lamp was changed."""
+_GROWS = 0.1
+"""Of what dark charge should grow by, that which it grows by at most where an exposure is wrong."""
+_KELVIN = 1.0
+_SURE, _FEWEST = 10.0, 20
+"""Standard errors that the charge of a hot pixel lies above none, and how many have to."""
+_CLIPPED = 0.01
+
+
+def colours_line(statistics: Sequence[FrameStatistics]) -> str:
+    """That the greens of the stated colour order are none, by the brightest flat that does not clip; empty
+    where nothing speaks against it."""
+    black = black_level(statistics).level
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.clipped.mean() < _CLIPPED]
+    if not flats:
+        return ""
+    brightest = max(flats, key=lambda s: min(_light(s, black)))
+    light = _light(brightest, black)
+    said = greens_apart(light, brightest.recording.cfa) if min(light) > 0 else None
+    return f"{_name(brightest)}: {said}" if said else ""
+
+
+def exposures_lines(statistics: Sequence[FrameStatistics]) -> tuple[str, str]:
+    """Flats of one level and darks of one charge whose exposures are far apart: a line of each, empty where
+    there are none."""
+    return _flats(statistics), _darks(statistics)
+
+
+def _flats(statistics: Sequence[FrameStatistics]) -> str:
+    black = black_level(statistics).level
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.clipped.mean() < _CLIPPED]
+    for short, long in _pairs(flats):
+        one, two = (float(np.mean(_light(s, black))) for s in (short, long))
+        if min(one, two) > 0 and abs(one - two) < _ALIKE * max(one, two):
+            return (
+                f"{_both(short, long)} are of one level, within {100 * abs(one / two - 1):.1f} %: unless the "
+                "light was changed between them one exposure is wrong: mend it, what is measured over the "
+                "exposure is wrong with it"
+            )
+    return ""
+
+
+def _darks(statistics: Sequence[FrameStatistics]) -> str:
+    darks = [s for s in statistics if s.recording.kind in DARK and s.recording.exposure_s is not None]
+    if len(darks) < 3:
+        return ""
+    zero = min(darks, key=lambda s: (s.recording.exposure_s or 0.0, -s.recording.count))
+    for short, long in _pairs([s for s in darks if s is not zero]):
+        own, celsius = short.recording.exposure_s or 0.0, [s.recording.temperature_c for s in (short, long)]
+        apart = abs((celsius[0] or 0.0) - (celsius[1] or 0.0)) if None not in celsius else 0.0
+        if own < 3 * (zero.recording.exposure_s or 0.0) or apart > _KELVIN:
+            continue
+        share = _charge(short, long, zero)
+        if share is not None and share < 1 + _GROWS * ((long.recording.exposure_s or 0.0) / own - 1):
+            return (
+                f"{_both(short, long)}: in the longer hot pixels hold {share:.2f} times the charge that they "
+                "hold in the other: unless it was colder one exposure is wrong: mend it, the dark current is "
+                "wrong with it"
+            )
+    return ""
+
+
+def _charge(short: FrameStatistics, long: FrameStatistics, zero: FrameStatistics) -> float | None:
+    """Charge of the hot pixels of the longer dark over that of the shorter; None where few are hot. They are
+    hot in the mean of both, so that chance in one of them chooses none."""
+    if not short.mean.shape == long.mean.shape == zero.mean.shape:
+        return None
+    used = ~(short.clipped | long.clipped | zero.clipped)
+    one, two = (s.mean - zero.mean for s in (short, long))
+    one, two = (v - float(np.median(v[used])) for v in (one, two)) if used.any() else (one, two)
+    both = (one + two) / 2
+    noise = 1.4826 * float(np.median(np.abs(both[used]))) if used.any() else 0.0
+    hot = used & (both > _SURE * max(noise, 0.1))
+    if hot.sum() < _FEWEST or np.median(one[hot]) <= 0:
+        return None
+    return float(np.median(two[hot] / np.maximum(one[hot], 1e-9)))
+
+
+def _pairs(statistics: Sequence[FrameStatistics]) -> list[tuple[FrameStatistics, FrameStatistics]]:
+    """The shorter and the longer of every two whose exposures are far apart."""
+    stated = (s for s in statistics if s.recording.exposure_s)
+    known = sorted(stated, key=lambda s: s.recording.exposure_s or 0.0)
+    return [
+        (a, b)
+        for a, b in combinations(known, 2)
+        if (b.recording.exposure_s or 0.0) > _LONGER * (a.recording.exposure_s or 0.0)
+    ]
+
+
+def _light(s: FrameStatistics, black: PerChannel) -> PerChannel:
+    return per_channel(np.array([float(np.median(site(s.mean, c))) - black[c] for c in range(4)]))
+
+
+def _name(s: FrameStatistics) -> str:
+    return s.recording.path or s.recording.camera
+
+
+def _both(short: FrameStatistics, long: FrameStatistics) -> str:
+    return " and ".join(f"{_name(s)} ({s.recording.exposure_s:g} s)" for s in (short, long))
