@@ -26,6 +26,7 @@ from cannoise_jax.signatures import (
     lines,
     means,
     memory,
+    modulated,
     motion,
     moving_taps,
     patterns,
@@ -36,6 +37,7 @@ from cannoise_jax.signatures import (
     scales,
     shape,
     smear,
+    smooth_maps,
     spectra,
     tails,
     tap_gain,
@@ -63,6 +65,8 @@ MAPS = ("pixel_additive_static", "pixel_thermal_static")
 """Signatures of maps of all pixels, which are judged once hot ones that stand out from them are gone."""
 THERMAL_LINES = ("row_thermal_static", "column_thermal_static")
 """Signatures of charge that lines collect, which a glow along an edge is as well."""
+GLOW, SMOOTH = ("glow",), ("smooth_additive", "smooth_thermal")
+"""Signatures of light that falls off from a corner or edge, and of what is smooth: each takes the other."""
 AREAS = ("tile_8_frozen", "tile_16_frozen", "tile_32_frozen", "tile_64_frozen")
 """Signatures of offsets of small areas."""
 SCENES = ("reference_shift", "reference_blur", "reference_spread", "scene_static", "curvature", *SCALES)

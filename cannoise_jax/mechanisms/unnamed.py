@@ -12,6 +12,8 @@ from cannoise_jax.signatures.signature import Signature
 TILES = ("tile_8", "tile_16", "tile_32", "tile_64", "diagonal", "antidiagonal")
 SITES = ("site", "row_parity", "column_parity")
 """What stays per site of the mosaic is the black level's."""
+_CUT = (*looks.AREAS, *looks.THERMAL_LINES, "diagonal_frozen", "antidiagonal_frozen")
+"""What a smooth pattern would be cut into."""
 
 _ALWAYS: tuple[Signature, ...] = (
     *(
@@ -29,19 +31,26 @@ _ALWAYS: tuple[Signature, ...] = (
     looks.groups.shared("site_relative_redrawn", "site", "redrawn", scaling="signal", covers=looks.SCALES),
     # A scene whose rows follow their own light by another factor than the pixels within them.
     looks.smear.streaked(name="row_light", covers=looks.SCALES),
+    # A glow, a leak of light or a lamp that swells and fades: the same places in every frame.
+    looks.modulated.swelling(name="modulated_additive", scaling="additive", covers=looks.COVERS_NOTHING),
+    looks.modulated.swelling(name="modulated_relative", scaling="signal", covers=looks.COVERS_NOTHING),
+    # Light that leaks into darks, and gradients of any shape.
+    looks.smooth_maps.staying(name="smooth_additive", scaling="additive", covers=looks.GLOW, before=_CUT),
     looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
     looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),
     looks.shape.skewed(name="skewness"),
 )
-_LINES = looks.if_exposures_differ(
+_GROWING = looks.if_exposures_differ(
     *(
         looks.line_maps.frozen(axis, "exposure", name=f"{axis}_thermal_static", covers=looks.COVERS_NOTHING)
         for axis in ("row", "column")
-    )
+    ),
+    looks.smooth_maps.staying(name="smooth_thermal", scaling="exposure", covers=looks.GLOW, before=_CUT),
+    looks.modulated.swelling(name="modulated_thermal", scaling="exposure", covers=looks.COVERS_NOTHING),
 )
 
 
 def signatures(recorded: Recorded) -> tuple[Signature, ...]:
     """Those that the recordings can be searched for."""
-    return (*_ALWAYS, *_LINES(recorded), looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)))
+    return (*_ALWAYS, *_GROWING(recorded), looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)))

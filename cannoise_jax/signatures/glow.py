@@ -41,7 +41,6 @@ from cannoise_jax.signatures.rare import spread_of
 from cannoise_jax.signatures.score import Score, normal_log_p, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
-    COVERS_NOTHING,
     NO_LAW,
     OFFSETS,
     STATIC,
@@ -210,7 +209,12 @@ def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
 
 
 def from_edges(
-    *, name: str, parameter: str, before: tuple[str, ...], lifted_by: tuple[str, ...]
+    *,
+    name: str,
+    parameter: str,
+    covers: tuple[str, ...],
+    before: tuple[str, ...],
+    lifted_by: tuple[str, ...],
 ) -> Signature:
     """Light that falls off from a corner or an edge of the darks. before: signatures of patterns that hold it
     as well, which are judged once it is gone."""
@@ -235,7 +239,7 @@ def from_edges(
         reads=STATIC,
         score=glow_score,
         absorb=glow_absorb,
-        covers=COVERS_NOTHING,
+        covers=covers,
         predict=NO_LAW,
         pattern=lambda fields, score, rng: np.asarray(score.payload.template, np.float64),
         simulate=simulate,

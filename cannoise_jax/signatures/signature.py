@@ -45,6 +45,8 @@ class Axes:
     def in_bands(self) -> bool:
         """Whether chance in it is independent from one band of rows to the next."""
         over = place(self.varies_over)
+        if self.time == "modulated":
+            return False
         return over.within_rows and not (over.whole and self.time == "redrawn")
 
 
@@ -207,7 +209,8 @@ class Signature:
     @property
     def redraws_frames(self) -> bool:
         """Whether it is one random number a frame: a few frames then say all that is known of its spread."""
-        return (self.axes.varies_over, self.axes.time) == ("frame", "redrawn")
+        one = (self.axes.varies_over, self.axes.time) == ("frame", "redrawn")
+        return one or self.axes.time == "modulated"
 
     def score_again(self, fields: Many, found: Score) -> Score | None:
         """The score of a finding on other frames."""

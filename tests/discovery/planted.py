@@ -121,7 +121,25 @@ def _jumps(rng, unit, f):
     return np.einsum("nt,tij->nij", helmert(f.frames), 15 * chosen * (rng.random((f.frames, *SIZE)) < 0.5))
 
 
+def _swelling(rng, f):
+    """A glow from a corner whose strength is new in every contrast, of unit rms."""
+    glow = np.exp(-np.hypot(ROWS, COLUMNS) / 20)
+    glow = glow - glow.mean()
+    return rng.standard_normal(_new(f)) * glow / glow.std()
+
+
+def _leak(f):
+    """Light that leaks into darks as a stripe that fades along the rows: no fall from a corner or edge."""
+    stripe = np.exp(-(((ROWS - 12) / 7.0) ** 2)) * np.exp(-COLUMNS / 20.0)
+    return stripe / stripe.std() * (f.kind == "dark")
+
+
 OWN = {
+    "smooth_additive": lambda rng, unit, f: 3 * _leak(f),
+    "smooth_thermal": lambda rng, unit, f: 8 * f.exposure_s * _leak(f),
+    "modulated_additive": lambda rng, unit, f: 2 * _swelling(rng, f),
+    "modulated_relative": lambda rng, unit, f: 0.02 * f.signal * _swelling(rng, f) * f.lit,
+    "modulated_thermal": lambda rng, unit, f: 2 * f.exposure_s * _swelling(rng, f),
     "wave_redrawn": lambda rng, unit, f: 1.5 * _wave(rng.uniform(0, 6.3, _new(f))),
     "wave_frozen": lambda rng, unit, f: 1.5 * _wave(unit.uniform(0, 6.3)),
     "flicker": lambda rng, unit, f: (

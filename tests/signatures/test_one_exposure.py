@@ -22,7 +22,8 @@ def test_no_pattern_is_said_to_grow(seconds):
 
 def test_of_two_exposures_it_may_be():
     more = names((0.1, 0.1, 0.2)) - names((0.1, 0.1, 0.1))
-    assert more == {"pixel_thermal_static", "row_thermal_static", "column_thermal_static", "dark_level"}
+    maps = {f"{of}_thermal_static" for of in ("pixel", "row", "column")}
+    assert more == maps | {"dark_level", "smooth_thermal", "modulated_thermal"}
 
 
 def fields_of(*exposures: tuple[str, float]):

@@ -227,7 +227,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
     for n in listed_steps(diagnosis):
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
         axis = steps[n].named.score.where["axis"]
-        redrawn = steps[n].named.signature.axes.time == "redrawn"
+        redrawn = steps[n].named.signature.axes.time in ("redrawn", "modulated")
         pictures.append(where_pictures(steps[n].before, after, axis, redrawn))
     size = partial(strength, diagnosis.terms)
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")

@@ -17,7 +17,11 @@ from cannoise_jax.vocabulary import Term
 
 CERTAIN = 10.0
 """Nats a pixel from which on more of them say nothing more: e^-10 a pixel is never met."""
-_TIME = {"frozen": "the same in every frame", "redrawn": "new in every frame"}
+_TIME = {
+    "frozen": "the same in every frame",
+    "redrawn": "new in every frame",
+    "modulated": "one pattern whose strength is new in every frame",
+}
 _SCALES = {
     "additive": "whatever the signal",
     "codes": "the same number of codes at every gain",

@@ -67,6 +67,14 @@ def site_lags(point, size: tuple[int, int], power) -> dict[tuple[int, int], Arra
     }
 
 
+def map_lags(field: Float[Array, "h w"], power) -> dict[tuple[int, int], Array]:
+    """Covariance at lags up to two of one random number times a map: `power` times the products of its
+    pixels."""
+    h, w = field.shape
+    there = jnp.pad(field, ((0, 2), (2, 2)))
+    return {(dy, dx): power * field * there[dy : dy + h, 2 + dx : 2 + dx + w] for dy, dx in NEAR}
+
+
 def kernel_correlations(kernel) -> dict[tuple[int, int], float]:
     """Correlation of white noise filtered by a square kernel at lags up to two, right and down."""
     side = int(len(kernel) ** 0.5)

@@ -25,10 +25,10 @@ from cannoise_jax.physics.core.mechanism import (
 )
 from cannoise_jax.physics.core.places import NO_LINE, Site, place
 
-Time = Literal["frozen", "redrawn", "telegraph", "drifting"]
+Time = Literal["frozen", "redrawn", "telegraph", "drifting", "modulated"]
 Spectrum = Literal["white", "power_law", "sinusoid", "kernel"]
 Distribution = Literal["gaussian", "tukey_lambda", "sparse"]
-TIMES: tuple[Time, ...] = ("frozen", "redrawn", "telegraph", "drifting")
+TIMES: tuple[Time, ...] = ("frozen", "redrawn", "telegraph", "drifting", "modulated")
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Point:
     over: the sites that carry one number each. "raster" orders the pixels as they are read; "frame" is one
       number per frame; "block" cuts the frame into `blocks` = (down, across) amplifier regions.
     time: "frozen" belongs to the camera unit; "redrawn" in every frame; "telegraph" jumps between two levels
-      at fixed sites; "drifting" is redrawn with a memory of the frames before.
+      at fixed sites; "drifting" is redrawn with a memory of the frames before; "modulated" is a map of the
+      camera unit times one number that is redrawn in every frame.
     combine: "add" or "multiply" into what the stage carries. signal: exponent p of a further factor
       (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
     spectrum: along the sites; "kernel": pixels correlate with their neighbours, as white noise does after a
@@ -82,6 +83,8 @@ def contradiction(point: Point) -> str | None:
         return f"a {spectrum} spectrum has no {distribution} distribution, it is gaussian"
     if time == "telegraph" and (spectrum != "white" or distribution == "tukey_lambda"):
         return f"a telegraph has two levels at sites of its own, no {spectrum} {distribution} field"
+    if time == "modulated" and over != "pixel":
+        return f"a map that is modulated has a number for every pixel, not for every {over}"
     if spectrum == "sinusoid" and time == "drifting":
         return "a sinusoid has a new phase in every frame or the same in all, it does not drift"
     return None
@@ -154,7 +157,7 @@ def _draw_maps(point: Point):
             return {"field": fields.spread(where, point, context.size)}
         return {"field": _fields(unit_key, 1, point, values, context)}
 
-    return draw if point.time in ("frozen", "telegraph") else None
+    return draw if point.time in ("frozen", "telegraph", "modulated") else None
 
 
 def _strength(point: Point, name: str, values: Values, context: Context) -> Any:
@@ -171,6 +174,8 @@ def _sample(point: Point, name: str):
         elif point.time == "telegraph":
             levels = fields.telegraph(key, x.shape[0], fields.site_shape(point, context.size), values["rate"])
             unit = maps["field"] * fields.spread(levels, point, context.size)
+        elif point.time == "modulated":
+            unit = maps["field"] * fields.numbers(key, (x.shape[0], 1, 1), "gaussian", values)
         else:
             unit = _fields(key, x.shape[0], point, values, context)
         change = _strength(point, name, values, context) * unit * signal_factor(point, context)

@@ -63,14 +63,17 @@ def _of_time(point, values: Values, maps: Maps, context: Context, reach, brought
     mean, square, third, fourth = _cumulants(point, values, maps)
     power = reach**2 * square
     changes: dict[str, Any] = {"variance": power + brought(mean, square + mean**2)}
-    if point.distribution == "sparse" and point.time != "telegraph":
+    if point.distribution == "sparse" and point.time not in ("telegraph", "modulated"):
         changes["mean"] = reach * mean
         changes["third"] = reach**3 * third
     if fourth is not None:
         changes["fourth"] = reach**4 * fourth
     if point.over in _SHARED and point.interleave == 1:
         changes[point.over] = power
-    lags = _lags(point, values, context, power)
+    if point.time == "modulated":
+        lags = fields.map_lags(maps["field"][0], reach**2)
+    else:
+        lags = _lags(point, values, context, power)
     if lags:
         changes["lags"] = lags
     if point.time == "telegraph":
@@ -82,6 +85,8 @@ def _of_time(point, values: Values, maps: Maps, context: Context, reach, brought
 
 def _cumulants(point, values: Values, maps: Maps) -> tuple[Any, Any, Any, Any]:
     """Mean, variance, third and fourth cumulant over frames of a unit field; None: zero as of a Gaussian."""
+    if point.time == "modulated":
+        return 0.0, maps["field"][0] ** 2, None, None
     if point.spectrum == "sinusoid":
         return 0.0, 0.5, None, -0.375
     if point.spectrum == "kernel":
