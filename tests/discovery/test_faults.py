@@ -4,12 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.faults import FaultWarning, faults_of, without_moving
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.rails import moved
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 from .capture import SIZE, capture_set
@@ -71,6 +74,38 @@ def test_scenes_that_move_are_refused_as_they_tell_calibrating_no_gain():
     with pytest.raises(BadInput, match="scene.h5: .*the scene or its light moves: record flats") as error:
         diagnose(capture, compare=False)
     assert str(error.value).removeprefix("scene.h5: ") in refused
+
+
+@pytest.mark.parametrize(("pixels", "refused"), [(0.0, False), (0.25, True)])
+def test_a_fine_scene_that_shakes_by_parts_of_a_pixel_is_refused(pixels, refused):
+    """No two pixels apart change alike: the change follows the slopes of the scene."""
+    rng = np.random.default_rng(8)
+    # So much detail that noise is a third of how neighbours differ.
+    waves = np.fft.rfft2(ndimage.gaussian_filter(rng.standard_normal(SIZE), 1.5, mode="wrap"))
+    down, across = np.fft.fftfreq(SIZE[0])[:, None], np.fft.rfftfreq(SIZE[1])
+    shown = [
+        np.fft.irfft2(waves * np.exp(2j * np.pi * (dy * down + dx * across)), SIZE)
+        for dy, dx in pixels * rng.standard_normal((4, 2))
+    ]
+    light = np.clip(1200 + 3000 * np.stack(shown), 100, 2500)
+    capture = CaptureSet("c", (recording("scene", light), recording("dark")))
+    if refused:
+        with pytest.raises(BadInput, match="scene.h5: .*the scene or its light moves"):
+            diagnose(capture, compare=False)
+    else:
+        assert not moved([frame_statistics(capture.recordings[0])], 0)
+
+
+@pytest.mark.parametrize("count", [8, 16])
+@pytest.mark.parametrize("other", ["moved", "dimmed", None])
+def test_scenes_of_which_one_frame_is_another_tell_no_gain(count, other):
+    """Of a texture in which no two pixels are alike."""
+    light = np.random.default_rng(9).uniform(300, 2400, SIZE)
+    shown = np.stack([light] * count)
+    if other:
+        shown[count - 3] = np.roll(light, (4, 3), (0, 1)) if other == "moved" else 0.6 * light
+    said = moved([frame_statistics(recording("scene", shown, count=count))], 0)
+    assert bool(said) == bool(other)
 
 
 def test_scenes_that_move_beside_flats_are_left_out_and_others_stay():

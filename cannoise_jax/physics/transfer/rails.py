@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
@@ -36,6 +37,10 @@ MOVES = 0.1
 """Share of the change between frames of a scene that is none of noise beyond which it tells no gain: that is
 off by as much, several times what an interval of 90 % holds."""
 STILL = "the scene or its light moves: record flats, or scenes that stand still"
+_MIDDLE = 512
+"""Pixels to either side of the middle of the frame within which all changes are looked at."""
+_CHANGES, _FEWEST = 15, 4
+"""Changes from frame to frame that are looked at, and from which on most of them are those of noise."""
 _UPRIGHT = 0.5
 """Share of the change between frames that whole columns have in common, beyond which it is none of noise:
 column noise lies below that of pixels, let alone with their shot noise."""
@@ -73,27 +78,79 @@ def below_rail(s: FrameStatistics, c: int) -> Bool[np.ndarray, "h w"]:
 
 
 def moving(r: Recording, c: int) -> float:
-    """Share of the change between two frames of a scene that pixels some apart in rows and in columns have in
-    common: of noise next to none, of a scene or light that moves most. Where whole columns have more than
-    half of it, that share: upright edges that move sideways."""
+    """Share of the change from frame to frame of a scene that is none of noise: what pixels some apart in
+    rows and in columns have in common, of noise next to none, of a scene or light that moves most; or what a
+    shift of the whole scene explains; or what few changes have beyond most of them. Where whole columns have
+    more than half of it, that share: upright edges that move sideways."""
     if r.count < 2:
         return 0.0
-    frames = np.asarray(r.frames[:2], np.float64)
-    change = frames[1] - frames[0]
-    change, far = (change, _APART) if c == ALL else (site(change, c), _APART // 2)
-    change = change - change.mean(1, keepdims=True)
-    columns, all_of_it = change.mean(0, keepdims=True), float(np.mean(change**2))
-    if (upright := float(np.mean(columns**2))) > _UPRIGHT * all_of_it:
-        return upright / all_of_it
-    change = change - columns
-    most = 8 * robust_std(change, 0.0)  # hits and noisy pixels
-    change = np.clip(change, -most, most)
-    power = float(np.mean(change**2))
-    if power <= 0 or min(change.shape) <= 2 * far:
+    rows, columns = (slice(max(n // 4 * 2 - _MIDDLE, 0), n // 4 * 2 + _MIDDLE) for n in r.size)
+    whole = c == ALL or r.cfa == "MONO"
+
+    def seen(t: int, *part: slice) -> Float[np.ndarray, "h w"]:
+        frame = np.asarray(r.frames[t], np.float64)[part]
+        return frame if whole else site(frame, c)
+
+    far = _APART if whole else _APART // 2
+    frames = [seen(t, rows, columns) for t in range(min(r.count, _CHANGES + 1))]
+    changes = [after - before for before, after in pairwise(frames)]
+    # One frame that has moved is one of many: the first two tell it of parts away from the middle.
+    first = _in_common([seen(1) - seen(0)], far) if max(r.size) > 2 * _MIDDLE else 0.0
+    return max(first, _in_common(changes, far), _shifted(frames, changes), _beyond_most(changes))
+
+
+def _near(change: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Changes without hits and noisy pixels."""
+    most = 8 * robust_std(change, 0.0)
+    return np.clip(change, -most, most)
+
+
+def _beyond_most(changes: list[np.ndarray]) -> float:
+    """Share of the changes that few of them have beyond the others: noise is the same in all."""
+    power = [float(np.mean(_near(change - change.mean()) ** 2)) for change in changes]
+    if len(power) < _FEWEST or not any(power):
         return 0.0
-    along, across = change[:, far:] * change[:, :-far], change[far:] * change[:-far]
-    # Noise along rows, or along columns, is alike in that direction alone.
-    return min(float(along.mean()), float(across.mean())) / power
+    return 1 - float(np.median(power)) / float(np.mean(power))
+
+
+def _shifted(frames: list[np.ndarray], changes: list[np.ndarray]) -> float:
+    """Share of the changes that shifts of the scene by parts of a pixel explain: those along its slopes. A
+    slope is of the pixels on either side, so that noise has none in common with it."""
+    mean = np.mean(frames, 0)
+    if min(mean.shape) < 3:
+        return 0.0
+    slopes = np.stack([mean[2:, 1:-1] - mean[:-2, 1:-1], mean[1:-1, 2:] - mean[1:-1, :-2]])
+    slopes -= slopes.mean((1, 2), keepdims=True)
+    normal = np.einsum("kij,lij->kl", slopes, slopes)
+    explained = power = 0.0
+    for change in changes:
+        inner = change[1:-1, 1:-1]
+        inner = _near(inner - inner.mean())
+        along = np.einsum("kij,ij->k", slopes, inner)
+        explained += float(along @ np.linalg.lstsq(normal, along, rcond=None)[0])
+        power += float(np.sum(inner**2))
+    return explained / power if power > 0 else 0.0
+
+
+def _in_common(changes: list[np.ndarray], far: int) -> float:
+    """Share of the changes that pixels so far apart have in common. A scene that moves in one of them changes
+    more than noise does in all."""
+    shared = upright = power = of_columns = 0.0
+    for change in changes:
+        change = change - change.mean(1, keepdims=True)
+        columns = change.mean(0, keepdims=True)
+        upright += float(np.mean(columns**2))
+        of_columns += float(np.mean(change**2))
+        if min(change.shape) <= 2 * far:
+            continue
+        change = _near(change - columns)
+        power += float(np.mean(change**2))
+        along, across = change[:, far:] * change[:, :-far], change[far:] * change[:-far]
+        # Noise along rows, or along columns, is alike in that direction alone.
+        shared += min(float(along.mean()), float(across.mean()))
+    if upright > _UPRIGHT * of_columns:
+        return upright / of_columns
+    return shared / power if power > 0 else 0.0
 
 
 def is_below_rail(s: FrameStatistics, c: int) -> bool:
